@@ -8,11 +8,12 @@ PIP := $(RUN) -m pip --disable-pip-version-check install --quiet --no-compile
 # The tests start some hundred processes. Without bytecode on disk each of them would compile all of our files again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test kernels compare clients machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
+.PHONY: help demo test research kernels compare clients machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
 
 help:
 	@echo "make demo        a race to watch, then the paper's study in small: trees, networks, races, a report (under 5 minutes)"
 	@echo "make test        the test suite"
+	@echo "make research    the tests of research/, whose experiments answered a question once (once a week in CI)"
 	@echo "make kernels     compile what races and environments need, which the tests do first"
 	@echo "make compare     comparisons with other libraries (Gambit, pymoo, CMA-MAE and others), which it installs"
 	@echo "make clients     other RL libraries on the environments, each in an environment of its own (half an hour the first time)"
@@ -42,6 +43,11 @@ test: export OMP_NUM_THREADS = 1
 test: export OPENBLAS_NUM_THREADS = 1
 test: kernels
 	$(RUN) -m pytest -n 3 --dist worksteal
+
+research: export OMP_NUM_THREADS = 1
+research: export OPENBLAS_NUM_THREADS = 1
+research: kernels
+	$(RUN) -m pytest research/tests -n 2 --dist worksteal
 
 kernels: $(VENV)/test.stamp
 	$(VENV)/bin/pcs-racing compile

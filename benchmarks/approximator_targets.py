@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing import make_game
-from pcs_racing_agents.jobs.jobs import show_progress
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.networks import TARGETS, load_train_settings
 from pcs_racing_agents.networks.from_trees import train_on_trees
 from pcs_racing_agents.trees import StoredTrees, build_trees, load_trees

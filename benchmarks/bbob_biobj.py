@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from adapters.foreign_optimisers import ALL, FOREIGN
 from numpy.typing import NDArray
 
-from pcs_racing_agents.synthesis.optimisers import METHODS
 from pcs_racing_agents.synthesis.search import Search
 
 Floats = NDArray[np.float64]
@@ -68,7 +68,9 @@ def run(task: Task) -> Outcome:
     for index, problem in enumerate(suite):
         problem.observe_with(observer)
         box = np.tile([-BOX, BOX], (problem.dimension, 1))
-        search = Search(box, method=task.method, population=POPULATION, seed=index, start="sample")
+        search = Search(
+            box, method=FOREIGN.get(task.method, task.method), population=POPULATION, seed=index, start="sample"
+        )
         while problem.evaluations < budget:
             points = search.ask()
             search.tell([-np.asarray(problem(point)) for point in points])
@@ -100,7 +102,7 @@ def main() -> None:
     parser.add_argument("--instances", default="1-3")
     parser.add_argument("--budget", type=int, default=100, help="evaluations by dimension (default: 100)")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
+    parser.add_argument("--methods", nargs="+", default=list(ALL), choices=ALL)
     arguments = parser.parse_args()
     tasks = [
         Task(method, dimension, arguments.instances, arguments.budget)

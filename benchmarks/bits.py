@@ -176,8 +176,7 @@ def networks(folders: list[Path]) -> Digests:
 def statistics(folders: list[Path]) -> Digests:
     """Ratings, a clustered mean, a t-test."""
     from pcs_racing_agents.tournament.ratings import rate
-    from pcs_racing_agents.tournament.statistics.clusters import clustered_mean
-    from pcs_racing_agents.tournament.statistics.student_t import t_interval
+    from pcs_racing_agents.tournament.statistics.clusters import clustered_mean, t_interval
 
     rng = np.random.default_rng(0)
     names = np.array([f"agent {k}" for k in range(8)])

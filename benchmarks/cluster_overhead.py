@@ -28,7 +28,8 @@ from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.cli.estimates import LEAD_PLAN_ROUNDS
-from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.seed_training import SeedTraining
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import make_task

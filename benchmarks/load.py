@@ -115,7 +115,8 @@ def duel(envs: int, steps: int, threads: int, step_seconds: float) -> list[Slice
 def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> list[Slice]:
     """All against all through a job with chunks, as the command does it, and the file of results."""
     from pcs_racing import load_track
-    from pcs_racing_agents.jobs.jobs import make_executor, open_job
+    from pcs_racing_agents.jobs.executors import make_executor
+    from pcs_racing_agents.jobs.jobs import open_job
     from pcs_racing_agents.tournament import (
         game_rules,
         plan_tournament,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.planners.registry import get_planner
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
 from pcs_racing_agents.synthesis.archive_run import draw_policies, make_archive
 from pcs_racing_agents.synthesis.archive_search import REFERENCE
 from pcs_racing_agents.synthesis.config import ArchiveConfig

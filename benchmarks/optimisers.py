@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from adapters.foreign_optimisers import ALL, FOREIGN
 from numpy.typing import NDArray
 
 from pcs_racing_agents.synthesis.indicators import hypervolume, non_dominated
-from pcs_racing_agents.synthesis.optimisers import METHODS
 from pcs_racing_agents.synthesis.search import Search
 
 Floats = NDArray[np.float64]
@@ -121,7 +121,9 @@ def run(task: Task) -> Floats:
 
 
 def new_search(bounds: Floats, method: str, seed: int, population: int, **options: Any) -> Search:
-    return Search(bounds, method=method, seed=seed, population=population, **{"start": "sample", **options})
+    return Search(
+        bounds, method=FOREIGN.get(method, method), seed=seed, population=population, **{"start": "sample", **options}
+    )
 
 
 def spread(values: Any) -> str:
@@ -132,7 +134,7 @@ def spread(values: Any) -> str:
 
 def functions(seeds: int, workers: int, picture: Path | None) -> None:
     """Print the tables of the functions with known fronts, and draw how hypervolume grows."""
-    tasks = [Task(problem, method, seed) for problem in PROBLEMS for method in METHODS for seed in range(seeds)]
+    tasks = [Task(problem, method, seed) for problem in PROBLEMS for method in ALL for seed in range(seeds)]
     tasks += [t._replace(again=REEVALUATION) for t in tasks if PROBLEMS[t.problem](0).noise]
     readings = [
         Task(problem, "mo-cma-es", seed, tuple(options.items()))
@@ -150,7 +152,7 @@ def functions(seeds: int, workers: int, picture: Path | None) -> None:
     budget = POPULATION * GENERATIONS
     print(f"Share of the possible hypervolume after {budget} evaluations, median (range) of {seeds} seeds\n")
     print("| method | ZDT1 | rotated ellipsoids |\n|---|---|---|")
-    for method in METHODS:
+    for method in ALL:
         print(
             f"| `{method}` | " + " | ".join(spread(of(p, method)[:, -2]) for p in ("ZDT1", "rotated ellipsoids")) + " |"
         )
@@ -160,7 +162,7 @@ def functions(seeds: int, workers: int, picture: Path | None) -> None:
         print(f"| {name} | " + " | ".join(map(spread, cells)) + " |")
     print(f"\nWith noise: true share, and bias, without and with {REEVALUATION:.0%} of the budget for re-evaluation\n")
     print("| method | re-evaluation | noisy ZDT1 | bias | noisy ellipsoids | bias |\n|---|---|---|---|---|---|")
-    for method in METHODS:
+    for method in ALL:
         for again in (0.0, REEVALUATION):
             cells = []
             for problem in ("noisy ZDT1", "noisy ellipsoids"):
@@ -169,7 +171,7 @@ def functions(seeds: int, workers: int, picture: Path | None) -> None:
             print(f"| `{method}` | {again:.0%} | " + " | ".join(cells) + " |")
     if picture is not None:
         draw(
-            {p: {m: of(p, m, REEVALUATION if "noisy" in p else 0.0)[:, :-1] for m in METHODS} for p in PROBLEMS},
+            {p: {m: of(p, m, REEVALUATION if "noisy" in p else 0.0)[:, :-1] for m in ALL} for p in PROBLEMS},
             picture,
         )
 
@@ -216,7 +218,7 @@ def race(seeds: int, track: str, generations: int) -> None:
         rivals, others = (np.stack([family.sample(rng) for _ in range(count)]) for count in (3, 6))
         seen = draw_scenarios([track], config, rivals, axes, starts=2, seed=2 * seed)
         held_out = draw_scenarios([track], config, others, axes, starts=2, seed=2 * seed + 1)
-        for method in METHODS:
+        for method in ALL:
             search = new_search(family.bounds, method, seed, population)
             for _ in range(generations):
                 found = evaluate(seen, search.ask())
@@ -231,7 +233,7 @@ def race(seeds: int, track: str, generations: int) -> None:
     )
     print("| method | hypervolume, median (range) | policies in the front | above random search |\n|---|---|---|---|")
     volumes = {key: hypervolume((front - low) / extent, REFERENCE) for key, front in fronts.items()}
-    for method in METHODS:
+    for method in ALL:
         own = [volumes[method, seed] for seed in range(seeds)]
         size = np.median([non_dominated(fronts[method, seed]).sum() for seed in range(seeds)])
         wins = sum(volumes[method, seed] > volumes["random", seed] for seed in range(seeds))
@@ -243,7 +245,7 @@ def overhead() -> None:
     """Print what the methods themselves cost: 16 parameters, 2 objectives, generations of 50, 2,000 evaluations."""
     print("| method | processor time per evaluation, ms (best of 3) |\n|---|---|")
     centres = np.full(16, 0.3), np.full(16, 0.7)
-    for method in METHODS:
+    for method in ALL:
         times = []
         for repeat in range(4):  # the first one loads and compiles
             begin = time.process_time()

@@ -28,7 +28,8 @@ from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Setting, make_setting
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.receding_horizon import RecedingHorizon, receding_horizon
-from pcs_racing_agents.jobs.jobs import open_job, show_progress
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.tournament import play_games
 
 CIRCUITS = ("Kestrelheim", "Pipkin", "Saltmere", "Tarnfjord")

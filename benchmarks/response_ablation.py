@@ -25,7 +25,10 @@ from pcs_racing.game.config import load_game_config
 from pcs_racing_agents.agents import Agent, Setting, make_setting
 from pcs_racing_agents.agents.blind import never_switch, random_moves
 from pcs_racing_agents.agents.from_network import NetworkStrategy
-from pcs_racing_agents.jobs.jobs import Arrays, Job, add_executor_options, executor_from, open_job, show_progress
+from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import Job, open_job
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.learning.responses import branch_games, load_response_settings
 from pcs_racing_agents.networks import RegretNetwork, Rows, load_network
 from pcs_racing_agents.networks.settings import TrainSettings

@@ -18,7 +18,7 @@ import numpy as np
 from pcs_racing.game.make import make_game
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.driving import default_threads
-from pcs_racing_agents.networks.ego_rows import ego_rows
+from pcs_racing_agents.networks.from_ego import ego_rows
 from pcs_racing_agents.trees import TreeStatistics, build_tree, choose_pairs, play_ego
 from pcs_racing_agents.trees.roots import draw_root
 

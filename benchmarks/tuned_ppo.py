@@ -34,6 +34,7 @@ from pcs_racing_agents.learning.ppo.tuned import TunedPPO, tuned_environments, t
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import markdown, with_interval
 from pcs_racing_agents.tournament.statistics import clustered_mean
+from research.matches.remember import remember
 
 CHOOSING, JUDGING = 50_000_000, 90_000_000  # seeds of the starts; those of trainings are small
 POINTS = 40  # of a learning curve
@@ -247,7 +248,7 @@ def judge_match(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[
         ),
     }
     world = {"archive": tuned.arguments["archive"], "race": tuned.arguments["race"]}
-    players["remember"] = (make("remember", **world).choose, "the races before")
+    players["remember"] = (remember(make_setting(world["archive"], world["race"])).choose, "the races before")
     players["PPO"] = (ppo, "the races before")
     returns = {name: judging.returns(player) for name, (player, _) in players.items()}
     blind = max(list(returns.values())[:2], key=np.mean)
@@ -287,14 +288,15 @@ def judge_match_self_play(tuned: TunedPPO, ppo: Player, games: int, choices: int
     del choices
     world = {"archive": tuned.arguments["archive"], "race": tuned.arguments["race"]}
     rows = [("opponent", "random policies", "remember", "PPO", "PPO over random policies")]
-    for opponent in ("never-switch", "random-moves", "remember"):
+    remembering = remember(make_setting(world["archive"], world["race"]))
+    for opponent in ("never-switch", "random-moves", remembering):
         arena = Arena(MatchVectorEnv, {**tuned.arguments, "opponent": opponent}, games, JUDGING)
         policies = len(arena.envs.game.archive)
-        players = at_random(policies), make("remember", **world).choose, ppo
+        players = at_random(policies), remembering.choose, ppo
         found = [arena.returns(player) for player in players]
         gain = clustered_mean(found[2] - found[0], arena.opponents)
         means = (f"{returns.mean():.3f}" for returns in found)
-        rows.append((opponent, *means, with_interval(gain.mean, gain.low, gain.high)))
+        rows.append((getattr(opponent, "name", opponent), *means, with_interval(gain.mean, gain.low, gain.high)))
     return rows
 
 

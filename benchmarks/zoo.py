@@ -24,14 +24,14 @@ from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.state import take_games
 from pcs_racing_agents.agents import Agent, Driver, make_setting, names
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.measured import Measured
+from pcs_racing_agents.agents.describe import Measured
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.jobs import open_job, show_progress
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.races import concatenate_races
-from pcs_racing_agents.tournament.pairings import schedule_pairing
+from pcs_racing_agents.tournament.pairings import draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.round_robin import round_robin
 from pcs_racing_agents.tournament.runner import play_pairings
-from pcs_racing_agents.tournament.schedule import draw_schedule
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 import zoo_page

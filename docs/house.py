@@ -13,7 +13,7 @@ FLOORS = [
     ("agents", "benchmark/", "a fixed protocol, score cards, a leaderboard"),
     ("agents", "study/", "the paper's study: stages, table, report"),
     ("agents", "explain/", "why an agent made a move, in words and pictures"),
-    ("agents", "learning/", "PPO, responses, robust answers, self-play, axes"),
+    ("agents", "learning/", "PPO, responses, robust answers, self-play"),
     ("agents", "tournament/", "races of many competitors, ratings, statistics"),
     ("agents", "agents/", "the zoo: everything that answers predict"),
     ("agents", "networks/", "regrets of a game tree, learned; drivers' networks"),

@@ -69,7 +69,6 @@ REFERENCE = {
     "pcs_racing_agents.learning.responses": "Responses learned from branched games",
     "pcs_racing_agents.learning.robust": "Robust answers and response oracles",
     "pcs_racing_agents.learning.self_play": "Self-play",
-    "pcs_racing_agents.learning.characteristics": "Learned characteristics",
     "pcs_racing_agents.explain": "Explanations",
     "pcs_racing_agents.study": "The study",
     "pcs_racing_agents.benchmark": "The benchmark",
@@ -178,16 +177,25 @@ def _dotted(path: Path) -> str:
 
 
 def public_modules(package: str) -> list[str]:
-    """Modules of a package that say what of theirs is public."""
+    """Modules of a package that hold something public."""
     files = sorted((REPOSITORY / package.replace(".", "/")).glob("*.py"))
-    return [_dotted(file) for file in files if file.stem != "__init__" and _public_names(file)]
+    return [_dotted(file) for file in files if file.stem != "__init__" and public_names(file)]
 
 
-def _public_names(file: Path) -> list[str]:
+def public_names(file: Path) -> list[str]:
+    """Names that a module defines without a leading underscore; those that ``__all__`` lists, if there is one."""
+    names: list[str] = []
     for node in ast.parse(file.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.Assign) and any(isinstance(to, ast.Name) and to.id == "__all__" for to in node.targets):
-            return list(ast.literal_eval(node.value))
-    return []
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.append(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            parts = [part for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)]
+            assigned = [part.id for part in parts if isinstance(part.ctx, ast.Store)]
+            if assigned == ["__all__"]:
+                return list(ast.literal_eval(node.value))
+            names += assigned
+    return [name for name in names if not name.startswith("_")]
 
 
 def reference_page(package: str) -> str:
@@ -212,7 +220,7 @@ def _names_from_elsewhere(module: str) -> list[str]:
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("pcs_racing")
         for alias in node.names
     }
-    return sorted(imported & set(_public_names(file)))
+    return sorted(imported & set(public_names(file)))
 
 
 def names_page() -> str:
@@ -231,7 +239,7 @@ def names_page() -> str:
 
 def _where(name: str) -> str:
     files = sorted((REPOSITORY / "pcs_racing").rglob("*.py"))
-    return next(_dotted(file) for file in files if file.stem != "__init__" and name in _public_names(file))
+    return next(_dotted(file) for file in files if file.stem != "__init__" and name in public_names(file))
 
 
 # The list of pages
@@ -259,6 +267,8 @@ def mend_page(app, name, source) -> None:
 
 SOURCE = re.compile(r"^\.\. (\[\d+\])")
 CITED = re.compile(r"(\[\d+\])_")
+ARRAY = re.compile(r"~?[\w.]*ndarray\[tuple\[~?[\w.]*Any, \.\.\.\], ~?[\w.]*dtype\[[^\[\]]*(\[[^\[\]]*\])?\]\]")
+ARRAY_LIKE = re.compile(r"~?[\w.]*_Buffer \| .*?\| ~?[\w.]*_NestedSequence\[complex \| bytes \| str\]")
 
 
 def mend_docstring(app, what, name, thing, options, lines) -> None:
@@ -268,8 +278,10 @@ def mend_docstring(app, what, name, thing, options, lines) -> None:
     absolute values, not for substitutions; the numbers of sources count within their module, not on the whole page.
     """
     del app, thing, options
-    if what in ("data", "attribute"):
-        lines.insert(0, "")  # or napoleon takes what stands before a colon for its type
+    if lines and lines[0].startswith("Alias for field number"):
+        lines.clear()  # a field of a named tuple without a comment of ours
+    if what in ("data", "attribute", "property") and lines and not lines[0].startswith("shape"):
+        lines[:0] = ["..", ""]  # or napoleon takes what stands before a colon for its type
     for page, (module, class_name, _) in ENVIRONMENTS.items():
         if name == f"{module}.{class_name}":
             lines[:] = [lines[0], "", f"Its page is :doc:`/generated/{page}`.", ""]
@@ -283,7 +295,7 @@ def mend_docstring(app, what, name, thing, options, lines) -> None:
         lines[number] = "".join(part if part.startswith("``") else part.replace("|", r"\|") for part in literals)
 
 
-def skip_member(app, what, name, thing, skip, options) -> bool | None:
-    """Skip the fields of named tuples, of which Python says nothing but their number; the class explains them."""
-    del app, what, name, options
-    return True if str(getattr(thing, "__doc__", "")).startswith("Alias for field number") else skip or None
+def shorten_signature(app, what, name, thing, options, signature, returned):
+    """Say ``ndarray`` and ``ArrayLike`` in signatures, not what these types are made of; docstrings give the shapes."""
+    del app, what, name, thing, options
+    return tuple(part and ARRAY_LIKE.sub("ArrayLike", ARRAY.sub("ndarray", part)) for part in (signature, returned))

@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing import load_track
-from pcs_racing_agents.jobs.jobs import make_executor, open_job, show_progress
+from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.tournament import (
     payoff_matrix,
     plan_tournament,
@@ -21,8 +23,8 @@ from pcs_racing_agents.tournament import (
     tournament_text,
     write_results,
 )
-from pcs_racing_agents.tournament.meta_game import excess, zero_sum_equilibrium
 from pcs_racing_agents.tournament.ratings import rate
+from pcs_racing_agents.tournament.round_robin import excess, zero_sum_equilibrium
 
 # Agents that need no training; `pcs-racing agents` lists the others, and docs/agents.md says what they need.
 AGENTS = [

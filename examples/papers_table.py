@@ -13,7 +13,8 @@ from pathlib import Path
 
 from pcs_racing import make_game
 from pcs_racing_agents import make
-from pcs_racing_agents.jobs.jobs import open_job, show_progress
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.races import concatenate_races
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import table_text, write_table

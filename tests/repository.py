@@ -11,9 +11,9 @@ from warm_start import call_python
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
-def load_tool(name: str) -> ModuleType:
-    """Return a module of ``tools/``, which is no part of the packages."""
-    folder = str(REPOSITORY / "tools")
+def load_tool(name: str, place: str = "tools") -> ModuleType:
+    """Return a module of ``tools/`` or of another folder, which is no part of the packages."""
+    folder = str(REPOSITORY / place)
     if folder not in sys.path:
         sys.path.append(folder)
     return importlib.import_module(name)

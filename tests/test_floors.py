@@ -2,6 +2,7 @@
 
 import ast
 import importlib.util
+import re
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,17 @@ def imports(file: Path, known: dict[str, Path]) -> set[str]:
 def graph() -> dict[str, set[str]]:
     known = modules()
     return {name: imports(file, known) - {name} for name, file in known.items()}
+
+
+def test_neither_package_nor_their_tests_import_the_experiments():
+    files = [
+        file for folder in ("pcs_racing", "pcs_racing_agents", "tests") for file in (REPOSITORY / folder).rglob("*.py")
+    ]
+    assert len(files) > 300
+    found = [
+        file for file in files if re.search(r"^\s*(from|import) research\b", file.read_text("utf-8"), re.MULTILINE)
+    ]
+    assert not found
 
 
 def floor_of(module: str) -> int | None:

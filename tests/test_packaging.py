@@ -96,7 +96,11 @@ NEEDS = {
     "a new circuit": ('main(["track", "generate", "--seed", "7", "--out", "circuit"])', "mapping"),
     "a map without lines": ("pcs_racing.load_track('map')", "mapping"),
     "a data frame": ("pcs_racing.load_archive('default').to_dataframe()", "tables"),
-    "OpenSpiel": ("from pcs_racing_agents.solvers.openspiel import register_game; register_game()", "games"),
+    "OpenSpiel": (
+        "from pcs_racing_agents.solvers import GameTree; from pcs_racing_agents.solvers.openspiel import efg_game; "
+        "efg_game(GameTree.from_payoffs([[0.0, 1.0], [1.0, 0.0]]))",
+        "games",
+    ),
     "a cluster": (
         'main(["tree", "--archive", "default", "--track", "Pipkin", "--out", "trees", "--executor", "dask"])',
         "cluster",

@@ -10,8 +10,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-__all__ = ["Fault", "changes_something", "faults_of"]
-
 ARITHMETIC = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult}
 OTHER_WAY = {
     ast.Lt: ast.Gt,
@@ -35,25 +33,14 @@ _NUMBERED = re.compile(r"(.*[A-Za-z_])([01])(.*)")
 
 @dataclass(frozen=True)
 class Fault:
-    """One changed place.
+    """One changed place."""
 
-    Attributes
-    ----------
-    kind : str
-        What was done there.
-    line : int
-        Where it begins.
-    before, after : str
-        The lines concerned, without and with the fault, blanks between them reduced to one.
-    text : str
-        The whole file with the fault.
-    """
-
-    kind: str
-    line: int
+    kind: str  #: What was done there.
+    line: int  #: Where it begins.
+    #: ``before``, ``after``: The lines concerned, without and with the fault, blanks between them reduced to one.
     before: str
     after: str
-    text: str
+    text: str  #: The whole file with the fault.
 
 
 def faults_of(text: str) -> list[Fault]:

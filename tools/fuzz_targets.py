@@ -52,18 +52,18 @@ from pcs_racing.track.maps import find_map, read_map, shipped_folder
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
-from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
+from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.jobs.jobs import chunk_file, open_job
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.checkpoint import pack as pack_state
 from pcs_racing_agents.learning.ppo.checkpoint import unpack as unpack_state
 from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings
-from pcs_racing_agents.learning.self_play.settings import load_self_play_settings
-from pcs_racing_agents.networks.ego_rows import ego_values
+from pcs_racing_agents.learning.self_play.learner import load_self_play_settings
+from pcs_racing_agents.networks.from_ego import ego_values
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.results.race_files import read_results
@@ -76,35 +76,19 @@ from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees
 from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_page import packed_races
 
-__all__ = ["TARGETS", "Target"]
-
 MAP = Path("fuzzed")
 ROS = {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25}
 
 
 @dataclass(frozen=True)
 class Target:
-    """Something that must stand any bytes.
+    """Something that must stand any bytes."""
 
-    Attributes
-    ----------
-    run : callable
-        ``run(data)`` returns if they are accepted.
-    seeds : callable
-        Returns valid inputs, which mutations begin with.
-    kind : {"text", "yaml", "json", "csv", "binary", "npz", "values"}
-        What mutations make sense.
-    words : tuple of str
-        Names and values to put in.
-    most : int
-        Inputs of a campaign at most, for slow ones.
-    """
-
-    run: Callable[[bytes], object]
-    seeds: Callable[[], list[bytes]]
-    kind: str
-    words: tuple[str, ...] = ()
-    most: int = 1_000_000
+    run: Callable[[bytes], object]  #: ``run(data)`` returns if they are accepted.
+    seeds: Callable[[], list[bytes]]  #: Returns valid inputs, which mutations begin with.
+    kind: str  #: "text" or "yaml" or "json" or "csv" or "binary" or "npz" or "values": What mutations make sense.
+    words: tuple[str, ...] = ()  #: Names and values to put in.
+    most: int = 1_000_000  #: Inputs of a campaign at most, for slow ones.
 
 
 @cache

@@ -41,14 +41,7 @@ def study(name: str, folder: Path, options: Sequence[str], log: IO[bytes]) -> su
 
 
 class Cluster:
-    """A scheduler and workers, each a process of its own.
-
-    Attributes
-    ----------
-    scheduler : Popen
-    workers : list of Popen
-    address : str
-    """
+    """A scheduler and workers, each a process of its own."""
 
     def __init__(self, workers: int, scratch: Path) -> None:
         log = scratch / f"scheduler-{time.monotonic_ns()}.log"

@@ -7,8 +7,6 @@ plain Python (``NUMBA_DISABLE_JIT=1``) run that way, since a fault in a compiled
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["COMPILED", "MODULES", "PLAIN", "Module", "tests_of"]
-
 PLAIN, COMPILED = "plain", "compiled"
 
 
@@ -133,8 +131,7 @@ MODULES = {
         backward_induction: backward_induction
         game_tree: game_tree cfr
         matrix_games: matrix_games
-        openspiel: openspiel_game efg
-        openspiel_game: openspiel_game
+        openspiel: efg
         rational_games: matrix_games
         sequence_form: sequence_form evaluation
         """,
@@ -166,12 +163,10 @@ MODULES = {
         "pcs_racing_agents/tournament",
         """
         ratings: ratings
-        meta_game: meta_game
+        round_robin: meta_game; round_robin
         table: ; tournament_table
         statistics/clusters: statistics
         statistics/comparison: statistics
-        statistics/student_t: statistics
-        statistics/units: statistics
         """,
     ),
 }

@@ -39,13 +39,7 @@ print(json.dumps({each.name.lower().replace("_", "-"): each.version for each in 
 
 
 def dependencies(script: Path) -> list[str]:
-    """Return the libraries that a script names in its inline metadata.
-
-    Raises
-    ------
-    ValueError
-        If it has no such block.
-    """
+    """Return the libraries that a script names in its inline metadata."""
     found = METADATA.search(script.read_text(encoding="utf-8"))
     if found is None:
         raise ValueError(f"{script} has no block of inline metadata (PEP 723); it must begin with '# /// script'")
@@ -83,10 +77,8 @@ def row(script: Path, installed: dict[str, str], verdict: str, seconds: float) -
 
     Parameters
     ----------
-    script : Path
     installed : dict of str
         Versions of the libraries in its environment, by name.
-    verdict : str
     seconds : float
         How long the script ran.
     """

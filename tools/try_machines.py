@@ -27,21 +27,11 @@ COPIED = ("__pycache__", ".venv", ".git", "out", "build", "dist", ".pytest_cache
 
 @dataclass(frozen=True)
 class Variant:
-    """A machine to stand in for.
+    """A machine to stand in for."""
 
-    Attributes
-    ----------
-    says : str
-        What is different, for the table.
-    environment : mapping
-        Variables that make it so.
-    read_only : bool
-        The sources can't be written to, and who runs the tests is not root.
-    """
-
-    says: str
-    environment: Mapping[str, str] = field(default_factory=dict)
-    read_only: bool = False
+    says: str  #: What is different, for the table.
+    environment: Mapping[str, str] = field(default_factory=dict)  #: Variables that make it so.
+    read_only: bool = False  #: The sources can't be written to, and who runs the tests is not root.
 
 
 VARIANTS = {

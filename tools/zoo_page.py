@@ -16,15 +16,19 @@ import numpy as np
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.describe import NOT_SHIPPED, describe, facts_of, microseconds, rating_text
-from pcs_racing_agents.agents.measured import (
+from pcs_racing_agents.agents.describe import (
     AGAINST,
+    NOT_SHIPPED,
     NUMBERS,
     TEXTS,
     Measured,
+    describe,
+    facts_of,
     measured,
     measured_file,
     measurements,
+    microseconds,
+    rating_text,
 )
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import ALWAYS, SHIPPED, Entry, build, entries, names

@@ -2,6 +2,9 @@
 
 An :class:`Agent` has the method ``predict(observation)`` of a model of Stable-Baselines3, and such a model can replace
 an agent everywhere. An agent is a value: a function from observations to the probabilities of the moves, and a seed.
+Moves of a mixed strategy are drawn without a generator: a draw is a hash of the observation and the seed. The same
+agent makes the same move for the same observation, in a batch of any size and in any order, so that a race can be
+simulated again to the last bit. To an opponent who does not know the seed the moves are as good as random.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,16 +15,51 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_text, check_whole
+from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner, planner_names
-from pcs_racing_agents.agents.drawing import draw
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 
-__all__ = ["Agent", "Competitor", "Decider", "Driver", "Strategy", "as_competitor", "competitor_hash"]
+
+@compiled(inline="always")
+def _mix(x):  # type: ignore[no-untyped-def]
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return x ^ (x >> np.uint64(31))
+
+
+@kernel
+def _hash(words, seed, out):  # type: ignore[no-untyped-def]
+    golden = np.uint64(0x9E3779B97F4A7C15)
+    first = _mix((seed + np.uint64(1)) * golden)
+    for row in range(words.shape[0]):
+        state = first
+        for column in range(words.shape[1]):
+            state = _mix((state ^ np.uint64(words[row, column])) + golden)
+        out[row] = state
+
+
+def hash_rows(rows: NDArray[np.float32], seed: int) -> NDArray[np.uint64]:
+    """Return 64 bits for the bytes of each row of shape (B, D): splitmix64 (Steele et al. 2014) over its words."""
+    words = np.ascontiguousarray(rows + np.float32(0.0)).view(np.uint32)  # -0 and 0 are the same number
+    out = np.empty(len(rows), np.uint64)
+    _hash(words, np.uint64(seed), out)
+    return out
+
+
+def draw(probabilities: NDArray[np.float64], observations: NDArray[np.float32], seed: int) -> NDArray[np.int64]:
+    """Draw a column of each row of probabilities (B, M) by the hash of the observation (B, D), shape (B,)."""
+    share = (hash_rows(observations, seed) >> np.uint64(11)).astype(np.float64) * 2.0**-53
+    edges = np.cumsum(probabilities, axis=1)
+    # In units of the total, so that rounding in the sum never leaves a gap at the end.
+    column = (edges <= (share * edges[:, -1])[:, None]).sum(axis=1)
+    last = probabilities.shape[1] - 1 - np.argmax(probabilities[:, ::-1] > 0.0, axis=1)
+    return np.minimum(column, last)
+
 
 Strategy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 """``strategy(observation (B, D)) -> (B, M)``: probabilities of the moves; each row sums to 1."""
@@ -29,27 +67,15 @@ Strategy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
 
 @dataclass(frozen=True, eq=False)
 class Agent:
-    """A strategy of the game, with a name and a seed.
+    """A strategy of the game, with a name and a seed."""
 
-    Attributes
-    ----------
-    name : str
-        Name in tables.
-    strategy : callable
-        ``strategy(observation (B, D)) -> (B, M)``: the probabilities of the moves; a row depends on its observation
-        alone. A dataclass with ``__call__`` can be sent to other processes; its fields identify it.
-    setting : Setting
-        Archive and rules that it is made for.
-    seed : int
-        Seed of the random draws of a mixed strategy, from 0 to 2**63 - 1.
-    facts : Mapping of str to str
-        For documentation and reports: what it does, its source, what it was trained on, a digest of its weights.
-    """
-
-    name: str
+    name: str  #: Name in tables.
+    #: ``strategy(observation (B, D)) -> (B, M)``: the probabilities of the moves; a row depends on its observation
+    #: alone. A dataclass with ``__call__`` can be sent to other processes; its fields identify it.
     strategy: Strategy
-    setting: Setting
-    seed: int = 0
+    setting: Setting  #: Archive and rules that it is made for.
+    seed: int = 0  #: Seed of the random draws of a mixed strategy, from 0 to 2**63 - 1.
+    #: For documentation and reports: what it does, its source, what it was trained on, a digest of its weights.
     facts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -71,13 +97,7 @@ class Agent:
         self.setting.check_fits(game, self.name)
 
     def probabilities(self, observation: ArrayLike) -> NDArray[np.float64]:
-        """Return the probabilities of the moves, shape (B, M), for observations of shape (B, D).
-
-        Raises
-        ------
-        InputError
-            If an observation has the wrong size or is not finite.
-        """
+        """Return the probabilities of the moves, shape (B, M), for observations of shape (B, D)."""
         rows = np.asarray(observation, np.float32)
         size = len(self.setting.elements)
         if rows.ndim != 2 or rows.shape[1] != size:
@@ -123,19 +143,9 @@ class Agent:
 
 @dataclass(frozen=True, eq=False)
 class Driver(PolicySet):
-    """A competitor that makes no moves: policies from outside the archive, each a variant of it.
+    """A competitor that makes no moves: one or more policies of one planner, each a variant of it."""
 
-    Attributes
-    ----------
-    name : str
-        Name in tables.
-    policies : tuple of Policy
-        At least one; all of one planner.
-    facts : Mapping of str to str
-        For documentation and reports.
-    """
-
-    facts: Mapping[str, str] = field(default_factory=dict)
+    facts: Mapping[str, str] = field(default_factory=dict)  #: For documentation and reports.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "policies", tuple(self.policies))
@@ -201,11 +211,6 @@ def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
     candidate : Agent, Driver, Policy, object with ``predict`` or with ``decide``
     name : str, optional
         Name in place of its own.
-
-    Raises
-    ------
-    InputError
-        If it can't race.
     """
     if isinstance(candidate, Policy):
         return Driver(name or candidate.name, (candidate,))
@@ -230,14 +235,7 @@ def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
 
 
 def competitor_hash(competitor: Competitor) -> str:
-    """SHA-256 of all that a competitor's moves depend on; it identifies the competitor in folders of results.
-
-    Raises
-    ------
-    InputError
-        If it can't be identified: a plain function, or an object that is neither a dataclass, nor a model of
-        Stable-Baselines3, nor has a ``content_hash``.
-    """
+    """SHA-256 of all that a competitor's moves depend on; it identifies the competitor in folders of results."""
     model = competitor.model if isinstance(competitor, Named) else competitor
     state = getattr(getattr(model, "policy", None), "state_dict", None)
     if callable(state):

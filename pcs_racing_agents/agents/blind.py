@@ -21,21 +21,6 @@ from pcs_racing_agents.agents.observing import ObservationBatch, lead, moves_mad
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry
 
-__all__ = [
-    "ConstantStrategy",
-    "LeadPlanStrategy",
-    "OpenLoopStrategy",
-    "WalkStrategy",
-    "always",
-    "best_fixed",
-    "best_lead_plan",
-    "best_schedule",
-    "never_switch",
-    "path_moves",
-    "random_moves",
-    "walk_to",
-]
-
 Floats = NDArray[np.float64]
 
 LEAD_PLAN = ("behind", "ahead")
@@ -44,14 +29,9 @@ LEAD_PLAN = ("behind", "ahead")
 
 @dataclass(frozen=True, eq=False)
 class ConstantStrategy:
-    """A strategy with the same probabilities in every situation.
+    """A strategy with the same probabilities in every situation."""
 
-    Attributes
-    ----------
-    probabilities : ndarray, shape (M,)
-    """
-
-    probabilities: Floats
+    probabilities: Floats  #: shape (M,)
 
     def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
@@ -60,21 +40,11 @@ class ConstantStrategy:
 
 @dataclass(frozen=True, eq=False)
 class OpenLoopStrategy:
-    """An open-loop strategy: a sequence of moves that was chosen before the race.
+    """An open-loop strategy: a sequence of moves that was chosen before the race."""
 
-    Attributes
-    ----------
-    sequence : ndarray, shape (m,)
-        The move of each step.
-    count : int
-        Number of moves M that there are.
-    axes : int
-        Number of axes of the game.
-    """
-
-    sequence: NDArray[np.int64]
-    count: int
-    axes: int
+    sequence: NDArray[np.int64]  #: shape (m,): The move of each step.
+    count: int  #: Number of moves M that there are.
+    axes: int  #: Number of axes of the game.
 
     def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
@@ -84,20 +54,11 @@ class OpenLoopStrategy:
 
 @dataclass(frozen=True, eq=False)
 class WalkStrategy:
-    """A path through the archive: the next move depends on the own policy alone.
+    """A path through the archive: the next move depends on the own policy alone."""
 
-    Attributes
-    ----------
-    next_move : ndarray, shape (K,)
-        The move to make with each policy.
-    archive : PolicyArchive
-    count : int
-        Number of moves M that there are.
-    """
-
-    next_move: NDArray[np.int64]
+    next_move: NDArray[np.int64]  #: shape (K,): The move to make with each policy.
     archive: PolicyArchive
-    count: int
+    count: int  #: Number of moves M that there are.
 
     def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
@@ -107,15 +68,9 @@ class WalkStrategy:
 
 @dataclass(frozen=True, eq=False)
 class LeadPlanStrategy:
-    """A path through the archive to one policy while the opponent leads, and to another one otherwise.
+    """A path through the archive to one policy while the opponent leads, and to another one otherwise."""
 
-    Attributes
-    ----------
-    behind, ahead : WalkStrategy
-        The paths; level cars count as ahead.
-    """
-
-    behind: WalkStrategy
+    behind: WalkStrategy  #: ``behind``, ``ahead``: The paths; level cars count as ahead.
     ahead: WalkStrategy
 
     def __call__(self, observation: ObservationBatch) -> Floats:
@@ -129,11 +84,6 @@ def walk_to(setting: Setting, target: int) -> WalkStrategy:
 
     If no path leads to the target, the path ends at the nearest policy that can be reached. Of several shortest paths
     it takes the one whose moves come first in the list.
-
-    Raises
-    ------
-    InputError
-        If the archive has no such policy.
     """
     policies = len(setting.archive)
     if not is_whole(target) or not 0 <= target < policies:
@@ -154,7 +104,6 @@ def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.i
         Where every move leads from every policy.
     points : array_like, shape (K, G)
         Where the policies lie.
-    target : int
 
     Returns
     -------
@@ -226,9 +175,6 @@ def best_schedule(
 
     Parameters
     ----------
-    setting : Setting
-    name : str
-    seed : int
     moves : sequence of str, optional
         The sequence: as many names of moves as a game has.
     fit : Fit or path, optional
@@ -260,9 +206,6 @@ def best_fixed(
 
     Parameters
     ----------
-    setting : Setting
-    name : str
-    seed : int
     target : int, optional
         The policy's index.
     fit : Fit or path, optional
@@ -292,19 +235,11 @@ def best_lead_plan(
 
     Parameters
     ----------
-    setting : Setting
-    name : str
-    seed : int
     targets : mapping, optional
         Index of the policy for ``"behind"`` and for ``"ahead"``.
     fit : Fit or path, optional
         Targets selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_lead_plan`; the shipped ones by
         default.
-
-    Raises
-    ------
-    InputError
-        If the targets are no such mapping, or the archive has no such policy.
     """
     facts = {}
     if targets is None:

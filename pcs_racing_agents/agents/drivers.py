@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.trained import NAME, load_driver, read_driver
@@ -11,48 +10,14 @@ from pcs_racing_agents.agents.agent import Driver
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry
 
-__all__ = ["other_archive", "planner_driver", "random_policy", "trained_driver"]
-
 
 def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 0) -> Driver:
-    """Drive every policy that the archive's synthesis evaluated: the paper's random agent.
-
-    Raises
-    ------
-    InputError
-        If the archive does not hold them.
-    """
+    """Drive every policy that the archive's synthesis evaluated: the paper's random agent."""
     archive = setting.archive
     explored = len(archive.explored_parameters)
     if explored == 0:
         raise InputError(f"archive {archive.name!r} holds no explored policies, so there is no {name!r} to race")
     return Driver(name, tuple(archive.explored_policy(i) for i in range(explored)))
-
-
-def other_archive(
-    setting: Setting, *, name: str = "other-archive", seed: int = 0, archive: str | Path | None = None
-) -> Driver:
-    """Drive the policies of another archive, each kept for the whole race.
-
-    Parameters
-    ----------
-    setting : Setting
-    name : str
-    seed
-        Not used.
-    archive : str or Path, optional
-        Name or folder of the other archive; by default "default" or, where the game has that one, "contest".
-
-    Raises
-    ------
-    InputError
-        If it is the archive of the game, whose policies are no others.
-    """
-    other = load_archive(archive or ("contest" if setting.archive.name == "default" else "default"))
-    if other.content_hash == setting.archive.content_hash:
-        raise InputError(f"agent {name!r}: archive {other.name!r} is that of the game; name another one")
-    facts = {"archive": f"{other.name}, sha256 {other.content_hash[:16]}"}
-    return Driver(name, tuple(other.policy(i) for i in range(len(other))), facts)
 
 
 def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str | None = None) -> Driver:
@@ -62,7 +27,6 @@ def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str |
     ----------
     setting, seed
         Not used: a planner of its own needs no archive.
-    name : str
     planner : str, optional
         Name of the planner; by default that of the driver.
     """
@@ -80,16 +44,8 @@ def trained_driver(
     ----------
     setting, seed
         Not used: it drives without an archive, and by any rules.
-    name : str
     network : str or Path, optional
         Another network: the name of a shipped one or its folder.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name and no such folder.
-    InputError
-        If the folder holds no sound driver.
     """
     planner = get_planner(NAME) if network is None else load_driver(network)
     _, manifest = read_driver(NAME if network is None else network)
@@ -110,12 +66,6 @@ RANDOM_POLICY = Entry(
     random_policy,
     "keeps one of all policies that synthesis evaluated, in the archive or not",
     "the paper's random agent",
-    moves=False,
-)
-OTHER_ARCHIVE = Entry(
-    other_archive,
-    "keeps one of the policies of another archive, which was searched for other races",
-    "baseline: an opponent of the same planner that no agent learned against",
     moves=False,
 )
 LANE_SWITCHER = Entry(

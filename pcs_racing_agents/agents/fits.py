@@ -15,19 +15,6 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing_agents.agents.setting import Setting
 
-__all__ = [
-    "Fit",
-    "FitSource",
-    "find_fit",
-    "fit_facts",
-    "game_fields",
-    "load_fit",
-    "make_fit",
-    "recorded_game",
-    "save_fit",
-    "shipped_fits",
-]
-
 FIT_FORMAT = ManifestFormat(
     "fit", ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"), "save_fit"
 )
@@ -39,23 +26,12 @@ behind and ahead.
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A choice that was made on training races, and where it is valid.
+    """A choice that was made on training races, and where it is valid."""
 
-    Attributes
-    ----------
-    kind : str
-        Name of the agent that it is for.
-    choice : list of str, int, or dict of str to int
-        Names of the moves; index of the policy; indices of the policies behind and ahead.
-    game : GameIdentity
-        The game that it was made on; a file records no names of moves and elements.
-    training : Mapping
-        How it was chosen and what it reached: texts and numbers by name.
-    """
-
-    kind: str
-    choice: Any
-    game: GameIdentity
+    kind: str  #: Name of the agent that it is for.
+    choice: Any  #: Names of the moves; index of the policy; indices of the policies behind and ahead.
+    game: GameIdentity  #: The game that it was made on; a file records no names of moves and elements.
+    #: How it was chosen and what it reached: texts and numbers by name.
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -70,13 +46,7 @@ class Fit:
             raise InputError(f"training is {self.training!r}; it must be a mapping")
 
     def check_fits(self, setting: Setting) -> None:
-        """Check that a choice is valid for a game.
-
-        Raises
-        ------
-        InputError
-            If it was made with another archive, other moves, or another number of them.
-        """
+        """Check that a choice is valid for a game."""
         check_same_game(self.game, setting.identity, f"the fit of {self.kind}")
 
 
@@ -93,13 +63,7 @@ def save_fit(fit: Fit, path: str | Path) -> Path:
 
 
 def load_fit(path: str | Path) -> Fit:
-    """Read a fit.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, no fit, or damaged.
-    """
+    """Read a fit."""
     if not isinstance(path, str | os.PathLike):
         raise InputError(f"fit {path!r} must be the path of a file")
     fields = FIT_FORMAT.read(path)
@@ -119,15 +83,7 @@ FitSource = str | Path | Fit | None
 
 
 def find_fit(kind: str, setting: Setting, source: FitSource = None) -> Fit:
-    """Return a fit for a setting: a given one, one from a file, or the one that is shipped.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none.
-    InputError
-        If it is of another kind or was made for another game.
-    """
+    """Return a fit for a setting: a given one, one from a file, or the one that is shipped."""
     if source is None:
         source = shipped_fits() / f"{setting.archive.name}-{setting.race}-{kind}.yaml"
         if not source.is_file():
@@ -162,13 +118,7 @@ def game_fields(game: GameIdentity) -> dict[str, Any]:
 
 
 def recorded_game(fields: Mapping[str, Any]) -> GameIdentity:
-    """Return the identity of the game that :func:`game_fields` recorded.
-
-    Raises
-    ------
-    InputError
-        If a field is of another type.
-    """
+    """Return the identity of the game that :func:`game_fields` recorded."""
     archive, digest, preset = (check_text(key, fields[key]) for key in ("archive", "archive_sha256", "race"))
     epsilon = fields["epsilon"]
     if not isinstance(epsilon, list) or not all(isinstance(length, float) for length in epsilon):

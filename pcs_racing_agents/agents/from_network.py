@@ -1,6 +1,11 @@
-"""Agents that decide by a network's values of the moves: the paper's agent and its relatives."""
+"""Agents that decide by a network's values of the moves: the paper's agent and its relatives.
 
+Decision rules make probabilities of the values; both have shape (B, M).
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +14,6 @@ from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.decisions import get_decision
 from pcs_racing_agents.agents.observing import ObservationBatch
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build_member
@@ -17,17 +21,53 @@ from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network
 
-__all__ = [
-    "AdaptiveStrategy",
-    "NetworkSource",
-    "NetworkStrategy",
-    "adaptive",
-    "fitting_network",
-    "from_network",
-    "network_facts",
-]
-
 Floats = NDArray[np.float64]
+
+
+def argmax(values: NDArray[Any]) -> Floats:
+    """Return probability 1 for the move of the highest value, the first of equal ones.
+
+    With unclipped regrets this is the paper's rule (the argmax of the clipped regret) wherever a regret is positive.
+    Where none is, the paper allows any move; this rule takes the one of the highest (least negative) regret.
+    """
+    probabilities = np.zeros(values.shape)
+    np.put_along_axis(probabilities, np.argmax(values, axis=-1)[..., None], 1.0, axis=-1)
+    return probabilities
+
+
+def regret_matching(values: NDArray[Any]) -> Floats:
+    """Return probabilities in proportion to positive regret (Hart and Mas-Colell 2000); argmax where none is positive.
+
+    Outputs that are probabilities already stay as they are.
+    """
+    positive = np.maximum(np.asarray(values, np.float64), 0.0)
+    total = positive.sum(axis=-1, keepdims=True)
+    return np.where(total > 0.0, positive / np.where(total > 0.0, total, 1.0), argmax(values))
+
+
+def softmax(values: NDArray[Any]) -> Floats:
+    """Return probabilities in proportion to the exponential of the values, which are logits."""
+    exponentials = np.asarray(values, np.float64)
+    exponentials = np.exp(exponentials - exponentials.max(axis=-1, keepdims=True))
+    return exponentials / exponentials.sum(axis=-1, keepdims=True)
+
+
+DECISIONS: dict[str, Callable[[NDArray[Any]], Floats]] = {
+    "argmax": argmax,
+    "regret-matching": regret_matching,
+    "sample": regret_matching,
+    "softmax": softmax,
+}
+"""Decision rules by name."""
+
+
+def get_decision(name: str) -> Callable[[NDArray[Any]], Floats]:
+    """Return a decision rule."""
+    if name not in DECISIONS:
+        raise UnknownNameError(f"decision {name!r} is unknown; there are {', '.join(DECISIONS)}")
+    return DECISIONS[name]
+
+
 NetworkSource = str | RegretNetwork | None
 """A network, its name or folder, or None for the shipped one."""
 
@@ -36,21 +76,11 @@ _DETAILS = ("setting_", "test_", "validation_", "training_")
 
 @dataclass(frozen=True, eq=False)
 class NetworkStrategy:
-    """A strategy that applies a decision rule to the values of a network.
+    """A strategy that applies a decision rule to the values of a network."""
 
-    Attributes
-    ----------
-    network : RegretNetwork
-        If it has no value for "stay", the last move, that move is never made.
-    decision : str
-        One of :data:`pcs_racing_agents.agents.decisions.DECISIONS`.
-    count : int
-        Number of moves M that there are.
-    """
-
-    network: RegretNetwork
-    decision: str
-    count: int
+    network: RegretNetwork  #: If it has no value for "stay", the last move, that move is never made.
+    decision: str  #: One of :data:`pcs_racing_agents.agents.from_network.DECISIONS`.
+    count: int  #: Number of moves M that there are.
 
     def __post_init__(self) -> None:
         get_decision(self.decision)
@@ -65,21 +95,12 @@ class NetworkStrategy:
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveStrategy:
-    """A strategy that follows a blind agent, unless a network predicts a gain above a margin.
+    """A strategy that follows a blind agent, unless a network predicts a gain above a margin."""
 
-    Attributes
-    ----------
-    network : RegretNetwork
-        Values of the moves, in the units of its target.
-    blind : Agent
-        The agent to follow; it does not use its observations.
-    margin : float
-        Least difference between the values of the best move and of the blind agent's, 0 or above. A move that the
-        network does not value ("stay", where it has not learned it) counts 0, as in a network of advantages.
-    """
-
-    network: RegretNetwork
-    blind: Agent
+    network: RegretNetwork  #: Values of the moves, in the units of its target.
+    blind: Agent  #: The agent to follow; it does not use its observations.
+    #: Least difference between the values of the best move and of the blind agent's, 0 or above. A move that the
+    #: network does not value ("stay", where it has not learned it) counts 0, as in a network of advantages.
     margin: float
 
     def __call__(self, observation: ObservationBatch) -> Floats:
@@ -102,18 +123,10 @@ def fitting_network(source: NetworkSource, setting: Setting, kind: str, agent: s
     source : RegretNetwork, str or path, optional
         The network, the name of a shipped one or its folder; by default the shipped one called
         ``ARCHIVE-RACE-KIND``.
-    setting : Setting
     kind : str
         What it was trained to approximate.
     agent : str
         Name of the agent, for error messages.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such network.
-    InputError
-        If it takes other observations or belongs to another archive.
     """
     if source is None:
         source = f"{setting.archive.name}-{setting.race}-{kind}"
@@ -156,9 +169,6 @@ def from_network(
 
     Parameters
     ----------
-    setting : Setting
-    name : str
-    seed : int
     kind : str
         What the network was trained to approximate; names the shipped one (``ARCHIVE-RACE-KIND``).
     decision : {"argmax", "regret-matching", "sample", "softmax"}
@@ -185,9 +195,6 @@ def adaptive(
 
     Parameters
     ----------
-    setting : Setting
-    name : str
-    seed : int
     kind : str
         What the network was trained to approximate; names the shipped one.
     network : RegretNetwork, str or path, optional
@@ -222,24 +229,6 @@ CFR_REGRET_MATCHING = _entry(
     "regret-matching",
     "draws a move with a probability proportional to its positive predicted counterfactual regret",
     "the paper's remark on regret matching (Zinkevich et al. 2007)",
-)
-NORMALISED_REGRET = _entry(
-    "normalised",
-    "argmax",
-    "makes the move with the highest predicted regret, normalised to the same size at every decision",
-    "cumulative regret, divided by its largest magnitude at the node",
-)
-ADVANTAGE = _entry(
-    "advantage",
-    "argmax",
-    "makes the move with the highest predicted advantage against the exact equilibrium",
-    "backward induction over matrix games",
-)
-STATIC_Q = _entry(
-    "static-q",
-    "argmax",
-    "plays a best response to an opponent that does not observe the race",
-    "best response to a static opponent",
 )
 NASH = _entry(
     "nash", "sample", "draws its moves from an approximate equilibrium strategy", "backward induction, sampled"

@@ -15,8 +15,6 @@ from pcs_racing.game.state import GameState, take_games
 from pcs_racing.race.races import advance
 from pcs_racing_agents.solvers import solve_matrix_games
 
-__all__ = ["guess_games", "look_ahead", "merge_histories", "root_games", "search_game"]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
@@ -73,7 +71,6 @@ def merge_histories(table: Indices, policy: Indices, depth: int) -> list[Indices
         Policy after every move from every policy.
     policy : ndarray, shape (B,)
         Start policies.
-    depth : int
 
     Returns
     -------
@@ -106,14 +103,12 @@ def look_ahead(
 
     Parameters
     ----------
-    search : RaceGame
     guess : GameState
         B games that are not over, all after the same number of moves and with at least ``depth`` moves left.
     car : int
         The car that searches.
     moves : tuple of two ndarray, shapes (A,) and (C,)
         Indices of the moves of the car, and of those of the opponent.
-    depth : int
     leaf : {"rollout", "now", "network"}
         Where a branch ends: at the end of the race, both cars keeping the policies of the last move; or after the last
         move, with observations for "network".
@@ -173,7 +168,6 @@ def root_games(payoffs: Floats, options: tuple[int, int], depth: int) -> Floats:
         As :func:`look_ahead` returns them.
     options : (int, int)
         Numbers of moves A and C.
-    depth : int
 
     Returns
     -------

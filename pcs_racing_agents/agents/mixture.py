@@ -19,9 +19,7 @@ from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.networks.network_sets import NetworkSet, list_network_sets, load_network_set
-
-__all__ = ["Mixture", "NetworkSetSource", "from_network_set", "make_mixture"]
+from pcs_racing_agents.networks.network_files import NetworkSet, list_network_sets, load_network_set
 
 Floats = NDArray[np.float64]
 NetworkSetSource = str | NetworkSet | None
@@ -30,20 +28,11 @@ NetworkSetSource = str | NetworkSet | None
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """A strategy that draws one of its members for each game.
-
-    Attributes
-    ----------
-    members : tuple of Agent
-    weights : ndarray, shape (C,)
-        Probabilities of the members; they sum to 1.
-    setting : Setting
-        Common to all members.
-    """
+    """A strategy that draws one of its members for each game."""
 
     members: tuple[Agent, ...]
-    weights: Floats
-    setting: Setting
+    weights: Floats  #: shape (C,): Probabilities of the members; they sum to 1.
+    setting: Setting  #: Common to all members.
 
     def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
@@ -77,13 +66,7 @@ class Mixture:
 
 
 def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
-    """Return a mixture of agents of one setting; members of weight 0 are left out.
-
-    Raises
-    ------
-    InputError
-        If there is no member, the weights do not fit, or the members are made for different games.
-    """
+    """Return a mixture of agents of one setting; members of weight 0 are left out."""
     shares = np.asarray(weights, np.float64)
     if len(members) == 0 or shares.shape != (len(members),):
         raise InputError(
@@ -114,20 +97,10 @@ def from_network_set(
 
     Parameters
     ----------
-    setting : Setting
-    name : str
-    seed : int
     kind : str
         How the networks were made; names the shipped set (``ARCHIVE-RACE-KIND``).
     networks : NetworkSet, str or path, optional
         Another set: the name of a shipped one or its folder.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such set.
-    InputError
-        If its networks take other observations or belong to another archive.
     """
     source: str | NetworkSet = f"{setting.archive.name}-{setting.race}-{kind}" if networks is None else networks
     if networks is None and source not in list_network_sets():

@@ -9,8 +9,6 @@ G of the game's axes.
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ObservationBatch", "earlier", "lead", "moves_made", "opponent", "own", "step_count"]
-
 ObservationBatch = NDArray[np.float32]
 
 

@@ -6,8 +6,6 @@ from pcs_racing_agents.agents import zoo
 from pcs_racing_agents.agents.agent import Competitor
 from pcs_racing_agents.agents.setting import make_setting
 
-__all__ = ["make", "names"]
-
 
 def names(archive: PolicyArchive, config: GameConfig) -> list[str]:
     """Return the names of all agents and drivers for a game."""

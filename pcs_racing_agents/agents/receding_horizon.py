@@ -16,7 +16,7 @@ from pcs_racing.game.observation import LEAD_SCALE
 from pcs_racing.game.reward import reward
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
-from pcs_racing_agents.agents.drawing import draw, hash_rows
+from pcs_racing_agents.agents.agent import draw, hash_rows
 from pcs_racing_agents.agents.from_network import NetworkSource, fitting_network
 from pcs_racing_agents.agents.lookahead import guess_games, look_ahead, root_games, search_game
 from pcs_racing_agents.agents.setting import Setting
@@ -24,8 +24,6 @@ from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.solvers import solve_matrix_games
-
-__all__ = ["DECISIONS", "LEAVES", "OPPONENTS", "RecedingHorizon", "receding_horizon"]
 
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -58,44 +56,17 @@ STATES = 20_000  # of games held in memory at a time, about 3 kB each
 
 @dataclass(frozen=True, eq=False)
 class RecedingHorizon:
-    """A competitor that searches at every decision; a :class:`pcs_racing_agents.agents.Decider`.
+    """A competitor that searches at every decision; a :class:`pcs_racing_agents.agents.Decider`."""
 
-    Attributes
-    ----------
-    name : str
-        Name in tables.
-    setting : Setting
-        Archive and rules that it is made for.
-    seed : int
-        Seed of the noise in the search and of the draws of moves, from 0 to 2**63 - 1.
-    depth : int
-        Steps of the game to search, at least 1; near the end of the game there are fewer.
-    leaf : str
-        One of :data:`LEAVES`.
-    opponent : str
-        One of :data:`OPPONENTS`.
-    decision : str
-        One of :data:`DECISIONS`.
-    noises : int
-        Number of realisations of the steering noise to average over.
-    network : RegretNetwork, optional
-        For the leaf "network".
-
-    Raises
-    ------
-    InputError
-        If a value is impossible, or the search would be too large.
-    """
-
-    name: str
-    setting: Setting
-    seed: int = 0
-    depth: int = 1
-    leaf: str = "rollout"
-    opponent: str = "static"
-    decision: str = "argmax"
-    noises: int = 1
-    network: RegretNetwork | None = None
+    name: str  #: Name in tables.
+    setting: Setting  #: Archive and rules that it is made for.
+    seed: int = 0  #: Seed of the noise in the search and of the draws of moves, from 0 to 2**63 - 1.
+    depth: int = 1  #: Steps of the game to search, at least 1; near the end of the game there are fewer.
+    leaf: str = "rollout"  #: One of :data:`LEAVES`.
+    opponent: str = "static"  #: One of :data:`OPPONENTS`.
+    decision: str = "argmax"  #: One of :data:`DECISIONS`.
+    noises: int = 1  #: Number of realisations of the steering noise to average over.
+    network: RegretNetwork | None = None  #: For the leaf "network".
 
     def __post_init__(self) -> None:
         agent = f"agent {self.name!r}"
@@ -130,12 +101,6 @@ class RecedingHorizon:
         """Return the moves of one car in a batch of B games, shape (B,).
 
         A move depends on its own game alone. In games that are over the move means nothing.
-
-        Raises
-        ------
-        InputError
-            If the game is played with another archive or other rules, or if the policy of the car is not from the
-            archive.
         """
         games, observation = self.root_games(game, state, car)
         stay = bool(game.config.stay)
@@ -240,9 +205,6 @@ def receding_horizon(
 
     Parameters
     ----------
-    setting : Setting
-    name : str
-    seed : int
     depth : int
         Steps of the game to look ahead.
     leaf : str
@@ -257,13 +219,6 @@ def receding_horizon(
     network : RegretNetwork, str or path, optional
         For the leaf ``network``, of target ``static-q``: the name of a shipped one or its folder; by default the one
         that is shipped for the game.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such network.
-    InputError
-        If a value is impossible, the search would be too large, or the network belongs to another game.
     """
     loaded = None
     if leaf == "network":

@@ -16,26 +16,14 @@ from pcs_racing.game.moves import move_names, move_table
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 
-__all__ = ["Setting", "make_setting"]
-
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """An archive and the rules of a game; no circuit.
+    """An archive and the rules of a game; no circuit."""
 
-    Attributes
-    ----------
-    archive : PolicyArchive
-        Seen along the game's axes.
-    config : GameConfig
-        With the move "stay", so that never switching is a move for everybody.
-    offered : int
-        How many of the moves, from the first on, the rules offer by themselves: all, or all but "stay".
-    """
-
-    archive: PolicyArchive
-    config: GameConfig
-    offered: int
+    archive: PolicyArchive  #: Seen along the game's axes.
+    config: GameConfig  #: With the move "stay", so that never switching is a move for everybody.
+    offered: int  #: How many of the moves, from the first on, the rules offer by themselves: all, or all but "stay".
 
     @cached_property
     def identity(self) -> GameIdentity:
@@ -63,13 +51,7 @@ class Setting:
         return self.config.race.name
 
     def move(self, name: str) -> int:
-        """Index of a move by its name, written with or without spaces.
-
-        Raises
-        ------
-        InputError
-            If there is no such move.
-        """
+        """Index of a move by its name, written with or without spaces."""
         wanted = "".join(str(name).split())
         for i, move in enumerate(self.moves):
             if "".join(move.split()) == wanted:
@@ -77,13 +59,7 @@ class Setting:
         raise InputError(f"{name!r} is no move; the moves are {', '.join(self.moves)}")
 
     def check_fits(self, game: RaceGame, agent: str) -> None:
-        """Check that a game is played with this archive, the same moves and the same observations.
-
-        Raises
-        ------
-        InputError
-            If it is not; the message names the agent and the first difference.
-        """
+        """Check that a game is played with this archive, the same moves and the same observations."""
         check_same_game(self.identity, make_setting(game.archive, game.config).identity, f"agent {agent!r}")
 
 
@@ -98,11 +74,6 @@ def make_setting(
         The archive, its name or its folder.
     race : GameConfig, RaceConfig, str or path
         As for :func:`pcs_racing.make_game`.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown.
     """
     config = load_game_config(race)
     policies = load_archive(archive)

@@ -26,20 +26,6 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 
-__all__ = [
-    "ENTRY_POINTS",
-    "SHIPPED",
-    "Entry",
-    "build",
-    "build_member",
-    "entries",
-    "make",
-    "names",
-    "options",
-    "parse_agent",
-    "register_agent",
-]
-
 ENTRY_POINTS = "pcs_racing.agents"
 """Entry point group in which a distribution names its agents: ``name = "package.module:function"``."""
 
@@ -49,30 +35,15 @@ _ALWAYS = "pcs_racing_agents.agents.blind:always"
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """An agent or a driver of the zoo.
+    """An agent or a driver of the zoo."""
 
-    Attributes
-    ----------
-    build : callable
-        ``build(setting, name=..., seed=..., **options)`` makes it.
-    summary : str
-        What it does, in a sentence.
-    source : str
-        Where the idea comes from.
-    needs : str
-        What must be trained before it can race: "", "fit", "network", "networks" or "table".
-    defaults : Mapping
-        Options that differ from those of other entries with the same function.
-    moves : bool
-        Whether it makes moves; drivers do not.
-    """
-
-    build: Callable[..., Any]
-    summary: str
-    source: str = ""
-    needs: str = ""
+    build: Callable[..., Any]  #: ``build(setting, name=..., seed=..., **options)`` makes it.
+    summary: str  #: What it does, in a sentence.
+    source: str = ""  #: Where the idea comes from.
+    needs: str = ""  #: What must be trained before it can race: "", "fit", "network" or "networks".
+    #: Options that differ from those of other entries with the same function.
     defaults: Mapping[str, Any] = field(default_factory=dict)
-    moves: bool = True
+    moves: bool = True  #: Whether it makes moves; drivers do not.
 
 
 SHIPPED = {
@@ -83,9 +54,6 @@ SHIPPED = {
     "best-lead-plan": "pcs_racing_agents.agents.blind:BEST_LEAD_PLAN",
     "cfr-argmax": "pcs_racing_agents.agents.from_network:CFR_ARGMAX",
     "cfr-regret-matching": "pcs_racing_agents.agents.from_network:CFR_REGRET_MATCHING",
-    "normalised-regret": "pcs_racing_agents.agents.from_network:NORMALISED_REGRET",
-    "advantage": "pcs_racing_agents.agents.from_network:ADVANTAGE",
-    "static-q": "pcs_racing_agents.agents.from_network:STATIC_Q",
     "nash": "pcs_racing_agents.agents.from_network:NASH",
     "adaptive": "pcs_racing_agents.agents.from_network:ADAPTIVE",
     "response": "pcs_racing_agents.agents.from_network:RESPONSE",
@@ -93,10 +61,8 @@ SHIPPED = {
     "psro": "pcs_racing_agents.agents.mixture:PSRO",
     "self-play": "pcs_racing_agents.agents.mixture:SELF_PLAY",
     "ppo": "pcs_racing_agents.agents.from_network:PPO",
-    "remember": "pcs_racing_agents.agents.remember:REMEMBER",
     "receding-horizon": "pcs_racing_agents.agents.receding_horizon:RECEDING_HORIZON",
     "random-policy": "pcs_racing_agents.agents.drivers:RANDOM_POLICY",
-    "other-archive": "pcs_racing_agents.agents.drivers:OTHER_ARCHIVE",
     "lane-switcher": "pcs_racing_agents.agents.drivers:LANE_SWITCHER",
     "ppo-drive": "pcs_racing_agents.agents.drivers:PPO_DRIVE",
     "gap-follower": "pcs_racing_agents.agents.drivers:GAP_FOLLOWER",
@@ -115,16 +81,10 @@ def register_agent(name: str, build: Callable[..., Any], summary: str = "", sour
 
     Parameters
     ----------
-    name : str
     build : callable
         ``build(setting, name=..., seed=..., **options)`` returns an agent, a driver, or any object with ``predict``.
     summary, source : str
         For reports; by default the first line of the function's docstring.
-
-    Raises
-    ------
-    InputError
-        If the name is no plain text or is taken by another one.
     """
     if not isinstance(name, str) or not name or any(sign in name for sign in ":=, \t\n") or name.startswith(ALWAYS):
         raise InputError(
@@ -221,13 +181,7 @@ def build(name: str, setting: Setting, *, seed: int = 0, **options: Any) -> Any:
 
 
 def build_member(member: str | Agent, setting: Setting, seed: int) -> Agent:
-    """Return an agent that is a member of another one; it is given as an agent or by name.
-
-    Raises
-    ------
-    InputError
-        If it makes no moves.
-    """
+    """Return an agent that is a member of another one; it is given as an agent or by name."""
     agent = member if isinstance(member, Agent) else build(member, setting, seed=seed)
     if not isinstance(agent, Agent):
         raise InputError(f"{member!r} makes no moves; only agents can be part of another one")
@@ -238,11 +192,6 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
     """Make an agent from text: a name, or a name with options as in ``"cfr-argmax:network=out/net"``.
 
     A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``.
-
-    Raises
-    ------
-    InputError
-        As :func:`make`, or if the text is of another form.
     """
     name, separator, rest = str(text).strip().partition(":")
     if not separator or name not in entries() or name in planner_names():

@@ -1,7 +1,7 @@
-"""Score cards: what an agent scored by a protocol, as values, JSON, Markdown and a page."""
+"""Score cards: what an agent scored by a protocol, as values, JSON, Markdown and a page; the leaderboard ranks them."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,52 +14,28 @@ from pcs_racing_agents.benchmark.scoring import CardScore
 from pcs_racing_agents.results.text_table import markdown, with_interval
 from pcs_racing_agents.study.report import page_environment
 
-__all__ = ["Card", "card_markdown", "card_page", "read_card", "write_card"]
-
 FORMAT = "pcs-racing card 1"
 LARGEST = 1_000_000
 
 
 @dataclass(frozen=True)
 class Card:
-    """The result of an agent in the benchmark.
+    """The result of an agent in the benchmark."""
 
-    Attributes
-    ----------
-    protocol : str
-        Name of the protocol, with its version.
-    protocol_sha256 : str
-        Hash of the protocol and of everything that its results depend on.
-    agent, agent_sha256 : str
-    scores : tuple of CardScore
-        Over everything, by kind of opponent, and cell by cell.
-    gains : dict of str to dict
-        Adaptivity gain on ``"seen"``, ``"unseen"`` and ``"all"`` circuits: ``over``, ``gain``, ``low``, ``high``.
-    rating : float, optional
-    cost_us : float, optional
-        Microseconds of a decision.
-    best_reply : dict, optional
-        Loss to a learned best reply: ``loss``, ``low``, ``high``, the learner's ``starts`` and ``rounds``, ``races``.
-    """
-
-    protocol: str
-    protocol_sha256: str
+    protocol: str  #: Name of the protocol, with its version.
+    protocol_sha256: str  #: Hash of the protocol and of everything that its results depend on.
     agent: str
     agent_sha256: str
-    scores: tuple[CardScore, ...]
+    scores: tuple[CardScore, ...]  #: Over everything, by kind of opponent, and cell by cell.
+    #: Adaptivity gain on ``"seen"``, ``"unseen"`` and ``"all"`` circuits: ``over``, ``gain``, ``low``, ``high``.
     gains: dict[str, dict[str, Any]]
     rating: float | None = None
-    cost_us: float | None = None
+    cost_us: float | None = None  #: Microseconds of a decision.
+    #: Loss to a learned best reply: ``loss``, ``low``, ``high``, the learner's ``starts`` and ``rounds``, ``races``.
     best_reply: dict[str, Any] | None = None
 
     def score(self, part: str = "all", circuits: str = "all") -> CardScore:
-        """Return the score of a part of the races.
-
-        Raises
-        ------
-        InputError
-            If the card has no such part.
-        """
+        """Return the score of a part of the races."""
         for score in self.scores:
             if (score.part, score.circuits) == (part, circuits):
                 return score
@@ -71,7 +47,6 @@ def write_card(card: Card, folder: Path, races: Sequence[tuple[str, Replay]] = (
 
     Parameters
     ----------
-    card : Card
     folder : Path
         An existing folder.
     races : sequence of (str, Replay)
@@ -91,13 +66,7 @@ def write_card(card: Card, folder: Path, races: Sequence[tuple[str, Replay]] = (
 
 
 def read_card(path: Path) -> Card:
-    """Read a card from its folder or its ``card.json``.
-
-    Raises
-    ------
-    InputError
-        If there is none, or the file is damaged.
-    """
+    """Read a card from its folder or its ``card.json``."""
     file = path / "card.json" if path.is_dir() else path
     try:
         values = json.loads(read_limited(file, LARGEST, "a card"))
@@ -173,3 +142,67 @@ def card_page(card: Card, races: Sequence[tuple[str, Replay]] = ()) -> str:
 def render(name: str, **values: Any) -> str:
     """Return a page from a template of this folder."""
     return page_environment("pcs_racing_agents.benchmark").get_template(name).render(**values)
+
+
+BOARD_COLUMNS = ("agent", "score", "95 % interval", "seen", "unseen", "own crashes", "gain", "best reply", "us")
+
+
+def read_cards(paths: Iterable[Path]) -> list[Card]:
+    """Read cards, ranked by their score over all races.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        Folders of cards, or folders that hold such folders.
+    """
+    files = [card for path in paths for card in _cards_in(path)]
+    cards = [read_card(path) for path in files]
+    if not cards:
+        raise InputError("there are no cards; give at least one folder that 'pcs-racing benchmark' wrote")
+    first, names = cards[0], set()
+    for path, card in zip(files, cards, strict=True):
+        if card.protocol != first.protocol:
+            raise InputError(f"{path} is a card of protocol {card.protocol!r}, the first one of {first.protocol!r}")
+        if card.protocol_sha256 != first.protocol_sha256:
+            raise InputError(
+                f"{path} is a card of {card.protocol!r} with hash {card.protocol_sha256[:16]}, the first one has "
+                f"{first.protocol_sha256[:16]}: archive, circuits or opponents differ"
+            )
+        if card.agent in names:
+            raise InputError(
+                f"{path} is a second card of agent {card.agent!r}; give one of each (--name renames an agent)"
+            )
+        names.add(card.agent)
+    return sorted(cards, key=lambda card: (-card.score().score, card.agent))
+
+
+def _cards_in(path: Path) -> list[Path]:
+    """Return a folder of a card, or the folders of cards that it holds."""
+    inside = sorted(card.parent for card in path.glob("*/card.json"))
+    return inside if inside and not (path / "card.json").exists() else [path]
+
+
+def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
+    """Return the table as text, a row for each card."""
+    rows: list[tuple[str, ...]] = []
+    for card in cards:
+        whole, gain, reply = card.score(), card.gains.get("all"), card.best_reply
+        rows.append(
+            (
+                card.agent,
+                f"{whole.score:.3f}",
+                f"[{whole.low:.3f}, {whole.high:.3f}]",
+                f"{card.score('all', 'seen').score:.3f}",
+                f"{card.score('all', 'unseen').score:.3f}",
+                f"{whole.own_crash:.1%}",
+                "" if gain is None else f"{gain['gain']:+.3f}",
+                "not measured" if reply is None else with_interval(reply["loss"], reply["low"], reply["high"]),
+                "" if card.cost_us is None else f"{card.cost_us:.0f}",
+            )
+        )
+    return rows
+
+
+def board_page(cards: Sequence[Card]) -> str:
+    """Return the leaderboard as one page."""
+    return render("leaderboard.html", cards=cards, columns=BOARD_COLUMNS, rows=board_rows(cards))

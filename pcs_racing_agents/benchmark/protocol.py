@@ -24,8 +24,6 @@ from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.tournament.play import game_rules
 
-__all__ = ["KINDS", "Protocol", "ProtocolConfig", "load_protocol"]
-
 KINDS = {
     "keeps": "keep one policy of the archive",
     "switches": "change their policy at random",
@@ -60,42 +58,22 @@ class ProtocolConfig(Settings):
 
 
 class Cell(NamedTuple):
-    """The races against one opponent on one circuit.
-
-    Attributes
-    ----------
-    circuit : str
-    seen : bool
-        Whether the circuit may be trained on.
-    kind : str
-        Of the opponent, one of :data:`KINDS`.
-    opponent : str
-    """
+    """The races against one opponent on one circuit."""
 
     circuit: str
-    seen: bool
-    kind: str
+    seen: bool  #: Whether the circuit may be trained on.
+    kind: str  #: Of the opponent, one of :data:`KINDS`.
     opponent: str
 
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
-    """A protocol with its circuits, opponents and rules loaded.
-
-    Attributes
-    ----------
-    config : ProtocolConfig
-    setting : Setting
-        Archive and rules of the game.
-    tracks : dict of str to Track
-    opponents : dict of str to Competitor
-        And the blind strategies.
-    """
+    """A protocol with its circuits, opponents and rules loaded."""
 
     config: ProtocolConfig
-    setting: Setting
+    setting: Setting  #: Archive and rules of the game.
     tracks: dict[str, Track]
-    opponents: dict[str, Competitor]
+    opponents: dict[str, Competitor]  #: And the blind strategies.
 
     @property
     def cells(self) -> Iterator[Cell]:
@@ -127,13 +105,7 @@ class Protocol:
         return fingerprint([self.config.name, *self.hashes, self.config.egos, self.config.variants, self.config.seed])
 
     def check_hashes(self) -> None:
-        """Check that this installation is the one that the protocol describes.
-
-        Raises
-        ------
-        InputError
-            If archive, rules, a circuit or an opponent differ; the first one is named.
-        """
+        """Check that this installation is the one that the protocol describes."""
         if not self.config.hashes:
             return
         for wanted, here in zip_longest(self.config.hashes, self.hashes, fillvalue="nothing"):
@@ -145,15 +117,7 @@ class Protocol:
 
 
 def load_protocol(source: str | ProtocolConfig = "bench_v1", **changes: Any) -> Protocol:
-    """Return a protocol from a shipped one's name, a YAML file or a configuration, with some fields changed.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value impossible.
-    InputError
-        If a circuit, an archive or an opponent is unknown, or differs from that of the protocol.
-    """
+    """Return a protocol from a shipped one's name, a YAML file or a configuration, with some fields changed."""
     config = load_config("protocol", ProtocolConfig(), source, **changes)
     rules: GameConfig = game_rules(load_race_config(config.race))
     setting = make_setting(config.archive, rules)

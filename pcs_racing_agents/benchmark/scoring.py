@@ -10,30 +10,24 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import competitor_name
+from pcs_racing.race.replay import Replay
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
-from pcs_racing_agents.agents.measured import measurements
+from pcs_racing_agents.agents.describe import measurements
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
-
-__all__ = ["CardScore", "CellRaces", "decision_cost", "gain", "play_protocol", "rating", "summarise"]
+from pcs_racing_agents.tournament.watching import record_game
 
 Floats = NDArray[np.float64]
 
 
 class CellRaces(NamedTuple):
-    """The races of an agent against one opponent on one circuit.
-
-    Attributes
-    ----------
-    cell : Cell
-    pairing : Pairing
-    races : RaceTable
-    """
+    """The races of an agent against one opponent on one circuit."""
 
     cell: Cell
     pairing: Pairing
@@ -41,28 +35,18 @@ class CellRaces(NamedTuple):
 
 
 class CardScore(NamedTuple):
-    """The score over a part of the races.
+    """The score over a part of the races."""
 
-    Attributes
-    ----------
-    part : str
-        ``"all"``, a kind of opponent, or an opponent.
-    circuits : str
-        ``"seen"``, ``"unseen"``, ``"all"``, or a circuit.
-    races : int
-    score, low, high : float
-        Mean score (1 win, 0.5 tie, 0 else), and its 95 % interval, robust to clusters of start policies and of
-        opponents' variants; it holds for these circuits.
-    own_crash, other_crash : float
-        Shares of races that ended in a crash by the agent's own fault, and in another crash.
-    """
-
-    part: str
-    circuits: str
+    part: str  #: ``"all"``, a kind of opponent, or an opponent.
+    circuits: str  #: ``"seen"``, ``"unseen"``, ``"all"``, or a circuit.
     races: int
+    #: ``score``, ``low``, ``high``: Mean score (1 win, 0.5 tie, 0 else), and its 95 % interval, robust to clusters of
+    #: start policies and of opponents' variants; it holds for these circuits.
     score: float
     low: float
     high: float
+    #: ``own_crash``, ``other_crash``: Shares of races that ended in a crash by the agent's own fault, and in another
+    #: crash.
     own_crash: float
     other_crash: float
 
@@ -81,21 +65,13 @@ def play_protocol(
 
     Parameters
     ----------
-    protocol : Protocol
     agents : sequence of Competitor
         With different names.
-    job, executor, progress
-        As for :func:`pcs_racing_agents.tournament.runner.play_pairings`.
 
     Returns
     -------
     dict of str to list of CellRaces
         By name: the agents first, then the blind strategies.
-
-    Raises
-    ------
-    InputError
-        If two agents have the same name.
     """
     arms = {competitor_name(agent): as_competitor(agent) for agent in agents}
     if len(arms) < len(agents):
@@ -174,7 +150,6 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None =
     ----------
     results : mapping
         As :func:`play_protocol` returns.
-    agent : str
     seen : bool, optional
         Only circuits that may be trained on, or only the others; by default all.
     """
@@ -195,7 +170,7 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None =
 def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
     """Return the Bradley-Terry rating that explains an agent's score against opponents of known ratings.
 
-    None if none of the opponents was measured (:mod:`pcs_racing_agents.agents.measured`), or if it won or lost all
+    None if none of the opponents was measured (:mod:`pcs_racing_agents.agents.describe`), or if it won or lost all
     races against them.
     """
     from scipy.optimize import brentq  # takes a second
@@ -231,3 +206,30 @@ def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> 
         predict(observation, None, np.ones(1, np.bool_), True)
         times.append(time.perf_counter() - begun)
     return 1e6 * float(np.median(times))
+
+
+def telling_races(own: Sequence[CellRaces], others: Sequence[CellRaces], count: int) -> list[tuple[str, Replay]]:
+    """Return recordings, with titles, of the races in which an agent and another one came off most differently.
+
+    Parameters
+    ----------
+    own, others : sequence of CellRaces
+        The same cells in the same order, raced by the agent and by the other one.
+    count : int
+        Number of races; one of each cell is considered.
+    """
+    telling: list[tuple[float, CellRaces, int]] = []
+    for cell, other in zip(own, others, strict=True):
+        # In turn, a race that the agent wins and the other one loses, and the other way round.
+        difference = (cell.races.score - other.races.score) * (1.0 if len(telling) % 2 == 0 else -1.0)
+        race = int(np.argmax(difference))
+        telling.append((float(difference[race]), cell, race))
+    telling.sort(key=lambda entry: -entry[0])
+    races = []
+    for _, cell, race in telling[:count]:
+        pairing = cell.pairing
+        recording = record_game(
+            pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race), candidates=False
+        )
+        races.append((f"{cell.cell.circuit}, race {race}: {recording.replay.outcome}", recording.replay))
+    return races

@@ -1,16 +1,16 @@
-"""``pcs-racing agents``: list agents and drivers with their method, training and strength."""
+"""``pcs-racing agents`` and ``policies``: list agents and drivers, and planners with their parameters."""
 
 import argparse
 
 from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing_agents.cli.options import Commands, add_command, add_race
 from pcs_racing_agents.results.text_table import aligned
 
-__all__ = ["add"]
-
 
 def add(commands: Commands) -> None:
-    """Add the command ``agents``."""
+    """Add the commands ``agents`` and ``policies``."""
     parser = add_command(
         commands,
         "agents",
@@ -25,6 +25,14 @@ def add(commands: Commands) -> None:
     )
     add_race(parser)
     parser.set_defaults(run=run)
+    parser = add_command(
+        commands,
+        "policies",
+        "list planners with the bounds and meanings of their parameters",
+        "pcs-racing policies lattice",
+    )
+    parser.add_argument("planner", nargs="?", help="name of the planner to list (default: all)")
+    parser.set_defaults(run=run_policies)
 
 
 def run(arguments: argparse.Namespace) -> None:
@@ -49,3 +57,18 @@ def run(arguments: argparse.Namespace) -> None:
         print(f"{arguments.agent}\n\nMakes the same move again and again.\n")
     print(f"\nWith archive {setting.archive.name} in the {setting.race} race:")
     print("\n".join(f"- {line}" for line in facts_of(arguments.agent, setting)))
+
+
+def run_policies(arguments: argparse.Namespace) -> None:
+    """Print one planner, or all planners."""
+    names = [arguments.planner] if arguments.planner else planner_names()
+    print("\n\n".join(_describe(get_planner(name)) for name in names))
+
+
+def _describe(planner: Planner) -> str:
+    lines = [planner.name]
+    if planner.variants:
+        lines.append(f"  variants: {', '.join(planner.variants)}")
+    rows = [(p.name, f"{p.default:g}", f"in [{p.low:g}, {p.high:g}]", p.meaning) for p in planner.parameters]
+    lines += [f"  {line}" for line in aligned(rows)]
+    return "\n".join(lines)

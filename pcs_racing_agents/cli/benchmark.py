@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.cli.options import Commands, add_command, output_folder
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -18,7 +20,6 @@ if TYPE_CHECKING:
     from pcs_racing_agents.benchmark.scoring import CellRaces
     from pcs_racing_agents.jobs.jobs import Job
 
-__all__ = ["add"]
 
 WATCHED = 3
 REPLY_RACES = 4000
@@ -128,8 +129,7 @@ def _write(
     """Print the card of one agent and write it."""
     from pcs_racing.game.competitor import competitor_name
     from pcs_racing_agents.benchmark.card import COLUMNS, Card, fact_lines, summary_rows, write_card
-    from pcs_racing_agents.benchmark.scoring import decision_cost, gain, rating, summarise
-    from pcs_racing_agents.benchmark.watching import telling_races
+    from pcs_racing_agents.benchmark.scoring import decision_cost, gain, rating, summarise, telling_races
     from pcs_racing_agents.results.text_table import aligned
 
     name, config = competitor_name(agent), protocol.config
@@ -184,7 +184,7 @@ def _best_reply(
 
 def run_board(arguments: argparse.Namespace) -> None:
     """Rank cards."""
-    from pcs_racing_agents.benchmark.leaderboard import BOARD_COLUMNS, board_page, board_rows, read_cards
+    from pcs_racing_agents.benchmark.card import BOARD_COLUMNS, board_page, board_rows, read_cards
     from pcs_racing_agents.results.text_table import aligned, markdown
 
     cards = read_cards(arguments.cards)

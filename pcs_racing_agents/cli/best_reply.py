@@ -9,9 +9,9 @@ from pcs_racing.game.make import make_game
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.options import Commands, add_command, add_rules, add_tracks, rules
 from pcs_racing_agents.jobs.configuration import shipped_configs
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
-
-__all__ = ["add"]
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 
 
 def add(commands: Commands) -> None:
@@ -59,9 +59,8 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.agents.setting import make_setting
     from pcs_racing_agents.agents.zoo import parse_agent
     from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds, response_seconds
-    from pcs_racing_agents.learning.responses.best_reply import FEWEST, best_reply
+    from pcs_racing_agents.learning.responses.best_reply import FEWEST, best_reply, reply_text, write_replies
     from pcs_racing_agents.learning.responses.learner import load_response_settings
-    from pcs_racing_agents.learning.responses.reply_report import reply_text, write_replies
     from pcs_racing_agents.networks.network_files import save_network
     from pcs_racing_agents.results.race_files import write_results
     from pcs_racing_agents.tournament.play import game_rules

@@ -16,8 +16,6 @@ from pcs_racing.race.races import draw_starts, run_races
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.options import Commands, add_command
 
-__all__ = ["add", "compile_kernels"]
-
 TRACK = "Pipkin"
 PLANNERS = ("lattice", "lane-switcher:3", "pure-pursuit", "gap-follower")
 

@@ -20,28 +20,10 @@ from pcs_racing_agents.learning.robust.settings import (
     load_psro_settings,
     load_robust_settings,
 )
-from pcs_racing_agents.learning.self_play.settings import SelfPlaySettings, load_self_play_settings
+from pcs_racing_agents.learning.self_play.learner import SelfPlaySettings, load_self_play_settings
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.synthesis.config import ArchiveConfig
-
-__all__ = [
-    "announce",
-    "cores_of",
-    "duration_text",
-    "ego_seconds",
-    "ppo_seconds",
-    "psro_seconds",
-    "racing_seconds",
-    "response_seconds",
-    "robust_seconds",
-    "self_play_seconds",
-    "shared_seconds",
-    "stage_estimates",
-    "synthesis_seconds",
-    "training_seconds",
-    "tree_seconds",
-]
 
 RACING = 6.4e-5
 """Processor seconds for a second of a race between two cars of the lattice planner."""
@@ -121,9 +103,6 @@ def tree_seconds(config: GameConfig, moves: int, trees: int, seeds: int) -> floa
 
     Parameters
     ----------
-    config : GameConfig
-    moves : int
-        Number of moves of each player.
     trees, seeds : int
         Number of trees, and of noise realisations in each tree.
     """
@@ -161,10 +140,6 @@ def response_seconds(settings: ResponseSettings, config: GameConfig, moves: int,
 
     Parameters
     ----------
-    settings : ResponseSettings
-    config : GameConfig
-    moves : int
-        Number of moves of each player.
     games : int
         Number of circuits times number of opponents.
     """

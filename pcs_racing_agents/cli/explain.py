@@ -19,8 +19,6 @@ from pcs_racing_agents.cli.options import (
 if TYPE_CHECKING:
     from pcs_racing_agents.tournament.pairings import Pairing
 
-__all__ = ["add"]
-
 
 def add(commands: Commands) -> None:
     """Add the command ``explain``."""
@@ -155,7 +153,7 @@ def _situations(arguments: argparse.Namespace) -> None:
     from pcs_racing.race.driving import default_threads
     from pcs_racing_agents.cli.estimates import announce, racing_seconds
     from pcs_racing_agents.explain.situations import situations_text, summarise, write_situations
-    from pcs_racing_agents.jobs.jobs import show_progress
+    from pcs_racing_agents.jobs.progress import show_progress
     from pcs_racing_agents.tournament.games import game_between
     from pcs_racing_agents.tournament.runner import play_pairings
     from pcs_racing_agents.view.results_folder import open_results

@@ -12,13 +12,14 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.options import Commands, add_command, add_rules, add_tracks, rules
 from pcs_racing_agents.jobs.configuration import shipped_configs
-from pcs_racing_agents.jobs.jobs import Job, add_executor_options, executor_from, open_job, show_progress
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import Job, open_job
+from pcs_racing_agents.jobs.progress import show_progress
 
 if TYPE_CHECKING:
     from pcs_racing_agents.agents.agent import Competitor
     from pcs_racing_agents.agents.setting import Setting
 
-__all__ = ["POOL", "add", "add_pool", "games_of", "pool_of", "run_identity"]
 
 METHODS = {
     "response": "an approximate best response to a pool of opponents",

@@ -10,8 +10,6 @@ from importlib.metadata import PackageNotFoundError, version
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["main"]
-
 FAILED = 2
 
 FILES = {
@@ -19,21 +17,18 @@ FILES = {
     "tournament": "tournament",
     "track": "track",
     "agents": "agents",
-    "policies": "policies",
+    "policies": "agents",
     "synthesize": "synthesize",
     "headroom": "headroom",
-    "characteristics": "characteristics",
     "benchmark": "benchmark",
     "leaderboard": "benchmark",
-    "match": "match",
     "play": "play",
     "tree": "tree",
     "solve": "solve",
-    "export": "export",
+    "export": "solve",
     "train": "train",
     "learn": "learn",
     "best-reply": "best_reply",
-    "robust-curve": "robust_curve",
     "ppo": "ppo",
     "study": "study",
     "explain": "explain",
@@ -56,9 +51,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         0, or 2 after an error that the user can correct, which is printed as one line on stderr.
     """
-    logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
     words = sys.argv[1:] if arguments is None else list(arguments)
-    parsed = _parser(words[0] if words else None).parse_args(words)
+    return run_parsed(_parser(words[0] if words else None).parse_args(words))
+
+
+def run_parsed(parsed: argparse.Namespace) -> int:
+    """Run a command whose words were parsed, and return the exit status of :func:`main`."""
+    logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
     try:
         parsed.run(parsed)
         sys.stdout.flush()

@@ -1,29 +1,16 @@
-"""Options that several commands share, and checks of the files and folders that they write."""
+"""What several commands share: options, checks of the files and folders that they write, pages in a browser."""
 
 import argparse
+import os
 import sys
+import webbrowser
+from http.server import ThreadingHTTPServer
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.config import PRESETS, RaceConfig, load_race_config
-
-__all__ = [
-    "DEFAULT_TRACK",
-    "POLICY_HELP",
-    "TRACK_HELP",
-    "Commands",
-    "add_command",
-    "add_race",
-    "add_rules",
-    "add_track",
-    "add_tracks",
-    "can_draw",
-    "output_file",
-    "output_folder",
-    "rules",
-]
 
 DEFAULT_TRACK = "Quillburg"
 """The circuit that commands and environments use by default."""
@@ -94,13 +81,7 @@ def can_draw(picture: str) -> bool:
 
 
 def output_file(path: Path, *endings: str) -> Path:
-    """Check that a file can be written, before any long work, and return its path.
-
-    Raises
-    ------
-    InputError
-        If its suffix is not one of ``endings``, if its folder does not exist, or if it is a folder.
-    """
+    """Check that a file can be written, before any long work, and return its path."""
     if path.suffix not in endings:
         raise InputError(f"can't write {path}: its name must end in {' or '.join(endings)}")
     if not path.parent.is_dir():
@@ -111,15 +92,28 @@ def output_file(path: Path, *endings: str) -> Path:
 
 
 def output_folder(path: Path) -> Path:
-    """Make a folder if it does not exist, and return its path.
-
-    Raises
-    ------
-    InputError
-        If the folder can't be made.
-    """
+    """Make a folder if it does not exist, and return its path."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"can't make the folder {path}: {error.strerror}") from None
     return path
+
+
+def open_page(address: str) -> None:
+    """Open a browser if there is a display; without one, Python would start a browser in this terminal."""
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        return
+    webbrowser.open(address)
+
+
+def serve(server: ThreadingHTTPServer, what: str, *, open_it: bool) -> None:
+    """Serve a page until the command is interrupted; prints what is at which address."""
+    address = f"http://127.0.0.1:{server.server_address[1]}/"
+    print(f"{what} at {address} (Ctrl-C ends it)", flush=True)
+    if open_it:
+        open_page(address)
+    try:
+        server.serve_forever()
+    except KeyboardInterrupt:
+        print("ended", file=sys.stderr)

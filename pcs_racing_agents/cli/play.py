@@ -3,10 +3,7 @@
 import argparse
 
 from pcs_racing.base.checks import check_seed
-from pcs_racing_agents.cli.browser import serve
-from pcs_racing_agents.cli.options import Commands, add_command, add_rules, add_track, rules
-
-__all__ = ["add"]
+from pcs_racing_agents.cli.options import Commands, add_command, add_rules, add_track, rules, serve
 
 
 def add(commands: Commands) -> None:

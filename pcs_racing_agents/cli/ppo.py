@@ -7,8 +7,6 @@ from pathlib import Path
 from pcs_racing_agents.cli.options import Commands, add_command
 from pcs_racing_agents.jobs.configuration import shipped_configs
 
-__all__ = ["add"]
-
 
 def add(commands: Commands) -> None:
     """Add the command ``ppo``."""
@@ -44,7 +42,7 @@ def add(commands: Commands) -> None:
         metavar="DIR",
         help="folder for weights and learning curves; a training that was stopped resumes in its folder",
     )
-    from pcs_racing_agents.jobs.jobs import add_executor_options
+    from pcs_racing_agents.jobs.executors import add_executor_options
 
     add_executor_options(parser)
     parser.set_defaults(run=run)
@@ -53,7 +51,8 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Train the policy, and print its evaluation."""
     from pcs_racing_agents.cli.estimates import announce, cores_of, ppo_seconds
-    from pcs_racing_agents.jobs.jobs import executor_from, show_progress
+    from pcs_racing_agents.jobs.executors import executor_from
+    from pcs_racing_agents.jobs.progress import show_progress
     from pcs_racing_agents.learning.ppo.evaluation import evaluation_curves, mean_score, score_table
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
     from pcs_racing_agents.learning.ppo.train import check_checkpoint_seconds, train_ppo

@@ -12,17 +12,7 @@ from pcs_racing.race.recording import LAST_INDEX, record_race
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.replay_files import save_replay
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.cli.options import (
-    POLICY_HELP,
-    Commands,
-    add_command,
-    add_rules,
-    add_track,
-    output_file,
-    rules,
-)
-
-__all__ = ["add"]
+from pcs_racing_agents.cli.options import POLICY_HELP, Commands, add_command, add_rules, add_track, output_file, rules
 
 # The default race. It lasts its full time and has an overtake; `python benchmarks/first_race.py` searched the seed.
 EGO = "lattice:pace=0.8,overtaking=1"

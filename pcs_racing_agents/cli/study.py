@@ -8,8 +8,6 @@ from typing import Any
 from pcs_racing_agents.cli.options import TRACK_HELP, Commands, add_command
 from pcs_racing_agents.jobs.configuration import shipped_configs
 
-__all__ = ["add"]
-
 
 def add(commands: Commands) -> None:
     """Add the command ``study``."""
@@ -42,7 +40,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--unseen", nargs="+", default=[], metavar="T", help=f"further circuits of the main table: {TRACK_HELP}"
     )
-    from pcs_racing_agents.jobs.jobs import add_executor_options
+    from pcs_racing_agents.jobs.executors import add_executor_options
 
     add_executor_options(parser)
     parser.set_defaults(run=run)
@@ -51,7 +49,7 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Run a study, and print the paths of its results."""
     from pcs_racing_agents.cli.estimates import announce, cores_of, stage_estimates
-    from pcs_racing_agents.jobs.jobs import executor_from
+    from pcs_racing_agents.jobs.executors import executor_from
     from pcs_racing_agents.study import load_study_config, run_study
     from pcs_racing_agents.study.run import stages_to_run
     from pcs_racing_agents.study.stages import stage_seconds

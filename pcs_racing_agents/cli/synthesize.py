@@ -9,12 +9,11 @@ from pcs_racing.base.optional import require
 from pcs_racing.base.settings import add_setting_options, stated_options
 from pcs_racing_agents.cli.estimates import announce, cores_of, synthesis_seconds
 from pcs_racing_agents.cli.options import TRACK_HELP, Commands, add_command
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, show_line
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.progress import show_line
 from pcs_racing_agents.synthesis.archive_run import make_archive
 from pcs_racing_agents.synthesis.archive_search import ArchiveCallback, ArchiveProgress
 from pcs_racing_agents.synthesis.config import SHIPPED_TRACKS, ArchiveConfig, list_archive_configs, load_archive_config
-
-__all__ = ["add", "progress_line"]
 
 OPTIONS = ("preset", "generations", "population", "method", "seed", "name")
 

@@ -5,18 +5,10 @@ from pathlib import Path
 
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.cli.options import (
-    POLICY_HELP,
-    Commands,
-    add_command,
-    add_rules,
-    add_tracks,
-    can_draw,
-    rules,
-)
-from pcs_racing_agents.jobs.jobs import add_executor_options, executor_from, open_job, show_progress
-
-__all__ = ["add"]
+from pcs_racing_agents.cli.options import POLICY_HELP, Commands, add_command, add_rules, add_tracks, can_draw, rules
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 
 
 def add(commands: Commands) -> None:

@@ -23,8 +23,6 @@ from pcs_racing_agents.cli.options import (
     output_file,
 )
 
-__all__ = ["add"]
-
 
 def add(commands: Commands) -> None:
     """Add the group ``track`` and its commands."""

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from pcs_racing_agents.networks import RegretNetwork, TrainSettings
     from pcs_racing_agents.networks.training import TrainingResult
 
-__all__ = ["add"]
-
 
 class _Outcome(NamedTuple):
     """A trained network, its training, and its scores as text and as rows of a table."""
@@ -69,7 +67,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--out", type=Path, required=True, metavar="DIR", help="folder for the network and its learning curves"
     )
-    from pcs_racing_agents.jobs.jobs import add_executor_options
+    from pcs_racing_agents.jobs.executors import add_executor_options
 
     add_executor_options(parser)
     parser.set_defaults(run=run)
@@ -78,7 +76,7 @@ def add(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Train the network, print its scores, and write it."""
     from pcs_racing_agents.cli.estimates import announce, training_seconds
-    from pcs_racing_agents.jobs.jobs import executor_from
+    from pcs_racing_agents.jobs.executors import executor_from
     from pcs_racing_agents.networks.network_files import save_network
     from pcs_racing_agents.networks.settings import load_train_settings
     from pcs_racing_agents.networks.training import epoch_curves, write_epochs
@@ -124,7 +122,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
     """Open folders of game trees; return the function that trains on them."""
-    from pcs_racing_agents.jobs.jobs import show_progress
+    from pcs_racing_agents.jobs.progress import show_progress
     from pcs_racing_agents.networks.from_trees import train_on_trees
     from pcs_racing_agents.networks.metrics import TreeScore, score_table
     from pcs_racing_agents.trees import load_trees
@@ -159,7 +157,7 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
 
 def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
     """Open folders of ego trees; return the function that trains on them."""
-    from pcs_racing_agents.jobs.jobs import show_progress
+    from pcs_racing_agents.jobs.progress import show_progress
     from pcs_racing_agents.jobs.tasks import in_other_processes, run_task
     from pcs_racing_agents.networks.from_ego import check_ego_target, ego_score_table, train_on_ego
     from pcs_racing_agents.networks.metrics import score_table

@@ -11,15 +11,14 @@ from pcs_racing.game.make import make_game
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.cli.estimates import announce, cores_of, ego_seconds, tree_seconds
 from pcs_racing_agents.cli.options import Commands, add_command, add_race, add_track
-from pcs_racing_agents.jobs.jobs import Progress, add_executor_options, executor_from, show_progress
+from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.jobs.progress import Progress, show_progress
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.trees import StoredTrees, build_ego_trees, build_trees
 from pcs_racing_agents.trees.ego import OPPONENTS
 from pcs_racing_agents.trees.paths import check_size
 from pcs_racing_agents.trees.roots import default_seeds
 from pcs_racing_agents.trees.tree import TreeStatistics
-
-__all__ = ["add", "tree_table"]
 
 
 def add(commands: Commands) -> None:

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.cli.browser import open_page, serve
-from pcs_racing_agents.cli.options import Commands, add_command, output_file
+from pcs_racing_agents.cli.options import Commands, add_command, open_page, output_file, serve
 
 if TYPE_CHECKING:
     from pcs_racing_agents.results.races import RaceTable
@@ -15,7 +14,6 @@ if TYPE_CHECKING:
     from pcs_racing_agents.view.results_folder import ResultsFolder
     from pcs_racing_agents.view.view_page import ViewContent
 
-__all__ = ["add"]
 
 REPLAYS = 60
 MOST_REPLAYS = 2000
@@ -142,7 +140,7 @@ def _content(
     arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None", picks: "Sequence[SelectedRace]"
 ) -> "ViewContent":
     """Simulate the selected races, and return the content of the page."""
-    from pcs_racing_agents.jobs.jobs import show_progress
+    from pcs_racing_agents.jobs.progress import show_progress
     from pcs_racing_agents.view.race_replays import RaceRepeater
     from pcs_racing_agents.view.view_page import ViewContent
 

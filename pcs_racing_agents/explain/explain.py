@@ -24,132 +24,56 @@ from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.tournament.games import PlayedGames
 from pcs_racing_agents.tournament.watching import record_game
 
-__all__ = [
-    "DefaultStrategy",
-    "ExplainedDecision",
-    "Explanation",
-    "Unit",
-    "explain_game",
-    "is_blind",
-    "mark_moves",
-    "observed_lead",
-    "value_unit",
-]
-
 Floats = NDArray[np.float64]
 
 
 class Unit(NamedTuple):
-    """The unit of a network's values.
+    """The unit of a network's values."""
 
-    Attributes
-    ----------
-    scale : float
-        Factor from a difference of two values to the unit.
-    text : str
-        Name of the unit, such as ``"of a win"``; ``""`` if values can only be compared.
-    """
-
-    scale: float
-    text: str
+    scale: float  #: Factor from a difference of two values to the unit.
+    text: str  #: Name of the unit, such as ``"of a win"``; ``""`` if values can only be compared.
 
 
 class DefaultStrategy(NamedTuple):
-    """The strategy that an agent follows unless its network predicts a gain above a margin.
-
-    Attributes
-    ----------
-    name : str
-    margin : float
-        In units of the network's values.
-    """
+    """The strategy that an agent follows unless its network predicts a gain above a margin."""
 
     name: str
-    margin: float
+    margin: float  #: In units of the network's values.
 
 
 class ExplainedDecision(NamedTuple):
-    """A decision: the observation, values and move of the explained car.
+    """A decision: the observation, values and move of the explained car."""
 
-    Attributes
-    ----------
-    time : float
-        Since the start, s.
-    own : ndarray, shape (G,)
-        Normalised coordinates of the own policy, from the archive.
-    opponent : ndarray, shape (G,)
-        Normalised coordinates of the opponent as measured in the step before, which the agent observed.
-    lead : float
-        Own lead, m.
-    move : int
-        Index of the move made.
-    policy, next_policy : int
-        Own policy before and after it.
-    probabilities : ndarray, shape (M,), optional
-        Probabilities of the moves, if they are known.
-    values : ndarray, shape (V,), optional
-        Values of the first V moves, in units of the agent's network, if it has one.
-    default_move : int, optional
-        The move of its default strategy, if it has one.
-    opponent_move : int
-        -1 for a driver.
-    """
-
-    time: float
-    own: Floats
+    time: float  #: Since the start, s.
+    own: Floats  #: shape (G,): Normalised coordinates of the own policy, from the archive.
+    #: shape (G,): Normalised coordinates of the opponent as measured in the step before, which the agent observed.
     opponent: Floats
-    lead: float
-    move: int
-    policy: int
+    lead: float  #: Own lead, m.
+    move: int  #: Index of the move made.
+    policy: int  #: ``policy``, ``next_policy``: Own policy before and after it.
     next_policy: int
-    probabilities: Floats | None
-    values: Floats | None
-    default_move: int | None
-    opponent_move: int
+    probabilities: Floats | None  #: shape (M,): Probabilities of the moves, if they are known.
+    values: Floats | None  #: shape (V,): Values of the first V moves, in units of the agent's network, if it has one.
+    default_move: int | None  #: The move of its default strategy, if it has one.
+    opponent_move: int  #: -1 for a driver.
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A race with the decisions of one of its agents.
-
-    Attributes
-    ----------
-    archive : PolicyArchive
-    moves : tuple of str
-        Names of the M moves.
-    names : tuple of two str
-        Names of the competitors in car 0 and car 1.
-    car : int
-        The car whose moves are explained.
-    race : str
-        Name of the rules.
-    step_seconds : float
-        Time between two moves, s.
-    steps : tuple of ExplainedDecision
-        One for each move that was made; fewer after a crash.
-    replay : Replay
-        The race, with the moves as events.
-    played : PlayedGames
-        Result of the race; of one game.
-    unit : Unit, optional
-        Unit of the values.
-    default : DefaultStrategy, optional
-    blind : bool
-        Whether the agent is known not to use its observations of the opponent.
-    """
+    """A race with the decisions of one of its agents."""
 
     archive: PolicyArchive
-    moves: tuple[str, ...]
-    names: tuple[str, str]
-    car: int
-    race: str
-    step_seconds: float
-    steps: tuple[ExplainedDecision, ...]
-    replay: Replay
-    played: PlayedGames
-    unit: Unit | None
+    moves: tuple[str, ...]  #: Names of the M moves.
+    names: tuple[str, str]  #: Names of the competitors in car 0 and car 1.
+    car: int  #: The car whose moves are explained.
+    race: str  #: Name of the rules.
+    step_seconds: float  #: Time between two moves, s.
+    steps: tuple[ExplainedDecision, ...]  #: One for each move that was made; fewer after a crash.
+    replay: Replay  #: The race, with the moves as events.
+    played: PlayedGames  #: Result of the race; of one game.
+    unit: Unit | None  #: Unit of the values.
     default: DefaultStrategy | None
-    blind: bool
+    blind: bool  #: Whether the agent is known not to use its observations of the opponent.
 
     @property
     def middle(self) -> Floats:
@@ -177,18 +101,10 @@ def explain_game(
 
     Parameters
     ----------
-    game : RaceGame
-    ego, opponent : Competitor or Policy
-        Competitors in car 0 and car 1.
     policies, start, seed, candidates
         As for :func:`pcs_racing_agents.tournament.watching.record_game`.
     car : int
         The car whose moves are explained, 0 or 1.
-
-    Raises
-    ------
-    InputError
-        If that car's competitor makes no moves, or as ``record_game``.
     """
     if car not in (0, 1):
         raise InputError(f"car is {car!r}; it must be 0 or 1")

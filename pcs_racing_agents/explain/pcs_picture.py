@@ -11,8 +11,6 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import move_names, move_table
 from pcs_racing_agents.pictures.style import COLOURS, INK, SOFT, new_figure, picture, place_labels, short, tidy
 
-__all__ = ["archive_picture", "draw_archive", "draw_arrow", "in_units", "plane"]
-
 Floats = NDArray[np.float64]
 
 
@@ -31,8 +29,6 @@ def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, 
 
     Parameters
     ----------
-    axes : matplotlib Axes
-    archive : PolicyArchive
     colour_bar : bool
         Whether to add a colour bar for the policies' crash rate, if it is known.
     faint : bool
@@ -88,18 +84,10 @@ def archive_picture(
 
     Parameters
     ----------
-    archive : PolicyArchive
     epsilon : float or tuple of float
         Length of a move in normalised units.
     policy : int, optional
         The policy; by default the one in the middle.
-
-    Raises
-    ------
-    InputError
-        If there is no such policy.
-    ModuleNotFoundError
-        If matplotlib is not installed.
     """
     start = archive.select("middle") if policy is None else policy
     if not 0 <= start < len(archive):

@@ -9,26 +9,10 @@ from pcs_racing_agents.explain.explain import Explanation
 from pcs_racing_agents.explain.pcs_picture import draw_archive, draw_arrow, in_units, plane
 from pcs_racing_agents.pictures.style import CARS, EDGE, INK, SOFT, new_figure, picture, short, tidy
 
-__all__ = ["draw_lead", "draw_space", "draw_track", "draw_values", "explanation_picture"]
-
 
 @picture
 def explanation_picture(explanation: Explanation) -> Any:
-    """Draw all pictures of a race on one sheet.
-
-    Parameters
-    ----------
-    explanation : Explanation
-
-    Returns
-    -------
-    matplotlib Figure
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If matplotlib is not installed.
-    """
+    """Draw all pictures of a race on one sheet."""
     decided = [step for step in explanation.steps if step.values is not None or step.probabilities is not None]
     heights = [4.6, 1.9, 2.0] if decided else [4.6, 2.0]
     figure = new_figure(11.0, sum(heights) + 0.6)

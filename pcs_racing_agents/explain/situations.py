@@ -21,8 +21,6 @@ from pcs_racing_agents.explain.explain import observed_lead
 from pcs_racing_agents.pictures.style import INK, SOFT, new_figure, picture, short
 from pcs_racing_agents.results.csv_files import write_csv
 
-__all__ = ["LEADS", "PACES", "Situations", "situations_picture", "situations_text", "summarise", "write_situations"]
-
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
@@ -32,27 +30,16 @@ PACES = ("low", "middle", "high")
 
 @dataclass(frozen=True, eq=False)
 class Situations:
-    """Counts of an agent's moves by situation.
-
-    Attributes
-    ----------
-    agent : str
-    moves : tuple of str
-        Names of the M moves.
-    axis : str
-        Name of the characteristic that stands for pace.
-    lead_edges, pace_edges : ndarray, shape (m, 2)
-        Edges between the thirds at each of the m steps: of the lead in m, and of the opponent's pace in normalised
-        units.
-    counts : ndarray, shape (m, 3, 3, M)
-        Races by step, third of the lead, third of the opponent's pace, and move made.
-    """
+    """Counts of an agent's moves by situation."""
 
     agent: str
-    moves: tuple[str, ...]
-    axis: str
+    moves: tuple[str, ...]  #: Names of the M moves.
+    axis: str  #: Name of the characteristic that stands for pace.
+    #: shape (m, 2): ``lead_edges``, ``pace_edges``: Edges between the thirds at each of the m steps: of the lead in m,
+    #: and of the opponent's pace in normalised units.
     lead_edges: Floats
     pace_edges: Floats
+    #: shape (m, 3, 3, M): Races by step, third of the lead, third of the opponent's pace, and move made.
     counts: Counts
 
     @property
@@ -76,14 +63,6 @@ def summarise(
         Indices of the moves that it made; -1 after a crash.
     archive : PolicyArchive
         Seen along the game's axes.
-    moves : sequence of str
-        Names of the moves.
-    agent : str
-
-    Raises
-    ------
-    InputError
-        If it made no move, or the shapes differ.
     """
     observed, made = np.asarray(observations, np.float32), np.asarray(actions)
     axes = len(archive.characteristics)
@@ -161,13 +140,7 @@ def write_situations(situations: Situations, path: str | os.PathLike[str]) -> Pa
 
 @picture
 def situations_picture(situations: Situations) -> Any:
-    """Draw the shares as a heat map: a column of panels for each step, a row for each move.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If matplotlib is not installed.
-    """
+    """Draw the shares as a heat map: a column of panels for each step, a row for each move."""
     shares = situations.shares
     steps, moves = shares.shape[0], len(situations.moves)
     figure = new_figure(1.4 + 1.75 * steps, 1.2 + 1.35 * moves)

@@ -5,8 +5,6 @@ import numpy as np
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing_agents.explain.explain import ExplainedDecision, Explanation
 
-__all__ = ["ADJECTIVES", "CLEAR", "lead_words", "move_words", "opponent_words", "story", "why"]
-
 CLEAR = 0.1
 """Least normalised distance from the archive's middle for an adjective."""
 LEVEL = 0.3  # m of lead, about a car's length, below which cars are side by side

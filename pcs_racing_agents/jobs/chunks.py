@@ -17,8 +17,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited, unpack_arrays
 
-__all__ = ["Arrays", "chunk_file", "read_chunk", "write_chunk"]
-
 Arrays = dict[str, NDArray[Any]]
 
 _MARK = b"pcs-racing chunk "
@@ -36,7 +34,6 @@ def write_chunk(path: Path, arrays: Arrays, task: str) -> None:
 
     Parameters
     ----------
-    path : Path
     arrays : dict of ndarray
         No objects. Equal arrays make equal files.
     task : str
@@ -54,14 +51,8 @@ def read_chunk(path: Path, task: str | None = None) -> Arrays:
 
     Parameters
     ----------
-    path : Path
     task : str, optional
         Digest of the task that it must answer.
-
-    Raises
-    ------
-    InputError
-        If it is missing, damaged, or answers another task; the message begins with the path.
     """
     try:
         content = read_limited(path, _MAX_BYTES, "a chunk")

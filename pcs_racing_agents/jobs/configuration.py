@@ -5,8 +5,6 @@ from typing import Any, TypeVar
 
 from pcs_racing.base.settings import Settings, load_settings
 
-__all__ = ["load_config", "shipped_configs"]
-
 Kind = TypeVar("Kind", bound=Settings)
 
 
@@ -20,13 +18,5 @@ def shipped_configs(kind: str) -> dict[str, Path]:
 
 
 def load_config(kind: str, default: Kind, source: str | Path | Kind | None, /, **changes: Any) -> Kind:
-    """Return a configuration from a shipped one's name, a YAML file or settings, with some fields changed.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown, or a value is none that the key may have.
-    UnknownNameError
-        If the name is no configuration of this kind and no file.
-    """
+    """Return a configuration from a shipped one's name, a YAML file or settings, with some fields changed."""
     return load_settings(kind, default, source, shipped_configs(kind), **changes)

@@ -22,16 +22,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.jobs.folders import JobError, package_version
 
-__all__ = [
-    "EXECUTORS",
-    "add_executor_options",
-    "executor_from",
-    "is_lost",
-    "make_executor",
-    "sent_once",
-    "tasks_in_flight",
-]
-
 EXECUTORS = {
     "serial": "one task after the other",
     "threads": "threads of this process",
@@ -72,14 +62,6 @@ def make_executor(
     ------
     Executor or None
         None for "serial".
-
-    Raises
-    ------
-    InputError
-        If there is no such kind, no scheduler answers, it has no workers, or a worker runs on other
-        versions than this process.
-    ModuleNotFoundError
-        If dask is asked for and not installed.
     """
     if kind not in EXECUTORS:
         raise InputError(f"executor is {kind!r}; it must be one of {', '.join(EXECUTORS)}")

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["fingerprint"]
-
 
 def fingerprint(*values: Any) -> str:
     """SHA-256 of plain values, arrays, sequences, mappings and dataclasses of them, in hexadecimal.

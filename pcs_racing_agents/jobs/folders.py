@@ -17,8 +17,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import plain_yaml, read_limited
 
-__all__ = ["GO_ON", "JobError", "claim_folder", "clear_half_written", "hold_folder", "package_version", "read_job"]
-
 FORMAT = "pcs-racing job"
 VERSION = 1
 GO_ON = "what is done is kept: mend that and start the same again to go on"
@@ -38,13 +36,6 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
     ------
     Mapping
         The settings as plain values.
-
-    Raises
-    ------
-    InputError
-        If the folder holds something else; nothing is touched then.
-    JobError
-        If another process works in it, or it can't be written to.
     """
     manifest = {
         "format": FORMAT,
@@ -73,13 +64,7 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
 
 @contextmanager
 def hold_folder(folder: Path) -> Iterator[None]:
-    """Create and lock a folder without a manifest: for short work that is never resumed.
-
-    Raises
-    ------
-    JobError
-        If another process works in it, or it can't be written to.
-    """
+    """Create and lock a folder without a manifest: for short work that is never resumed."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = _take_lock(folder)
@@ -100,15 +85,7 @@ def clear_half_written(folder: Path) -> None:
 
 
 def read_job(file: Path) -> Any:
-    """Return the content of a job's manifest, unchecked.
-
-    Raises
-    ------
-    InputError
-        If it is too large or no YAML; the message does not always name the file.
-    OSError
-        If it can't be read.
-    """
+    """Return the content of a job's manifest, unchecked."""
     return plain_yaml(read_limited(file, _MAX_BYTES, "a manifest of a job"))
 
 

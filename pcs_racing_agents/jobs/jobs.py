@@ -21,30 +21,10 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.jobs.chunks import Arrays, chunk_file, read_chunk, write_chunk
-from pcs_racing_agents.jobs.executors import add_executor_options, executor_from, make_executor
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.folders import GO_ON, JobError, claim_folder, package_version
-from pcs_racing_agents.jobs.progress import Progress, show_line, show_progress
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import Task, numbered_tasks, run_tasks
-
-__all__ = [
-    "Arrays",
-    "Job",
-    "JobError",
-    "Progress",
-    "TaskGroup",
-    "add_executor_options",
-    "chunk_file",
-    "executor_from",
-    "make_executor",
-    "open_job",
-    "package_version",
-    "read_chunk",
-    "run_groups",
-    "run_with_or_without",
-    "show_line",
-    "show_progress",
-]
 
 A = TypeVar("A")
 
@@ -53,20 +33,11 @@ _log = logging.getLogger("pcs_racing_agents")
 
 @dataclass(frozen=True)
 class Job:
-    """A folder in which long work is done; made by :func:`open_job`.
-
-    Attributes
-    ----------
-    folder : Path
-    kind : str
-        What is being made.
-    settings : Mapping
-        Everything that the results depend on, as plain values.
-    """
+    """A folder in which long work is done; made by :func:`open_job`."""
 
     folder: Path
-    kind: str
-    settings: Mapping[str, Any]
+    kind: str  #: What is being made.
+    settings: Mapping[str, Any]  #: Everything that the results depend on, as plain values.
 
     def file(self, name: str, index: int) -> Path:
         """Return the path of a task's chunk."""
@@ -103,13 +74,6 @@ class Job:
         -------
         list of dict of ndarray
             In the order of the tasks.
-
-        Raises
-        ------
-        JobError
-            If a chunk can't be written, or the executor is broken.
-        InputError
-            If the name holds other characters, or the function returns something else than arrays.
         """
         group = TaskGroup(self, name, function, arguments)
         return run_groups([group], executor=executor, progress=progress, keep=keep)[0]
@@ -144,11 +108,6 @@ class Job:
         -------
         list of dict of ndarray
             The last state of every chain.
-
-        Raises
-        ------
-        JobError, InputError
-            As for :meth:`run`.
         """
         marks = self._marks(name, arguments)
         states = [self._stored(name, index, mark) for index, mark in enumerate(marks)]
@@ -173,13 +132,7 @@ class Job:
         return [state for state in states if state is not None]
 
     def read(self, name: str, index: int) -> Arrays:
-        """Read a task's result.
-
-        Raises
-        ------
-        InputError
-            If it is not there, or damaged.
-        """
+        """Read a task's result."""
         return read_chunk(self.file(name, index))
 
     def _marks(self, name: str, arguments: Sequence[Any]) -> list[str]:
@@ -213,15 +166,7 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class TaskGroup:
-    """Tasks of a job that do not depend on each other; the arguments of :meth:`Job.run` as a value.
-
-    Attributes
-    ----------
-    job : Job
-    name : str
-    function : callable
-    arguments : sequence
-    """
+    """Tasks of a job that do not depend on each other; the arguments of :meth:`Job.run` as a value."""
 
     job: Job
     name: str
@@ -242,7 +187,6 @@ def run_groups(
 
     Parameters
     ----------
-    groups : sequence of TaskGroup
     executor, keep
         As for :meth:`Job.run`.
     progress : callable, optional
@@ -252,11 +196,6 @@ def run_groups(
     -------
     list of list of dict of ndarray
         For each group what :meth:`Job.run` returns.
-
-    Raises
-    ------
-    JobError, InputError
-        As for :meth:`Job.run`.
     """
     results: list[list[Arrays]] = [[{}] * len(group.arguments) if keep else [] for group in groups]
     marks = [group.job._marks(group.name, group.arguments) for group in groups]
@@ -292,13 +231,7 @@ def run_with_or_without(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> list[Any]:
-    """Return the results of all tasks in their order, kept in a job if there is one; arguments as for :meth:`Job.run`.
-
-    Raises
-    ------
-    JobError
-        If a chunk can't be written, or the executor is broken.
-    """
+    """Return the results of all tasks in their order, kept in a job if there is one; else as :meth:`Job.run` does."""
     if job is not None:
         return job.run(name, function, arguments, executor=executor, progress=progress)
     results: dict[int, Any] = {}
@@ -327,23 +260,9 @@ def open_job(folder: str | Path, kind: str, settings: Mapping[str, Any]) -> Iter
     ----------
     folder : str or Path
         A new or empty folder, or one that this function made.
-    kind : str
-        What is being made.
     settings : Mapping
         Everything that the results depend on: texts, numbers, lists and mappings (arrays, tuples, paths and dataclasses
         become these).
-
-    Yields
-    ------
-    Job
-
-    Raises
-    ------
-    InputError
-        If the folder holds something else, work of another kind or package version, or with other settings (the first
-        that differs is named); nothing is touched then.
-    JobError
-        If another process works in the folder, or it can't be written to.
     """
     with claim_folder(Path(folder), kind, settings) as plain:
         yield Job(Path(folder), kind, plain)

@@ -4,8 +4,6 @@ import sys
 import time
 from collections.abc import Callable
 
-__all__ = ["Progress", "show_line", "show_progress"]
-
 Progress = Callable[[int, int, str], None]
 """``progress(done, total, label)``: called after every finished task."""
 
@@ -29,13 +27,7 @@ def show_line() -> Callable[[str, bool], None]:
 
 
 def show_progress(unit: str = "races") -> Progress:
-    """Return a progress function that keeps a line on stderr up to date (:func:`show_line`).
-
-    Parameters
-    ----------
-    unit : str
-        What is counted.
-    """
+    """Return a progress function that keeps a line on stderr up to date (:func:`show_line`)."""
     say = show_line()
     begin = time.monotonic()
     first: tuple[float, int] | None = None

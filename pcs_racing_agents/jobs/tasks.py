@@ -9,26 +9,16 @@ from typing import Any, Generic, NamedTuple, TypeVar, cast
 from pcs_racing_agents.jobs.executors import is_lost, sent_once, tasks_in_flight
 from pcs_racing_agents.jobs.folders import GO_ON, JobError
 
-__all__ = ["Task", "in_other_processes", "numbered_tasks", "run_task", "run_tasks"]
-
 A = TypeVar("A")
 K = TypeVar("K")
 R = TypeVar("R")
 
 
 class Task(NamedTuple, Generic[K]):
-    """One call of a function.
+    """One call of a function."""
 
-    Attributes
-    ----------
-    key
-        What its result is known by.
-    function : callable
-        ``function(argument)``; a large one that is the same object for several tasks travels only once.
-    argument
-    """
-
-    key: K
+    key: K  #: What its result is known by.
+    #: ``function(argument)``; a large one that is the same object for several tasks travels only once.
     function: Callable[[Any], Any]
     argument: Any
 
@@ -58,12 +48,6 @@ def run_tasks(
     ------
     key
         Of a task.
-    result
-
-    Raises
-    ------
-    JobError
-        If the executor is broken: a worker died, or the cluster is gone.
     """
     first, following = iter(tasks), deque[Task[K]]()
 

@@ -1,11 +1,13 @@
 """The regret approximator: training rows, the network, and how it is trained and judged."""
 
 from pcs_racing_agents.networks.network import RegretNetwork
-from pcs_racing_agents.networks.network_files import list_networks, load_network, save_network
-from pcs_racing_agents.networks.network_sets import (
+from pcs_racing_agents.networks.network_files import (
     NetworkSet,
     list_network_sets,
+    list_networks,
+    load_network,
     load_network_set,
+    save_network,
     save_network_set,
 )
 from pcs_racing_agents.networks.rows import Rows, join_rows

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing.game.moves import STAY
-from pcs_racing_agents.jobs.jobs import Progress
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
 from pcs_racing_agents.networks.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
 from pcs_racing_agents.networks.network import RegretNetwork
@@ -21,27 +21,16 @@ from pcs_racing_agents.networks.targets import get_target, solve_for
 from pcs_racing_agents.networks.training import TrainingResult, train_network
 from pcs_racing_agents.networks.tree_rows import PlayedTree, tree_rows
 
-__all__ = ["TrainedOnTrees", "hold_out", "train_on_trees"]
-
 
 class TrainedOnTrees(NamedTuple):
-    """A network trained on game trees or ego trees.
+    """A network trained on game trees or ego trees."""
 
-    Attributes
-    ----------
-    network : RegretNetwork
-        Its scores on the held-out trees are among what it knows of its training.
-    result : TrainingResult
-    rows : list of RowScore
-        Choices on the rows of the held-out trees, or of the validation pairs where no tree is held out.
-    scores : dict of str to ndarray
-        Of the network and other strategies on each held-out tree; empty if none are held out. On game trees
-        :class:`TreeScore`, shape (trees, 4); on ego trees the utility, shape (trees,).
-    """
-
-    network: RegretNetwork
+    network: RegretNetwork  #: Its scores on the held-out trees are among what it knows of its training.
     result: TrainingResult
+    #: Choices on the rows of the held-out trees, or of the validation pairs where no tree is held out.
     rows: list[RowScore]
+    #: Of the network and other strategies on each held-out tree; empty if none are held out. On game trees
+    #: :class:`TreeScore`, shape (trees, 4); on ego trees the utility, shape (trees,).
     scores: dict[str, NDArray[np.float64]]
 
 
@@ -66,11 +55,6 @@ def train_on_trees(
         before the first move has no rows and is skipped.
     pairs : array of int, shape (trees, 2)
         Starting policies of each tree.
-    identity : GameIdentity
-        The game that they belong to.
-    settings : TrainSettings
-    name : str
-        Of the network.
     about : dict, optional
         What else the network should know of its training, texts and numbers by name.
     executor : Executor, optional
@@ -78,13 +62,6 @@ def train_on_trees(
         no influence on the result.
     solving, learning : callable, optional
         Called as ``progress(done, total, label)`` after every tree and every epoch (in this process).
-
-    Raises
-    ------
-    JobError
-        If the executor is broken.
-    InputError
-        If the trees come from too few starting pairs: 2, or 3 with some held out.
     """
     settings = settings_for_trees(settings)
     numbers = pair_number(pairs)
@@ -118,13 +95,7 @@ def train_on_trees(
 
 
 def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, noun: str) -> NDArray[np.bool_]:
-    """Return which trees are held out for evaluation, shape (trees,), by the numbers of their starting pairs.
-
-    Raises
-    ------
-    InputError
-        If they come from fewer starting pairs than ``least``.
-    """
+    """Return which trees are held out for evaluation, shape (trees,), by the numbers of their starting pairs."""
     different = len(np.unique(numbers))
     if different < least:
         raise InputError(
@@ -139,17 +110,10 @@ def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, no
 
 @dataclass(frozen=True)
 class _TreeSolver:
-    """The function that solves a tree and returns its rows; it can be pickled.
-
-    Attributes
-    ----------
-    settings : TrainSettings
-    stay : int, optional
-        Index of the move "stay", which the trees do not know.
-    """
+    """The function that solves a tree and returns its rows; it can be pickled."""
 
     settings: TrainSettings
-    stay: int | None
+    stay: int | None  #: Index of the move "stay", which the trees do not know.
 
     def __call__(self, race_tree: PlayedTree) -> Rows | None:
         """Return the rows; None if the race is over before the first move."""

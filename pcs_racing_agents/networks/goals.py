@@ -8,37 +8,19 @@ from numpy.typing import NDArray
 from pcs_racing_agents.networks.rows import Rows
 from pcs_racing_agents.networks.settings import TrainSettings
 
-__all__ = ["Scaling", "row_goals", "scale_rows"]
-
 Floats = NDArray[np.float32]
 
 
 class Scaling(NamedTuple):
-    """Numbers that bring inputs and targets to order 1.
+    """Numbers that bring inputs and targets to order 1."""
 
-    Attributes
-    ----------
-    mean, scale : ndarray, shape (D,)
-        Of the inputs.
-    depth : float
-        How far below the highest of its row a target may lie; infinite without a floor.
-    centre : ndarray, shape (A,)
-        Mean target of each move; 0 for clipped ones.
-    size : float
-        Unit of the targets.
-    hopeless : float
-        Mean square, in that unit, of targets of rows that have none above 0.
-    level : float
-        That unit in the spread of the rows' means, at most 1.
-    """
-
-    mean: Floats
+    mean: Floats  #: shape (D,): ``mean``, ``scale``: Of the inputs.
     scale: Floats
-    depth: float
-    centre: Floats
-    size: np.float32
-    hopeless: float
-    level: float
+    depth: float  #: How far below the highest of its row a target may lie; infinite without a floor.
+    centre: Floats  #: shape (A,): Mean target of each move; 0 for clipped ones.
+    size: np.float32  #: Unit of the targets.
+    hopeless: float  #: Mean square, in that unit, of targets of rows that have none above 0.
+    level: float  #: That unit in the spread of the rows' means, at most 1.
 
 
 def scale_rows(rows: Rows, settings: TrainSettings, clipped: bool) -> Scaling:

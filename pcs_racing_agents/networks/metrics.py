@@ -24,71 +24,30 @@ from pcs_racing_agents.solvers import (
     uniform_profile,
 )
 
-__all__ = [
-    "Play",
-    "RowScore",
-    "TreeScore",
-    "constant_plays",
-    "follow",
-    "play_profile",
-    "score_rows",
-    "score_table",
-    "score_tree",
-    "score_trees",
-]
-
 Play = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 """Probabilities of the moves, shape (R, A), for observations (R, D)."""
 
 
 class RowScore(NamedTuple):
-    """Comparison of a network's choices with the targets of rows.
+    """Comparison of a network's choices with the targets of rows."""
 
-    Attributes
-    ----------
-    step : int
-        Moves made so far; -1 for all rows together, each with its weight.
-    rows : int
-    agreement : float
-        Weighted share of rows in which the chosen move has the highest target.
-    chance : float
-        Same for moves drawn at random (above 1 / A where several moves are equally good).
-    constant : float
-        Same for the one move that does best on these very rows.
-    shortfall : float
-        Weighted mean of the highest target minus the chosen move's.
-    error : float
-        Weighted mean squared error of the network's values (of the clipped ones if it clips).
-    """
-
-    step: int
+    step: int  #: Moves made so far; -1 for all rows together, each with its weight.
     rows: int
-    agreement: float
-    chance: float
-    constant: float
-    shortfall: float
-    error: float
+    agreement: float  #: Weighted share of rows in which the chosen move has the highest target.
+    chance: float  #: Same for moves drawn at random (above 1 / A where several moves are equally good).
+    constant: float  #: Same for the one move that does best on these very rows.
+    shortfall: float  #: Weighted mean of the highest target minus the chosen move's.
+    error: float  #: Weighted mean squared error of the network's values (of the clipped ones if it clips).
 
 
 class TreeScore(NamedTuple):
-    """The value of a strategy on one tree, mean of both roles, in units of the utility.
+    """The value of a strategy on one tree, mean of both roles, in units of the utility."""
 
-    Attributes
-    ----------
-    lost_to_best_response : float
-        Value of the game minus what the strategy gets from an opponent that knows it: half its NashConv.
-    lost_to_equilibrium : float
-        Value of the game minus what it gets from an opponent that plays its equilibrium.
-    off_in_self_play : float
-        How far from the value of the game it is what car 0 gets if both cars follow it.
-    against_random : float
-        What it gets from an opponent that moves at random.
-    """
-
+    #: Value of the game minus what the strategy gets from an opponent that knows it: half its NashConv.
     lost_to_best_response: float
-    lost_to_equilibrium: float
-    off_in_self_play: float
-    against_random: float
+    lost_to_equilibrium: float  #: Value of the game minus what it gets from an opponent that plays its equilibrium.
+    off_in_self_play: float  #: How far from the value of the game it is what car 0 gets if both cars follow it.
+    against_random: float  #: What it gets from an opponent that moves at random.
 
 
 def score_rows(network: RegretNetwork, rows: Rows) -> list[RowScore]:
@@ -162,7 +121,6 @@ def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | Non
     ----------
     profile : Profile
         See :func:`play_profile`.
-    race_tree : PlayedTree
     exact : ExactResult, optional
         Exact solution of ``race_tree.game_tree()``, if it is known.
     """

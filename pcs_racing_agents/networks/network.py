@@ -17,8 +17,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
 from pcs_racing.game.rules import RaceGame
 
-__all__ = ["RegretNetwork"]
-
 Floats = NDArray[np.float32]
 
 
@@ -29,27 +27,6 @@ class RegretNetwork:
     ``h`` is encoded in an observation of the game, of a size that does not depend on how long the history is. Between
     the layers stand ReLUs; after the last one only if ``clipped``.
 
-    Attributes
-    ----------
-    name : str
-    identity : GameIdentity
-        The game that it was made for.
-    target : str
-        What it approximates (:data:`pcs_racing_agents.networks.targets.TARGETS`, or something else).
-    clipped : bool
-        Whether values below 0 are shown as 0, as the paper does with regrets.
-    layers : DenseLayers
-        D inputs and A outputs.
-    mean, scale : ndarray, shape (D,), float32
-        The first layer sees ``(observation - mean) / scale``.
-    training : Mapping
-        How it was trained and how well it does: texts and numbers by name.
-
-    Raises
-    ------
-    InputError
-        If sizes do not fit each other, are too large, or a number is not finite.
-
     Examples
     --------
     >>> from pcs_racing_agents.networks import load_network
@@ -58,12 +35,13 @@ class RegretNetwork:
     """
 
     name: str
-    identity: GameIdentity
-    target: str
-    clipped: bool
-    layers: DenseLayers
-    mean: Floats
+    identity: GameIdentity  #: The game that it was made for.
+    target: str  #: What it approximates (:data:`pcs_racing_agents.networks.targets.TARGETS`, or something else).
+    clipped: bool  #: Whether values below 0 are shown as 0, as the paper does with regrets.
+    layers: DenseLayers  #: D inputs and A outputs.
+    mean: Floats  #: shape (D,): ``mean``, ``scale``: The first layer sees ``(observation - mean) / scale``.
     scale: Floats
+    #: How it was trained and how well it does: texts and numbers by name.
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -129,11 +107,6 @@ class RegretNetwork:
         """Value of each move, shape (..., A), for observations (..., D); see :attr:`clipped`.
 
         The values of an observation do not depend on what else is in the batch, not even in the last bit.
-
-        Raises
-        ------
-        InputError
-            If the observations have another size or are not finite.
         """
         values = self.unclipped(observations)
         return np.maximum(values, np.float32(0.0)) if self.clipped else values
@@ -162,11 +135,6 @@ class RegretNetwork:
         observations : array_like, shape (..., D)
         mask : array_like of bool, shape (..., A), optional
             Moves that may be made, at least one of each row; all of them by default.
-
-        Raises
-        ------
-        InputError
-            If the observations or the mask do not fit, or nothing is allowed.
         """
         values = self.unclipped(observations)  # where one is above 0, clipping does not change which is the highest
         if mask is not None:
@@ -185,10 +153,5 @@ class RegretNetwork:
 
         A game may offer the move "stay" in addition: the network never makes it. Rules of the race that the network was
         not made for (the preset, the track, the length of a step) are no error: it may be tried there.
-
-        Raises
-        ------
-        InputError
-            If the observation, the moves or the archive are others.
         """
         check_same_game(self.identity, game_identity(game), f"network {self.name!r}")

@@ -12,39 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["Rows", "draw_pairs", "join_rows", "pair_number", "split_by_pair"]
-
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """R decisions, each of one player.
+    """R decisions, each of one player."""
 
-    Attributes
-    ----------
-    observations : ndarray, shape (R, D), float32
-        The player's observations (:attr:`pcs_racing.RaceGame.observation_elements`).
-    targets : ndarray, shape (R, A), float32
-        Value of each move, never clipped; 0 where the mask is False.
-    weights : ndarray, shape (R,), float64
-        How much each row counts, 0 or more; not all 0.
-    pair : ndarray, shape (R,), int64
-        Which starting pair the row comes from: rows of one pair are all learned from or all validated on.
-    step : ndarray, shape (R,), int64
-        Moves made so far.
-    mask : ndarray, shape (R, A), bool, optional
-        Which targets are known; at least one in every row. All of them by default.
-
-    Raises
-    ------
-    InputError
-        If shapes do not fit, a number is not finite, there is no row, or a row has no target.
-    """
-
+    #: shape (R, D): The player's observations (:attr:`pcs_racing.RaceGame.observation_elements`).
     observations: NDArray[np.float32]
-    targets: NDArray[np.float32]
-    weights: NDArray[np.float64]
+    targets: NDArray[np.float32]  #: shape (R, A): Value of each move, never clipped; 0 where the mask is False.
+    weights: NDArray[np.float64]  #: shape (R,): How much each row counts, 0 or more; not all 0.
+    #: shape (R,): Which starting pair the row comes from: rows of one pair are all learned from or all validated on.
     pair: NDArray[np.int64]
-    step: NDArray[np.int64]
+    step: NDArray[np.int64]  #: shape (R,): Moves made so far.
+    #: shape (R, A): Which targets are known; at least one in every row. All of them by default.
     mask: NDArray[np.bool_] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
@@ -97,13 +77,7 @@ class Rows:
 
 
 def join_rows(sources: Sequence[Rows]) -> Rows:
-    """Return the rows of several sources as one.
-
-    Raises
-    ------
-    InputError
-        If there is no source, or their sizes differ.
-    """
+    """Return the rows of several sources as one."""
     if len(sources) == 0:
         raise InputError("there are no rows to join; give at least one")
     for i, source in enumerate(sources):
@@ -125,13 +99,7 @@ def pair_number(policies: ArrayLike) -> NDArray[np.int64]:
 
 
 def draw_pairs(pairs: NDArray[np.int64], share: float, seed: np.random.SeedSequence) -> NDArray[np.int64]:
-    """Draw a share of the different pairs, sorted; at least one, and at least one stays behind.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two.
-    """
+    """Draw a share of the different pairs, sorted; at least one, and at least one stays behind."""
     different = np.unique(pairs)
     if len(different) < 2:
         raise InputError("all rows come from one starting pair; validation needs rows of at least 2")
@@ -144,10 +112,8 @@ def split_by_pair(rows: Rows, share: float, seed: int) -> tuple[NDArray[np.bool_
 
     Parameters
     ----------
-    rows : Rows
     share : float
         Share of the pairs to validate on, in (0, 1); at least one pair stays on either side.
-    seed : int
 
     Returns
     -------
@@ -155,11 +121,6 @@ def split_by_pair(rows: Rows, share: float, seed: int) -> tuple[NDArray[np.bool_
         Which rows are validated on.
     pairs : ndarray, int64
         The pairs that they come from, sorted.
-
-    Raises
-    ------
-    InputError
-        If the rows come from fewer than two pairs, or all rows on one side have weight 0.
     """
     validation_pairs = draw_pairs(rows.pair, share, np.random.SeedSequence(seed, spawn_key=(0,)))
     held_out = np.isin(rows.pair, validation_pairs)

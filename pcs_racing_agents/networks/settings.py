@@ -10,8 +10,6 @@ from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.networks.targets import OPPONENTS, ROW_WEIGHTS, TARGETS
 from pcs_racing_agents.solvers import VARIANTS
 
-__all__ = ["TrainSettings", "load_train_settings", "settings_for_trees"]
-
 
 @dataclass(frozen=True)
 class TrainSettings(Settings):
@@ -108,12 +106,5 @@ def load_train_settings(source: str | Path | TrainSettings | None = None, **chan
     """Return settings from a shipped configuration's name, a YAML file or settings, with some fields changed.
 
     A YAML file is a mapping of the fields of :class:`TrainSettings`; a field that is absent takes the default.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value is out of its range.
-    UnknownNameError
-        If the name is no configuration and no file.
     """
     return load_config("train", TrainSettings(), source, **changes)

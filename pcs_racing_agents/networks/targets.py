@@ -18,28 +18,17 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing_agents.solvers import CFRResult, ExactResult, GameTree, best_response, cfr, solve_exact
 
-__all__ = ["OPPONENTS", "ROW_WEIGHTS", "TARGETS", "Target", "best_moves", "get_target", "node_targets", "solve_for"]
-
 Floats = NDArray[np.float64]
 Solution = CFRResult | ExactResult
 """What :func:`solve_for` returns."""
 
 
 class Target(NamedTuple):
-    """A kind of target.
-
-    Attributes
-    ----------
-    meaning : str
-    clipped : bool
-        Whether values below 0 are learned and shown as 0.
-    solver : str
-        What it is made from: "cfr" or "exact".
-    """
+    """A kind of target."""
 
     meaning: str
-    clipped: bool
-    solver: str
+    clipped: bool  #: Whether values below 0 are learned and shown as 0.
+    solver: str  #: What it is made from: "cfr" or "exact".
 
 
 TARGETS = {
@@ -66,13 +55,7 @@ ROW_WEIGHTS = {
 
 
 def get_target(name: str) -> Target:
-    """Return a kind of target by name.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name.
-    """
+    """Return a kind of target by name."""
     if name not in TARGETS:
         raise UnknownNameError(f"unknown target {name!r}; trees give {', '.join(TARGETS)}")
     return TARGETS[name]
@@ -92,8 +75,6 @@ def solve_for(tree: GameTree, target: str, *, iterations: int = 1000, variant: s
 
     Parameters
     ----------
-    tree : GameTree
-    target : str
     iterations, variant
         Of CFR, if the target is made of regrets.
     """
@@ -109,10 +90,8 @@ def node_targets(
 
     Parameters
     ----------
-    tree : GameTree
     solution : CFRResult or ExactResult
         What :func:`solve_for` returned for the tree and target.
-    target : str
     opponent : str
         For "static-q": one of :data:`OPPONENTS`.
     stay : int, optional
@@ -123,11 +102,6 @@ def node_targets(
     list of (ndarray, ndarray)
         For each level those of car 0, shape (rows, A), and car 1, shape (rows, B), each from its own point of view and
         never clipped; NaN in rows about which the solution says nothing (CFR that never came there).
-
-    Raises
-    ------
-    InputError
-        If the solution is of another kind, or the opponent needs a move "stay" and there is none.
     """
     kind = get_target(target)
     wanted = CFRResult if kind.solver == "cfr" else ExactResult
@@ -144,21 +118,13 @@ def node_targets(
         return list(solution.advantages)
     if target == "nash":
         return list(solution.profile)
-    profile = static_profile(tree, opponent, stay)
+    profile = _static_profile(tree, opponent, stay)
     q = [best_response(tree, profile, player).q for player in (0, 1)]
     return list(zip(*q, strict=True))
 
 
-def static_profile(tree: GameTree, opponent: str, stay: int | None) -> list[tuple[Floats, Floats]]:
-    """Return the profile of two static opponents.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such opponent.
-    InputError
-        If it never switches but "stay" is no move.
-    """
+def _static_profile(tree: GameTree, opponent: str, stay: int | None) -> list[tuple[Floats, Floats]]:
+    """Return the profile of two static opponents."""
     if opponent not in OPPONENTS:
         raise UnknownNameError(f"unknown static opponent {opponent!r}; there are {', '.join(OPPONENTS)}")
     if opponent == "never-switch" and stay is None:

@@ -13,8 +13,6 @@ import numpy as np
 
 from pcs_racing.base.dense import DenseLayers
 
-__all__ = ["initial_layers", "layers_from_torch", "relu_forward", "torch_alone"]
-
 _TURN = threading.RLock()
 
 
@@ -23,11 +21,6 @@ def torch_alone() -> Iterator[Any]:
     """Provide torch, limited to one thread, to one thread of this process at a time.
 
     Several threads gain nothing for networks as small as ours, and would change the order of sums.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If torch is not installed; the message says how to install it.
     """
     try:
         import torch

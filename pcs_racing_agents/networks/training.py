@@ -15,7 +15,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.jobs.jobs import Progress
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.networks.goals import row_goals, scale_rows
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, split_by_pair
@@ -24,58 +24,31 @@ from pcs_racing_agents.networks.targets import best_moves
 from pcs_racing_agents.networks.torch_layers import initial_layers, layers_from_torch, relu_forward, torch_alone
 from pcs_racing_agents.pictures.curves import Curve
 
-__all__ = ["Epoch", "TrainingResult", "epoch_curves", "train_layers", "train_network", "write_epochs"]
-
 Floats = NDArray[np.float32]
 
 
 class Epoch(NamedTuple):
-    """Learning rate, losses and scores of an epoch.
+    """Learning rate, losses and scores of an epoch."""
 
-    Attributes
-    ----------
-    epoch : int
-        From 1 on; 0 is the network before any learning.
-    learning_rate : float
-        At its end.
-    training_loss : float
-        Mean over the epoch's draws while it was learning from them; that of epoch 0 is NaN.
-    validation_loss : float
-        Both losses are mean squared errors in units of the targets' root mean square.
-    validation_agreement : float
-        Weighted share of the validation rows in which the network's choice is a move of the highest target.
-    validation_shortfall : float
-        Weighted mean of how much less the chosen move's target is than the highest, in units of the target.
-    """
-
-    epoch: int
-    learning_rate: float
-    training_loss: float
-    validation_loss: float
+    epoch: int  #: From 1 on; 0 is the network before any learning.
+    learning_rate: float  #: At its end.
+    training_loss: float  #: Mean over the epoch's draws while it was learning from them; that of epoch 0 is NaN.
+    validation_loss: float  #: Both losses are mean squared errors in units of the targets' root mean square.
+    #: Weighted share of the validation rows in which the network's choice is a move of the highest target.
     validation_agreement: float
+    #: Weighted mean of how much less the chosen move's target is than the highest, in units of the target.
     validation_shortfall: float
 
 
 class TrainingResult(NamedTuple):
-    """The layers of a trained network, and the history of its training.
+    """The layers of a trained network, and the history of its training."""
 
-    Attributes
-    ----------
-    layers, mean, scale
-        See :class:`pcs_racing_agents.networks.RegretNetwork`.
-    epochs : tuple of Epoch
-    best : int
-        Index of the epoch that the weights are from: that of the lowest validation loss.
-    validation_pairs : ndarray, int64
-        Starting pairs that were not learned from.
-    """
-
-    layers: DenseLayers
+    layers: DenseLayers  #: ``layers``, ``mean``, ``scale``: See :class:`pcs_racing_agents.networks.RegretNetwork`.
     mean: Floats
     scale: Floats
     epochs: tuple[Epoch, ...]
-    best: int
-    validation_pairs: NDArray[np.int64]
+    best: int  #: Index of the epoch that the weights are from: that of the lowest validation loss.
+    validation_pairs: NDArray[np.int64]  #: Starting pairs that were not learned from.
 
 
 def train_network(
@@ -96,9 +69,6 @@ def train_network(
         From any source.
     identity : GameIdentity
         The game that they come from.
-    settings : TrainSettings
-    name : str
-        Of the network.
     target : str, optional
         What the rows' targets are; by default the settings' target.
     clipped : bool
@@ -110,13 +80,6 @@ def train_network(
     -------
     network : RegretNetwork
     result : TrainingResult
-
-    Raises
-    ------
-    InputError
-        If rows and game do not fit, or the rows come from one starting pair only.
-    ModuleNotFoundError
-        If torch is not installed.
     """
     for key, names in (("observations", identity.elements), ("targets", identity.moves)):
         size = getattr(rows, key).shape[1]

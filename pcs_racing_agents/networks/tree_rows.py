@@ -10,8 +10,6 @@ from pcs_racing_agents.networks.rows import Rows, pair_number
 from pcs_racing_agents.networks.targets import ROW_WEIGHTS, Solution, node_targets
 from pcs_racing_agents.solvers import CFRResult, GameTree, reach_probabilities
 
-__all__ = ["PlayedTree", "tree_rows"]
-
 Floats = NDArray[np.float64]
 
 
@@ -60,7 +58,6 @@ def tree_rows(
 
     Parameters
     ----------
-    race_tree : PlayedTree
     solution : CFRResult or ExactResult
         What :func:`pcs_racing_agents.networks.targets.solve_for` returns for ``race_tree.game_tree()``.
     target : str
@@ -78,13 +75,6 @@ def tree_rows(
     -------
     Rows
         All of one starting pair, :func:`pcs_racing_agents.networks.rows.pair_number`.
-
-    Raises
-    ------
-    InputError
-        If solution, target and tree do not fit each other, or no node is left.
-    UnknownNameError
-        If there are no such weights.
     """
     tree = race_tree.game_tree()
     targets = node_targets(tree, solution, target, opponent=opponent, stay=stay)

@@ -15,8 +15,6 @@ from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.payoffs.headroom import cyclic_planes, ratings
 
-__all__ = ["choose_pool", "denoised", "pool_headroom"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -79,11 +77,6 @@ def choose_pool(
     -------
     ndarray of int, shape (count,)
         Ascending.
-
-    Raises
-    ------
-    InputError
-        If a group holds too few policies.
     """
     check_whole("count", count, 3)
     matrices, sets = np.asarray(payoffs, np.float64), [np.asarray(group, np.int64) for group in groups]

@@ -15,19 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = [
-    "CyclicPlane",
-    "Headroom",
-    "SlotHeadroom",
-    "cyclic_part",
-    "cyclic_planes",
-    "headroom",
-    "jackknife_error",
-    "ratings",
-    "slot_headroom",
-    "transitive_share",
-]
-
 Floats = NDArray[np.float64]
 
 _NOISE_DRAWS = 200
@@ -36,31 +23,17 @@ _NOISE_LEVEL = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Headroom:
-    """The value of knowing the opponent's policy in a pool of policies, in races won.
+    """The value of knowing the opponent's policy in a pool of policies, in races won."""
 
-    Attributes
-    ----------
-    value : float
-        Mean over opponents j of ``P[best response to j, j] - P[best fixed policy, j]``. Best response and best fixed
-        policy are selected on all folds but one and evaluated on that one, in turn.
-    low : float
-        The same, minus the best fixed policy of the evaluation races themselves: a lower bound.
-    opponents_error : float
-        Standard error over opponents of the same kind.
-    without : ndarray, shape (N,)
-        ``value`` of the pool without each of its policies, as a response and as an opponent.
-    gains : ndarray, shape (N,)
-        Value of knowing each opponent; their mean is ``value``.
-    best_fixed : int
-        Policy with the highest mean payoff over all folds.
-    """
-
+    #: Mean over opponents j of ``P[best response to j, j] - P[best fixed policy, j]``. Best response and best fixed
+    #: policy are selected on all folds but one and evaluated on that one, in turn.
     value: float
-    low: float
-    opponents_error: float
+    low: float  #: The same, minus the best fixed policy of the evaluation races themselves: a lower bound.
+    opponents_error: float  #: Standard error over opponents of the same kind.
+    #: shape (N,): ``value`` of the pool without each of its policies, as a response and as an opponent.
     without: Floats
-    gains: Floats
-    best_fixed: int
+    gains: Floats  #: shape (N,): Value of knowing each opponent; their mean is ``value``.
+    best_fixed: int  #: Policy with the highest mean payoff over all folds.
 
     @property
     def pool_error(self) -> float:
@@ -69,48 +42,13 @@ class Headroom:
 
 
 @dataclass(frozen=True, eq=False)
-class SlotHeadroom:
-    """The value of knowing the opponent's policy for a driver that knows its place on the grid, in races won.
-
-    Attributes
-    ----------
-    value : float
-        Mean over slots and opponents of the best response's payoff minus that of the best fixed policy of the slot,
-        cross-fitted.
-    low : float
-        The same, minus the best fixed policies of the evaluation races themselves: a lower bound.
-    opponents_error : float
-        Standard error over opponents.
-    slots : tuple of two float
-        ``value`` on the left or in front, and on the right or behind.
-    slot_alone : float
-        Value of knowing the slot and not the opponent, cross-fitted: a policy for each slot over one for both.
-    """
-
-    value: float
-    low: float
-    opponents_error: float
-    slots: tuple[float, float]
-    slot_alone: float
-
-
-@dataclass(frozen=True, eq=False)
 class CyclicPlane:
-    """A plane of the cyclic part of a payoff matrix, in which rock, paper and scissors lie around the origin.
+    """A plane of the cyclic part of a payoff matrix, in which rock, paper and scissors lie around the origin."""
 
-    Attributes
-    ----------
-    strength : float
-        Singular value of the plane.
-    noise : float
-        95 % quantile of the largest singular value of noise alone.
-    points : ndarray, shape (N, 2)
-        The policies in the plane. Its contribution to the payoff is ``x_i y_j - y_i x_j``: of two policies at right
-        angles, the one that lies clockwise of the other beats it.
-    """
-
-    strength: float
-    noise: float
+    strength: float  #: Singular value of the plane.
+    noise: float  #: 95 % quantile of the largest singular value of noise alone.
+    #: shape (N, 2): The policies in the plane. Its contribution to the payoff is ``x_i y_j - y_i x_j``: of two policies
+    #: at right angles, the one that lies clockwise of the other beats it.
     points: Floats
 
 
@@ -121,16 +59,11 @@ def headroom(payoffs: ArrayLike) -> Headroom:
     ----------
     payoffs : array_like, shape (F, N, N)
         Payoff of the row's policy against the column's in each of F >= 2 folds, in -0.5..0.5 and antisymmetric.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two folds or policies, or a payoff is not finite, out of range or not antisymmetric.
     """
-    folds = _checked(payoffs)
-    value, low, gains = _cross_fitted(folds)
+    folds = checked_payoffs(payoffs)
+    value, low, gains = cross_fitted(folds)
     count = folds.shape[1]
-    without = np.array([_cross_fitted(np.delete(np.delete(folds, k, 1), k, 2))[0] for k in range(count)])
+    without = np.array([cross_fitted(np.delete(np.delete(folds, k, 1), k, 2))[0] for k in range(count)])
     return Headroom(
         value=value,
         low=low,
@@ -138,42 +71,6 @@ def headroom(payoffs: ArrayLike) -> Headroom:
         without=without,
         gains=gains,
         best_fixed=int(folds.mean(axis=(0, 2)).argmax()),
-    )
-
-
-def slot_headroom(payoffs: ArrayLike) -> SlotHeadroom:
-    """Estimate the headroom within a slot of the grid, cross-fitted.
-
-    Most of what a policy scores may depend on its slot, and every driver knows it without looking at the opponent.
-
-    Parameters
-    ----------
-    payoffs : array_like, shape (F, 2, N, N)
-        Payoff in each of F >= 2 folds and each slot of the row's policy
-        (:func:`pcs_racing_agents.payoffs.policy_pool.slot_payoffs`); the mean over slots is antisymmetric.
-
-    Raises
-    ------
-    InputError
-        As :func:`headroom`.
-    """
-    slots = np.asarray(payoffs, np.float64)
-    if slots.ndim != 4 or slots.shape[1] != 2:
-        raise InputError(f"payoffs have shape {slots.shape}; it must be (folds, 2, policies, policies)")
-    both = _checked(slots.mean(axis=1))
-    estimates = [_cross_fitted(slots[:, slot]) for slot in (0, 1)]
-    gains = np.mean([gain for _, _, gain in estimates], axis=0)
-    total, alone = slots.sum(axis=0), []
-    for judged, judged_both in zip(slots, both, strict=True):
-        best = (total - judged).sum(axis=-1).argmax(axis=-1)  # of each slot
-        fixed = (both.sum(axis=0) - judged_both).sum(axis=-1).argmax()
-        alone.append(np.mean([judged[slot, best[slot]].mean() for slot in (0, 1)]) - judged_both[fixed].mean())
-    return SlotHeadroom(
-        value=float(gains.mean()),
-        low=float(np.mean([low for _, low, _ in estimates])),
-        opponents_error=float(gains.std(ddof=1) / np.sqrt(len(gains))),
-        slots=(estimates[0][0], estimates[1][0]),
-        slot_alone=float(np.mean(alone)),
     )
 
 
@@ -189,12 +86,12 @@ def ratings(payoffs: ArrayLike) -> Floats:
     ``ratings[i] - ratings[j]`` is the transitive part of the payoff matrix, the nearest one in which no cycle exists
     (least squares on a complete graph; Jiang and others 2011, Statistical ranking and combinatorial Hodge theory).
     """
-    return np.asarray(_checked(payoffs).mean(axis=(0, 2)))
+    return np.asarray(checked_payoffs(payoffs).mean(axis=(0, 2)))
 
 
 def cyclic_part(payoffs: ArrayLike) -> Floats:
     """Return the mean payoff matrix minus the differences of ratings, shape (N, N)."""
-    return _cyclic(_checked(payoffs).mean(axis=0))
+    return _cyclic(checked_payoffs(payoffs).mean(axis=0))
 
 
 def transitive_share(payoffs: ArrayLike) -> float:
@@ -203,7 +100,7 @@ def transitive_share(payoffs: ArrayLike) -> float:
     Products of two folds replace squares: their noises are independent and average out. The estimate can be slightly
     outside 0..1; it is NaN if no payoff differs from zero beyond noise.
     """
-    folds = _checked(payoffs)
+    folds = checked_payoffs(payoffs)
     transitive = folds - _cyclic(folds)
     whole = between = 0.0
     for f in range(len(folds)):
@@ -226,13 +123,8 @@ def cyclic_planes(payoffs: ArrayLike, seed: int = 0) -> list[CyclicPlane]:
         noise level is itself noisy: of 200 pools without a cycle 14 % exceed it with 4 folds, 7 % with 16.
     seed : int
         Of the order of the signs.
-
-    Raises
-    ------
-    InputError
-        If F is odd, or as :func:`headroom` does.
     """
-    folds = _checked(payoffs)
+    folds = checked_payoffs(payoffs)
     if len(folds) % 2:
         raise InputError(f"payoffs have {len(folds)} folds; the edge of noise needs an even number of them")
     noise = _noise_edge(folds, np.random.default_rng(seed))
@@ -245,7 +137,8 @@ def cyclic_planes(payoffs: ArrayLike, seed: int = 0) -> list[CyclicPlane]:
     return planes
 
 
-def _checked(payoffs: ArrayLike) -> Floats:
+def checked_payoffs(payoffs: ArrayLike) -> Floats:
+    """Return payoffs of shape (F, N, N) as an array, or refuse them."""
     folds = np.asarray(payoffs, dtype=np.float64)
     if folds.ndim != 3 or folds.shape[1] != folds.shape[2]:
         raise InputError(f"payoffs have shape {folds.shape}; it must be (folds, policies, policies)")
@@ -264,8 +157,8 @@ def _cyclic(matrix: Floats) -> Floats:
     return np.asarray(matrix - (rating[..., :, None] - rating[..., None, :]))
 
 
-def _cross_fitted(folds: Floats) -> tuple[float, float, Floats]:
-    """Return the headroom, its lower bound, and the value of knowing each opponent."""
+def cross_fitted(folds: Floats) -> tuple[float, float, Floats]:
+    """Return the headroom of payoffs of shape (F, N, N), its lower bound, and the value of knowing each opponent."""
     total = folds.sum(axis=0)
     opponents = np.arange(folds.shape[1])
     gains, lows = [], []

@@ -22,9 +22,8 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress, run_with_or_without
-
-__all__ = ["PolicyPool", "pool_payoffs", "race_scores", "slot_payoffs", "spanning_policies"]
+from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
+from pcs_racing_agents.jobs.progress import Progress
 
 Floats = NDArray[np.float64]
 
@@ -33,34 +32,15 @@ _RACES_AT_ONCE = 512
 
 @dataclass(frozen=True, eq=False)
 class PolicyPool:
-    """A pool of policies and the races that decide its payoffs.
+    """A pool of policies and the races that decide its payoffs."""
 
-    Attributes
-    ----------
-    policies : tuple of Policy
-        N >= 3 of them.
-    tracks : tuple of Track or str
-        Circuits, or their names or folders, which workers on other machines load themselves.
-    config : RaceConfig
-    races : int
-        Races of every pair on every circuit. The two sides of the grid take turns on each start line.
-    folds : int
-        Disjoint sets of start lines into which the races are divided.
-    seed : int
-        Root of start lines and noise. Every race has noise of its own.
-
-    Raises
-    ------
-    InputError
-        If there are too few policies or no circuit, or the races can't be divided evenly.
-    """
-
-    policies: tuple[Policy, ...]
+    policies: tuple[Policy, ...]  #: N >= 3 of them.
+    #: Circuits, or their names or folders, which workers on other machines load themselves.
     tracks: tuple[Track | str, ...]
     config: RaceConfig
-    races: int = 64
-    folds: int = 16
-    seed: int = 0
+    races: int = 64  #: Races of every pair on every circuit. The two sides of the grid take turns on each start line.
+    folds: int = 16  #: Disjoint sets of start lines into which the races are divided.
+    seed: int = 0  #: Root of start lines and noise. Every race has noise of its own.
 
     def __post_init__(self) -> None:
         if len(self.policies) < 3:
@@ -123,13 +103,8 @@ def slot_payoffs(
 
     Parameters
     ----------
-    pool : PolicyPool
     name : str
         Of the group of tasks in the job.
-    job : Job, optional
-        Stores results, so that a stopped run can be resumed.
-    executor : Executor, optional
-        Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
         Called as ``progress(done, total, label)``, counting blocks of pairs.
 
@@ -179,13 +154,7 @@ def race_scores(winner: NDArray[np.int8]) -> Floats:
 
 
 def spanning_policies(archive: PolicyArchive, size: int) -> tuple[list[str], tuple[Policy, ...]]:
-    """Return names and policies of a pool that spans an archive, evenly spaced in the order of its first axis.
-
-    Raises
-    ------
-    InputError
-        If ``size`` is not from 3 to the number of policies.
-    """
+    """Return names and policies of a pool that spans an archive, evenly spaced in the order of its first axis."""
     size = check_whole("size", size, 3, len(archive))
     order = np.argsort(archive.coordinates[:, 0], kind="stable")
     indices = order[np.linspace(0, len(order) - 1, size).round().astype(np.intp)]

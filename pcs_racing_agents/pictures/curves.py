@@ -10,28 +10,16 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.pictures.style import COLOURS, SOFT, new_figure, picture, short, spread_labels, tidy
 
-__all__ = ["Curve", "curves_picture", "write_tensorboard"]
-
 Floats = NDArray[np.float64]
 
 
 class Curve(NamedTuple):
-    """A learning curve.
+    """A learning curve."""
 
-    Attributes
-    ----------
-    x, y : ndarray, shape (E,)
-        NaN where nothing was measured.
-    label : str
-        Name of the line.
-    error : ndarray, shape (E,), optional
-        Standard errors of ``y``, drawn as a band.
-    """
-
-    x: Floats
+    x: Floats  #: shape (E,): ``x``, ``y``: NaN where nothing was measured.
     y: Floats
-    label: str
-    error: Floats | None = None
+    label: str  #: Name of the line.
+    error: Floats | None = None  #: shape (E,): Standard errors of ``y``, drawn as a band.
 
 
 @picture
@@ -56,13 +44,6 @@ def curves_picture(
         Whether the y axes are logarithmic, or the titles of the panels whose axes are.
     mark : float, optional
         Place on the x axis of a vertical line: that of the network which was kept, for instance.
-    title : str
-        Of the whole picture.
-
-    Raises
-    ------
-    InputError
-        If there is no panel, or one without a curve.
     """
     if not panels or not all(panels.values()):
         raise InputError("there are no learning curves to draw; give at least one for each panel")
@@ -134,14 +115,8 @@ def write_tensorboard(folder: Path, runs: Mapping[str, Iterable[tuple[int, Mappi
 
     Parameters
     ----------
-    folder : Path
     runs : mapping of str to iterable of (int, mapping)
         Of each run the step and the values then, by tag; NaN is left out. A run's name is its folder in ``folder``.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If torch or tensorboard is not installed.
     """
     try:
         from torch.utils.tensorboard import SummaryWriter

@@ -10,22 +10,6 @@ from typing import Any, ParamSpec, TypeVar
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.optional import require
 
-__all__ = [
-    "CARS",
-    "COLOURS",
-    "EDGE",
-    "INK",
-    "SOFT",
-    "new_figure",
-    "picture",
-    "picture_bytes",
-    "place_labels",
-    "save_picture",
-    "short",
-    "spread_labels",
-    "tidy",
-]
-
 INK, SOFT, EDGE = "#17202b", "#5c6877", "#dfe4ea"
 CARS = ("#1b6fd8", "#e08700")
 """Colours of car 0 and car 1, as in replays."""

@@ -12,35 +12,20 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited
 
-__all__ = ["CsvTable", "read_csv", "write_csv"]
-
 MAX_BYTES = 500_000_000
 MAX_COLUMNS = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class CsvTable:
-    """A table whose first line names its columns.
+    """A table whose first line names its columns."""
 
-    Attributes
-    ----------
-    path : str
-        For messages.
-    columns : tuple of str
-    """
-
-    path: str
+    path: str  #: For messages.
     columns: tuple[str, ...]
     _data: bytes = field(repr=False)
 
     def values(self) -> Iterator[tuple[int, list[str]]]:
-        """Go through the table: for every line its number in the file, and its values; empty ones left out.
-
-        Raises
-        ------
-        InputError
-            At a line that has more or fewer values than there are columns, or that is no CSV.
-        """
+        """Go through the table: for every line its number in the file, and its values; empty ones left out."""
         reader = _reader(self._data)
         try:
             next(reader, None)
@@ -65,13 +50,7 @@ class CsvTable:
 
 
 def write_csv(rows: Iterable[Iterable[object]], path: str | os.PathLike[str]) -> Path:
-    """Write the rows of a table, its columns' names first; the file appears whole or not at all.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist.
-    """
+    """Write the rows of a table, its columns' names first; the file appears whole or not at all."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     write_atomically(Path(path), lambda file: file.write(text.getvalue().encode("utf-8")))
@@ -79,13 +58,7 @@ def write_csv(rows: Iterable[Iterable[object]], path: str | os.PathLike[str]) ->
 
 
 def read_csv(path: str | os.PathLike[str]) -> CsvTable:
-    """Read a table; an empty file has no columns.
-
-    Raises
-    ------
-    InputError
-        If it can't be read, is no ordinary file, no text, or has more than 500 MB or 1,000 columns.
-    """
+    """Read a table; an empty file has no columns."""
     name = os.fspath(path)
     try:
         data = read_limited(path, MAX_BYTES, "a table")

@@ -20,8 +20,6 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.results.races import CRASHES, FAULTS, WINNERS, Categorical, RaceRow, RaceTable, narrow
 
-__all__ = ["NEEDED", "race_table", "read_results", "write_results"]
-
 NEEDED = ("ego", "opponent", "track", "race", "start_s", "side", "seed", "lead", "winner", "crash", "fault")
 """Columns that every results file has; the others tell details."""
 LONGEST_TEXT = 300
@@ -33,18 +31,7 @@ CARS = ("ego", "opponent")
 
 
 def write_results(races: Iterable[RaceRow], path: str | os.PathLike[str]) -> Path:
-    """Write one line for every race as CSV; the file appears whole or not at all, and is the same on every machine.
-
-    Parameters
-    ----------
-    races : RaceTable, or rows
-    path : path-like
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist.
-    """
+    """Write one line for every race as CSV; the file appears whole or not at all, and is the same on every machine."""
 
     def write(file: IO[bytes]) -> None:
         text = io.TextIOWrapper(file, encoding="utf-8", newline="")
@@ -62,29 +49,16 @@ def read_results(path: str | os.PathLike[str], need: Sequence[str] = ()) -> Race
 
     Parameters
     ----------
-    path : path-like
     need : sequence of str
         Columns that must be there besides :data:`NEEDED`. Of details that are missing nothing is known: no moves, no
         overtakes, variant 0, duration NaN.
-
-    Raises
-    ------
-    InputError
-        If the file can't be read, holds no races or too many, lacks a column, or a line is damaged: the first that says
-        what is wrong is named.
     """
     table = read_csv(path)
     return _parsed(_in_columns(table.path, table.columns, table.values()), need)
 
 
 def race_table(rows: Iterable[RaceRow]) -> RaceTable:
-    """Return the table of races given as rows, checked like a file.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_results`; the first of them stands in line 2.
-    """
+    """Return the table of races given as rows, checked like a file."""
     return _parsed(_in_columns("the table", RaceRow._fields, enumerate(map(_texts, rows), start=2)))
 
 
@@ -99,20 +73,11 @@ def _texts(row: RaceRow) -> list[str]:
 
 
 class _Lines(NamedTuple):
-    """The lines of a file, stored by column.
+    """The lines of a file, stored by column."""
 
-    Attributes
-    ----------
-    where : str
-        How errors call the file.
-    columns : dict of str to Categorical
-    at : ndarray, shape (N,)
-        Where the lines stand in the file, whose first line is 1.
-    """
-
-    where: str
+    where: str  #: How errors call the file.
     columns: dict[str, Categorical]
-    at: NDArray[np.int32]
+    at: NDArray[np.int32]  #: shape (N,): Where the lines stand in the file, whose first line is 1.
 
     def damaged(self, column: str, word: str, problem: str) -> InputError:
         """Return an error that names the first line with a word, by its number in the file and by its race."""

@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["CRASHES", "FAULTS", "WINNERS", "Categorical", "RaceRow", "RaceTable", "concatenate_races", "narrow"]
-
 WINNERS = ("ego", "opponent", "none")
 """Words of ``RaceTable.winner``; the last one stands for -1, too."""
 CRASHES = ("none", "wall", "car")
@@ -25,78 +23,41 @@ Flags = NDArray[np.bool_]
 
 
 class RaceRow(NamedTuple):
-    """One race in words: a line of ``results.csv``.
+    """One race in words: a line of ``results.csv``."""
 
-    Attributes
-    ----------
-    preset : str
-        Name of the rules.
-    ego, opponent : str
-        Names of the competitors in car 0 and car 1.
-    track : str
-    race : int
-        Number of the race within its pair: the same number is the same start line, side and noise for every pair.
-    start_s : float
-        Arc length of the start line, m.
-    side : int
-        0 when the ego started on the left or in front.
-    seed : int
-        Seed that the races of the pair were drawn with.
-    lead : float
-        Progress of the ego minus that of the opponent at the end, m.
-    winner : str
-        ``"ego"``, ``"opponent"``, or ``"none"`` for a tie and for a crash that pays neither.
-    crash : str
-        ``"none"``, ``"wall"`` or ``"car"``.
-    fault : str
-        Who is to blame for the crash: ``"none"``, ``"ego"``, ``"opponent"`` or ``"both"``.
-    ego_overtakes, opponent_overtakes : int
-        How often each passed the other.
-    duration : float
-        Length of the race, s; shorter than the rules say after a crash; NaN where it is not known.
-    ego_variant, opponent_variant : int
-        The policy that it started with, or which of a driver's policies it was.
-    ego_path, opponent_path : tuple of int
-        Policies of the archive that it drove, step by step, until the end or a crash; empty for a driver.
-    ego_moves, opponent_moves : tuple of str
-        Moves that it made; empty for a driver.
-    """
-
-    preset: str = ""
-    ego: str = ""
+    preset: str = ""  #: Name of the rules.
+    ego: str = ""  #: ``ego``, ``opponent``: Names of the competitors in car 0 and car 1.
     opponent: str = ""
     track: str = ""
+    #: Number of the race within its pair: the same number is the same start line, side and noise for every pair.
     race: int = 0
-    start_s: float = 0.0
-    side: int = 0
-    seed: int = 0
-    lead: float = 0.0
-    winner: str = "none"
-    crash: str = "none"
-    fault: str = "none"
-    ego_overtakes: int = 0
+    start_s: float = 0.0  #: Arc length of the start line, m.
+    side: int = 0  #: 0 when the ego started on the left or in front.
+    seed: int = 0  #: Seed that the races of the pair were drawn with.
+    lead: float = 0.0  #: Progress of the ego minus that of the opponent at the end, m.
+    winner: str = "none"  #: ``"ego"``, ``"opponent"``, or ``"none"`` for a tie and for a crash that pays neither.
+    crash: str = "none"  #: ``"none"``, ``"wall"`` or ``"car"``.
+    fault: str = "none"  #: Who is to blame for the crash: ``"none"``, ``"ego"``, ``"opponent"`` or ``"both"``.
+    ego_overtakes: int = 0  #: ``ego_overtakes``, ``opponent_overtakes``: How often each passed the other.
     opponent_overtakes: int = 0
+    #: Length of the race, s; shorter than the rules say after a crash; NaN where it is not known.
     duration: float = np.nan
+    #: ``ego_variant``, ``opponent_variant``: The policy that it started with, or which of a driver's policies it was.
     ego_variant: int = 0
     opponent_variant: int = 0
+    #: ``ego_path``, ``opponent_path``: Policies of the archive that it drove, step by step, until the end or a crash;
+    #: empty for a driver.
     ego_path: tuple[int, ...] = ()
     opponent_path: tuple[int, ...] = ()
-    ego_moves: tuple[str, ...] = ()
+    ego_moves: tuple[str, ...] = ()  #: ``ego_moves``, ``opponent_moves``: Moves that it made; empty for a driver.
     opponent_moves: tuple[str, ...] = ()
 
 
 class Categorical(NamedTuple):
-    """A column of words, each of which is kept once.
-
-    Attributes
-    ----------
-    words : tuple of str
-    codes : ndarray of whole numbers
-        Places in ``words``; -1 for no word.
-    """
+    """A column of words, each of which is kept once."""
 
     words: tuple[str, ...]
-    codes: NDArray[Any]
+    codes: NDArray[Any]  #: Places in ``words``; -1 for no word.
 
     @classmethod
     def constant(cls, word: str, count: int) -> "Categorical":
@@ -118,49 +79,28 @@ class Categorical(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RaceTable:
-    """N races; ``table[k]`` is one of them in words.
+    """N races; ``table[k]`` is one of them in words."""
 
-    Attributes
-    ----------
-    preset, track, seed : Categorical, shape (N,)
-        Rules, circuit, and the seed (as text: it may be larger than any column of numbers holds).
-    agents : Categorical, shape (N, 2)
-        Who drove car 0 (the ego) and car 1 (the opponent).
-    race : ndarray of int, shape (N,)
-        Number of the race within its pair.
-    start_s, lead, duration : ndarray, shape (N,)
-        Start line, m; lead of the ego at the end, m; length, s, NaN where it is not known.
-    side : ndarray of int, shape (N,)
-        Of the ego.
-    winner : ndarray of int, shape (N,)
-        Car that won; -1 for a tie and for a crash that pays neither.
-    crash : ndarray of int, shape (N,)
-        Place in :data:`CRASHES`.
-    fault : ndarray of int, shape (N, 2)
-        1 for a car that is to blame for the crash.
-    overtakes, variants : ndarray of int, shape (N, 2)
-    path : ndarray of int, shape (N, 2, m + 1)
-        Policies of the archive in each step; -1 for a driver and after a crash.
-    moves : Categorical, shape (N, 2, m)
-        Moves made; no word for a driver and after a crash.
-    """
-
+    #: shape (N,): ``preset``, ``track``, ``seed``: Rules, circuit, and the seed (as text: it may be larger than any
+    #: column of numbers holds).
     preset: Categorical
-    agents: Categorical
+    agents: Categorical  #: shape (N, 2): Who drove car 0 (the ego) and car 1 (the opponent).
     track: Categorical
-    race: NDArray[Any]
+    race: NDArray[Any]  #: shape (N,): Number of the race within its pair.
+    #: shape (N,): ``start_s``, ``lead``, ``duration``: Start line, m; lead of the ego at the end, m; length, s, NaN
+    #: where it is not known.
     start_s: Floats
-    side: NDArray[Any]
+    side: NDArray[Any]  #: shape (N,): Of the ego.
     seed: Categorical
     lead: Floats
-    winner: NDArray[Any]
-    crash: NDArray[Any]
-    fault: NDArray[Any]
-    overtakes: NDArray[Any]
+    winner: NDArray[Any]  #: shape (N,): Car that won; -1 for a tie and for a crash that pays neither.
+    crash: NDArray[Any]  #: shape (N,): Place in :data:`CRASHES`.
+    fault: NDArray[Any]  #: shape (N, 2): 1 for a car that is to blame for the crash.
+    overtakes: NDArray[Any]  #: shape (N, 2)
     duration: Floats
     variants: NDArray[Any]
-    path: NDArray[Any]
-    moves: Categorical
+    path: NDArray[Any]  #: shape (N, 2, m + 1): Policies of the archive in each step; -1 for a driver and after a crash.
+    moves: Categorical  #: shape (N, 2, m): Moves made; no word for a driver and after a crash.
 
     def __len__(self) -> int:
         return len(self.race)

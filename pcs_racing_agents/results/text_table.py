@@ -3,8 +3,6 @@
 import re
 from collections.abc import Iterable, Sequence
 
-__all__ = ["aligned", "interval_text", "is_number", "markdown", "with_interval"]
-
 
 def is_number(cell: str) -> bool:
     """Whether a cell begins like a number, an interval or a bound."""

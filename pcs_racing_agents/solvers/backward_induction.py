@@ -9,46 +9,25 @@ from pcs_racing_agents.solvers.evaluation import Profile
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 
-__all__ = ["ExactResult", "solve_exact"]
-
 
 class ExactResult(NamedTuple):
-    """The solution of a tree whose players see all past moves.
+    """The solution of a tree whose players see all past moves."""
 
-    Attributes
-    ----------
-    value : float
-        What the game is worth to car 0.
-    profile : Profile
-        An equilibrium, and one in every subtree (subgame perfect). Where there are several it is one of them.
-    node_values : list of ndarray, shape (rows,)
-        What each joint history of levels 0 to m is worth to car 0.
-    q : list of (ndarray, ndarray)
-        What each move is worth to its player against the equilibrium, shapes (rows, A_k) and (rows, B_k).
-    advantages : list of (ndarray, ndarray)
-        The same above the node's value: 0 for the moves of the equilibrium, below 0 for mistakes.
-    gap : float
-        Largest sum of what the players of one matrix game could still gain: rounding errors.
-    """
-
-    value: float
+    value: float  #: What the game is worth to car 0.
+    #: An equilibrium, and one in every subtree (subgame perfect). Where there are several it is one of them.
     profile: Profile
-    node_values: list[Floats]
+    node_values: list[Floats]  #: What each joint history of levels 0 to m is worth to car 0, shape (rows,).
+    #: What each move is worth to its player against the equilibrium, shapes (rows, A_k) and (rows, B_k).
     q: list[tuple[Floats, Floats]]
+    #: The same above the node's value: 0 for the moves of the equilibrium, below 0 for mistakes.
     advantages: list[tuple[Floats, Floats]]
-    gap: float
+    gap: float  #: Largest sum of what the players of one matrix game could still gain: rounding errors.
 
 
 def solve_exact(tree: GameTree) -> ExactResult:
     """Solve a game of observed past moves exactly.
 
     Chance that no player sees is averaged out first; rows are then joint histories.
-
-    Raises
-    ------
-    InputError
-        If the players do not see all past moves; :func:`~pcs_racing_agents.solvers.solve_sequence_form` and
-        :func:`~pcs_racing_agents.solvers.cfr` solve such trees.
     """
     game = tree.averaged
     if not game.perfect:

@@ -13,8 +13,6 @@ from pcs_racing_agents.solvers.cfr_kernels import Layout, State, initial_state, 
 from pcs_racing_agents.solvers.evaluation import Profile
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 
-__all__ = ["VARIANTS", "CFRResult", "Variant", "cfr"]
-
 CHUNK = 200
 """Iterations of one compiled call; Ctrl-C is handled in between."""
 
@@ -27,21 +25,12 @@ class Variant(NamedTuple):
 
     After iteration t cumulative regrets are multiplied with t^e / (t^e + 1), where e is ``alpha`` if they are positive
     and ``beta`` if not; the strategies of iteration t count t^gamma in the average.
-
-    Attributes
-    ----------
-    alternating : bool
-        Whether the second player already answers the first one's new strategy.
-    alpha, beta : float
-        Infinity keeps regrets as they are, minus infinity removes them.
-    gamma : float
-        At least 0.
     """
 
-    alternating: bool
-    alpha: float
+    alternating: bool  #: Whether the second player already answers the first one's new strategy.
+    alpha: float  #: ``alpha``, ``beta``: Infinity keeps regrets as they are, minus infinity removes them.
     beta: float
-    gamma: float
+    gamma: float  #: At least 0.
 
 
 VARIANTS = {
@@ -58,33 +47,19 @@ VARIANTS = {
 
 @dataclass(frozen=True, eq=False)
 class CFRResult:
-    """Average strategies and regrets after some iterations of CFR; lists hold a pair for each level: car 0, car 1.
+    """Average strategies and regrets after some iterations of CFR; lists hold a pair for each level: car 0, car 1."""
 
-    Attributes
-    ----------
-    average : Profile
-        The average strategies, which approach an equilibrium.
-    current : Profile
-        The strategies of the next iteration.
-    regrets : list of (ndarray, ndarray)
-        Cumulative counterfactual regrets, shapes (rows, A_k) and (rows, B_k), in units of the payoffs: each iteration
-        counts as often as chance and the other player led to the infoset in it.
-    opponent_reach : list of (ndarray, ndarray)
-        That probability summed over the iterations, shape (rows,) each; regrets divided by it are per visit. It is
-        discounted like positive regrets.
-    strategy_sums : list of (ndarray, ndarray)
-        Numerators of ``average``: strategies summed with the weights of the player's own reach.
-    iterations : int
-        Of all runs together.
-    variant : Variant
-    """
-
-    average: Profile
-    current: Profile
+    average: Profile  #: The average strategies, which approach an equilibrium.
+    current: Profile  #: The strategies of the next iteration.
+    #: Cumulative counterfactual regrets, shapes (rows, A_k) and (rows, B_k), in units of the payoffs: each iteration
+    #: counts as often as chance and the other player led to the infoset in it.
     regrets: list[tuple[Floats, Floats]]
+    #: That probability summed over the iterations, shape (rows,) each; regrets divided by it are per visit. It is
+    #: discounted like positive regrets.
     opponent_reach: list[tuple[Floats, Floats]]
+    #: Numerators of ``average``: strategies summed with the weights of the player's own reach.
     strategy_sums: list[tuple[Floats, Floats]]
-    iterations: int
+    iterations: int  #: Of all runs together.
     variant: Variant
 
 
@@ -95,20 +70,12 @@ def cfr(
 
     Parameters
     ----------
-    tree : GameTree
     iterations : int
         1 to 10 million.
     variant : str or Variant
         One of :data:`VARIANTS`, or your own.
     resume : CFRResult, optional
         Go on from here; ``iterations`` come on top. The result is that of one long run, to the bit.
-
-    Raises
-    ------
-    InputError
-        If a number is out of range, or ``resume`` comes from another variant or a tree of other infosets.
-    UnknownNameError
-        If there is no such variant.
     """
     rules = _variant(variant)
     check_whole("iterations", iterations, 1, MOST_ITERATIONS)

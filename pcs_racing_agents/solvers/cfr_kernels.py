@@ -12,74 +12,40 @@ import numpy as np
 from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree, Integers
 
-__all__ = ["Layout", "State", "initial_state", "iterate", "node_order", "tree_layout"]
-
 BLOCK = 256
 """Nodes worked on at a time: what is summed up for them stays in the fastest cache."""
 
 
 class Layout(NamedTuple):
-    """A tree as arrays for the kernels; the first axis of an array is the player, where it says (2, m).
+    """A tree as arrays for the kernels; the first axis of an array is the player, where it says (2, m)."""
 
-    Attributes
-    ----------
-    moves, rows : ndarray, shape (2, m)
-        Moves and infosets of each level.
-    nodes : ndarray, shape (m,)
-        Nodes of each level.
-    node_at : ndarray, shape (m + 1,)
-        Where a level begins in an array with a number per node.
-    sigma_at, regret_at : ndarray, shape (2, m)
-        Where a level begins in arrays with a number per node and move, or per infoset and move.
-    label_at, row_at : ndarray, shape (2, m)
-        Where a level begins in ``labels`` and in ``first`` (and in all arrays with a number per infoset).
-    labels : ndarray
-        Row of every node.
-    first : ndarray
-        One node of every row.
-    single : ndarray of bool, shape (2, m)
-        Whether rows are nodes.
-    chance : ndarray, shape (nodes of all levels,)
-        Probability of the root above each node.
-    """
-
-    moves: Integers
+    moves: Integers  #: shape (2, m): ``moves``, ``rows``: Moves and infosets of each level.
     rows: Integers
-    nodes: Integers
-    node_at: Integers
+    nodes: Integers  #: shape (m,): Nodes of each level.
+    node_at: Integers  #: shape (m + 1,): Where a level begins in an array with a number per node.
+    #: shape (2, m): ``sigma_at``, ``regret_at``: Where a level begins in arrays with a number per node and move, or per
+    #: infoset and move.
     sigma_at: Integers
     regret_at: Integers
+    #: shape (2, m): ``label_at``, ``row_at``: Where a level begins in ``labels`` and in ``first`` (and in all arrays
+    #: with a number per infoset).
     label_at: Integers
     row_at: Integers
-    labels: Integers
-    first: Integers
-    single: "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"
-    chance: Floats
+    labels: Integers  #: Row of every node.
+    first: Integers  #: One node of every row.
+    single: "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"  #: shape (2, m): Whether rows are nodes.
+    chance: Floats  #: shape (nodes of all levels,): Probability of the root above each node.
 
 
 class State(NamedTuple):
-    """The arrays that the iterations change.
+    """The arrays that the iterations change."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (nodes of all levels and leaves,)
-        What a node pays to car 0 under the current strategies.
-    sigma : ndarray
-        Current strategies per node and move.
-    reach : ndarray, shape (2, nodes of all levels)
-        Probability with which each player's own moves lead to a node.
-    regrets, sums : ndarray
-        Cumulative regrets and summed strategies, per infoset and move.
-    opponent_reach : ndarray
-        Summed probability with which chance and the other player lead to an infoset.
-    """
-
-    values: Floats
-    sigma: Floats
-    reach: Floats
-    regrets: Floats
+    values: Floats  #: shape (nodes of all levels and leaves,): What a node pays to car 0 under the current strategies.
+    sigma: Floats  #: Current strategies per node and move.
+    reach: Floats  #: shape (2, nodes of all levels): Probability with which each player's own moves lead to a node.
+    regrets: Floats  #: ``regrets``, ``sums``: Cumulative regrets and summed strategies, per infoset and move.
     sums: Floats
-    opponent_reach: Floats
+    opponent_reach: Floats  #: Summed probability with which chance and the other player lead to an infoset.
 
 
 def node_order(tree: GameTree, level: int) -> Integers:
@@ -144,28 +110,28 @@ def iterate(layout, state, begin, end, alternating, alpha, beta, gamma):  # type
     work = np.empty((widest + 1) * BLOCK)
     table = np.empty(max(1, (layout.moves * layout.rows).max()))
     for player in range(2):
-        match_regrets(layout, state, player, work, table)
-        push_reach(layout, state, player)
+        _match_regrets(layout, state, player, work, table)
+        _push_reach(layout, state, player)
     for t in range(begin, end):
-        keep_gains = discount_factor(t, alpha)
-        keep_losses = discount_factor(t, beta)
+        keep_gains = _discount_factor(t, alpha)
+        keep_losses = _discount_factor(t, beta)
         weight = float(t) ** gamma
         for player in range(2):
-            add_regrets(layout, state, player, work)
-            add_strategy(layout, state, player, weight)
+            _add_regrets(layout, state, player, work)
+            _add_strategy(layout, state, player, weight)
             if alternating:
-                discount(layout, state, player, keep_gains, keep_losses)
-                match_regrets(layout, state, player, work, table)
-                push_reach(layout, state, player)
+                _discount(layout, state, player, keep_gains, keep_losses)
+                _match_regrets(layout, state, player, work, table)
+                _push_reach(layout, state, player)
         if not alternating:
             for player in range(2):
-                discount(layout, state, player, keep_gains, keep_losses)
-                match_regrets(layout, state, player, work, table)
-                push_reach(layout, state, player)
+                _discount(layout, state, player, keep_gains, keep_losses)
+                _match_regrets(layout, state, player, work, table)
+                _push_reach(layout, state, player)
 
 
 @kernel
-def discount_factor(t, exponent):  # type: ignore[no-untyped-def]
+def _discount_factor(t, exponent):  # type: ignore[no-untyped-def]
     """t^e / (t^e + 1): 1 for an infinite exponent, 0 for minus infinity."""
     if exponent == np.inf:
         return 1.0
@@ -176,7 +142,7 @@ def discount_factor(t, exponent):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def match_regrets(layout, state, player, work, table):  # type: ignore[no-untyped-def]
+def _match_regrets(layout, state, player, work, table):  # type: ignore[no-untyped-def]
     """Strategies in proportion to positive regrets, evenly where there are none; then a copy for every node."""
     for k in range(layout.nodes.size):
         moves, rows, nodes = layout.moves[player, k], layout.rows[player, k], layout.nodes[k]
@@ -208,7 +174,7 @@ def match_regrets(layout, state, player, work, table):  # type: ignore[no-untype
 
 
 @kernel
-def push_reach(layout, state, player):  # type: ignore[no-untyped-def]
+def _push_reach(layout, state, player):  # type: ignore[no-untyped-def]
     """Probability of a player's own moves, from the root down."""
     for k in range(layout.nodes.size - 1):
         nodes, first, second = layout.nodes[k], layout.moves[0, k], layout.moves[1, k]
@@ -225,7 +191,7 @@ def push_reach(layout, state, player):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
+def _add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
     """Values of all nodes, from the last level up, and what each move of a player would have gained there."""
     other = 1 - player
     sign = 1.0 if player == 0 else -1.0
@@ -283,7 +249,7 @@ def add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def add_strategy(layout, state, player, weight):  # type: ignore[no-untyped-def]
+def _add_strategy(layout, state, player, weight):  # type: ignore[no-untyped-def]
     """Sum up the current strategies, each weighted with the probability of the player's own moves."""
     for k in range(layout.nodes.size):
         moves, rows, nodes = layout.moves[player, k], layout.rows[player, k], layout.nodes[k]
@@ -305,7 +271,7 @@ def add_strategy(layout, state, player, weight):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def discount(layout, state, player, keep_gains, keep_losses):  # type: ignore[no-untyped-def]
+def _discount(layout, state, player, keep_gains, keep_losses):  # type: ignore[no-untyped-def]
     """Shrink positive and negative cumulative regrets."""
     if keep_gains == 1.0 and keep_losses == 1.0:
         return

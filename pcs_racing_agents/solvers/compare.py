@@ -12,8 +12,6 @@ from pcs_racing_agents.solvers.cfr import VARIANTS, cfr
 from pcs_racing_agents.solvers.evaluation import Profile, exploitability, reach_probabilities
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 
-__all__ = ["METHODS", "MethodRow", "agreement", "compare_methods", "regret_argmax"]
-
 METHODS = ("exact", *VARIANTS, "argmax-regret")
 """``exact`` is backward induction; then the average strategies of the variants of CFR; ``argmax-regret`` is the
 decision rule of the paper: always the move of largest cumulative regret (of ``vanilla``)."""
@@ -23,27 +21,16 @@ INDIFFERENT = 1e-9
 
 
 class MethodRow(NamedTuple):
-    """The scores of one method on one tree.
-
-    Attributes
-    ----------
-    method : str
-    value : float
-        What its profile pays to car 0.
-    exploitability : float
-        Half of what both players could gain by best responses.
-    agreement, on_path : float
-        See :func:`agreement`; the second weights histories with how often the exact solution leads to them.
-    seconds : float
-        What it took.
-    """
+    """The scores of one method on one tree."""
 
     method: str
-    value: float
-    exploitability: float
+    value: float  #: What its profile pays to car 0.
+    exploitability: float  #: Half of what both players could gain by best responses.
+    #: ``agreement``, ``on_path``: See :func:`agreement`; the second weights histories with how often the exact solution
+    #: leads to them.
     agreement: float
     on_path: float
-    seconds: float
+    seconds: float  #: What it took.
 
 
 def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str] = METHODS) -> list[MethodRow]:
@@ -53,17 +40,8 @@ def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str
     ----------
     tree : GameTree
         Players see all past moves.
-    iterations : int
-        Iterations of CFR.
     methods : sequence of str
         Out of :data:`METHODS`.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such method.
-    InputError
-        If the players do not see all past moves, or the number of iterations is out of its range.
     """
     for method in methods:
         if method not in METHODS:
@@ -88,10 +66,6 @@ def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: 
 
     Parameters
     ----------
-    tree : GameTree
-    exact : ExactResult
-        Its solution.
-    profile : Profile
     on_path : bool
         Whether joint histories count as often as the exact solution leads to them; by default all count equally.
     """

@@ -11,8 +11,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.solvers.game_tree import GameTree
 
-__all__ = ["efg_text", "infoset_name", "write_efg"]
-
 MOST_LEAVES = 2_000_000
 
 
@@ -31,11 +29,6 @@ def write_efg(
         See :func:`efg_text`.
     path : path
         Its name must end in ``.efg``.
-
-    Raises
-    ------
-    InputError
-        If the path can't be written or :func:`efg_text` refuses the tree.
     """
     target = Path(path)
     if target.suffix != ".efg":
@@ -58,16 +51,8 @@ def efg_text(
 
     Parameters
     ----------
-    tree : GameTree
-    title : str
-        Name of the game.
     move_names : sequence of (sequence of str, sequence of str), optional
         Names of the moves of each car at each level; ``0``, ``1``, ... by default.
-
-    Raises
-    ------
-    InputError
-        If the tree has over 2 million leaves, the names do not fit it, or a text holds a quote or line break.
     """
     tree = tree.averaged
     if tree.payoffs.size > MOST_LEAVES:

@@ -11,21 +11,6 @@ from numpy.typing import ArrayLike
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree, Integers
 
-__all__ = [
-    "BestResponse",
-    "Exploitability",
-    "Profile",
-    "advantages",
-    "best_response",
-    "check_profile",
-    "exploitability",
-    "node_values",
-    "play_value",
-    "q_values",
-    "reach_probabilities",
-    "uniform_profile",
-]
-
 Profile = list[tuple[Floats, Floats]]
 """For each level the strategies of car 0, shape (rows, A_k), and car 1, shape (rows, B_k): a distribution per row."""
 
@@ -33,45 +18,22 @@ SUM_TOLERANCE = 1e-5  # networks answer in float32
 
 
 class BestResponse(NamedTuple):
-    """A best response to the other player's strategy of a profile.
+    """A best response to the other player's strategy of a profile."""
 
-    Attributes
-    ----------
-    value : float
-        What it then gets.
-    strategy : list of ndarray, shape (rows, M_k)
-        One pure best response for each level.
-    q : list of ndarray, shape (rows, M_k)
-        What each move is worth to it in expectation, if it goes on with best responses.
-    """
-
-    value: float
-    strategy: list[Floats]
+    value: float  #: What it then gets.
+    strategy: list[Floats]  #: One pure best response for each level, shape (rows, M_k).
+    #: What each move is worth to it in expectation, if it goes on with best responses, shape (rows, M_k).
     q: list[Floats]
 
 
 class Exploitability(NamedTuple):
-    """The exploitability of a profile, by player and in total.
+    """The exploitability of a profile, by player and in total."""
 
-    Attributes
-    ----------
-    nash_conv : float
-        Sum of what both players would gain by a best response; 0 in an equilibrium.
-    exploitability : float
-        Half of that.
-    gains : ndarray, shape (2,)
-        What each player would gain.
-    value : float
-        What the profile pays to car 0.
-    best_responses : ndarray, shape (2,)
-        What each player gets at best against the other's half.
-    """
-
-    nash_conv: float
-    exploitability: float
-    gains: Floats
-    value: float
-    best_responses: Floats
+    nash_conv: float  #: Sum of what both players would gain by a best response; 0 in an equilibrium.
+    exploitability: float  #: Half of that.
+    gains: Floats  #: shape (2,): What each player would gain.
+    value: float  #: What the profile pays to car 0.
+    best_responses: Floats  #: shape (2,): What each player gets at best against the other's half.
 
 
 def uniform_profile(tree: GameTree) -> Profile:
@@ -85,13 +47,7 @@ def uniform_profile(tree: GameTree) -> Profile:
 
 
 def check_profile(tree: GameTree, profile: list[tuple[ArrayLike, ArrayLike]] | Profile) -> Profile:
-    """Return a profile as float64 whose rows sum up to 1.
-
-    Raises
-    ------
-    InputError
-        If a shape does not fit the tree, or a row is no distribution (its sum may be off by 1e-5).
-    """
+    """Return a profile as float64 whose rows sum up to 1."""
     if len(profile) != tree.depth or any(len(pair) != 2 for pair in profile):
         raise InputError(f"a profile of this tree has {tree.depth} pairs of strategies, one for each level")
     checked = []
@@ -186,15 +142,9 @@ def best_response(tree: GameTree, profile: Profile, player: int) -> BestResponse
 
     Parameters
     ----------
-    tree : GameTree
     profile : Profile
         Its strategies of ``player`` play no role.
     player : {0, 1}
-
-    Raises
-    ------
-    InputError
-        If there is no such player, or the profile does not fit the tree.
     """
     if player not in (0, 1):
         raise InputError(f"player is {player!r}; it must be 0 or 1")

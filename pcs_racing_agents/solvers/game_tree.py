@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["Floats", "GameTree", "Integers"]
-
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
@@ -30,23 +28,13 @@ class GameTree:
     Level ``k`` (0 to m - 1) has ``roots * N_k`` nodes, one for each outcome of chance and each joint history; child
     ``(a, b)`` of node ``j`` is node ``(j * A_k + a) * B_k + b`` of the next level. A player can not distinguish the
     nodes of one *information set* (infoset), so its strategy is an array with a row per infoset.
-
-    Attributes
-    ----------
-    payoffs : ndarray, shape (roots, leaves)
-        What each leaf pays to car 0; car 1 gets minus that. Read-only.
-    moves : tuple of (int, int)
-        ``(A_k, B_k)``: how many moves car 0 and car 1 have at each level.
-    chance : ndarray, shape (roots,)
-        Probability of each root.
-    infosets : tuple of (ndarray, ndarray)
-        For each level and player the row of every node, shape (roots * N_k,). Infosets are numbered in the order in
-        which their first nodes come.
     """
 
-    payoffs: Floats
-    moves: tuple[tuple[int, int], ...]
-    chance: Floats
+    payoffs: Floats  #: shape (roots, leaves): What each leaf pays to car 0; car 1 gets minus that. Read-only.
+    moves: tuple[tuple[int, int], ...]  #: ``(A_k, B_k)``: how many moves car 0 and car 1 have at each level.
+    chance: Floats  #: shape (roots,): Probability of each root.
+    #: For each level and player the row of every node, shape (roots * N_k,). Infosets are numbered in the order in
+    #: which their first nodes come.
     infosets: tuple[tuple[Integers, Integers], ...]
 
     @classmethod
@@ -61,11 +49,6 @@ class GameTree:
         chance : array, shape (S,), optional
             Probabilities of outcomes (seeds of the noise, say) that no player sees; they are at least 0 and sum up to
             1. See :meth:`with_infosets` for outcomes that a player sees.
-
-        Raises
-        ------
-        InputError
-            If a payoff is not finite (or beyond 1e100), a shape does not fit, or probabilities do not sum up to 1.
         """
         table = _real(payoffs, "payoffs")
         if chance is None:
@@ -98,12 +81,6 @@ class GameTree:
         labels : sequence of (array, array)
             For each level, the label of every node for car 0 and for car 1, whole numbers of shape (roots * N_k,) or
             (roots, N_k).
-
-        Raises
-        ------
-        InputError
-            If a shape is wrong, or a player forgets its own past: nodes of one infoset must come from one infoset by
-            one own move (perfect recall).
         """
         self._check_levels(labels, "labels")
         infosets: list[tuple[Integers, Integers]] = []
@@ -130,11 +107,6 @@ class GameTree:
         observations : sequence of (array, array)
             For each level, what car 0 and car 1 see at every node: shape (roots * N_k,) or (roots * N_k, d). Nodes
             whose numbers are all equal look the same: round measured numbers to the precision of the player's sensors.
-
-        Raises
-        ------
-        InputError
-            If a shape is wrong or a number is not finite.
         """
         self._check_levels(observations, "observations")
         infosets: list[tuple[Integers, Integers]] = []

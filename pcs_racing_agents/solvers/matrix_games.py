@@ -21,8 +21,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.game_tree import Floats
 from pcs_racing_agents.solvers.rational_games import solve_rationally
 
-__all__ = ["MatrixSolution", "solve_matrix_games"]
-
 TOLERANCE = 1e-14
 """The reduced cost of a move must exceed this, in units of the payoffs' range, for the simplex method to go on."""
 
@@ -34,22 +32,14 @@ GOOD_GAP = 1e-12
 
 
 class MatrixSolution(NamedTuple):
-    """Equilibria of B matrix games.
+    """Equilibria of B matrix games."""
 
-    Attributes
-    ----------
-    values : ndarray, shape (B,)
-        What the row player gets.
-    rows, columns : ndarray, shapes (B, A) and (B, C)
-        Strategies of the row player, who maximises, and of the column player, who minimises.
-    gaps : ndarray, shape (B,)
-        What the two players could gain by best replies, added up: rounding errors.
-    """
-
-    values: Floats
+    values: Floats  #: shape (B,): What the row player gets.
+    #: shapes (B, A) and (B, C): ``rows``, ``columns``: Strategies of the row player, who maximises, and of the column
+    #: player, who minimises.
     rows: Floats
     columns: Floats
-    gaps: Floats
+    gaps: Floats  #: shape (B,): What the two players could gain by best replies, added up: rounding errors.
 
 
 def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
@@ -61,11 +51,6 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     ----------
     payoffs : array, shape (B, A, C) or (A, C)
         What the row player gets, who has A moves against C; the column player gets minus that.
-
-    Raises
-    ------
-    InputError
-        If a payoff is not finite, or the payoffs have another number of axes or an empty one.
     """
     # Writeable, although nothing is written: numba compiles read-only arrays, as a tree's are, as a type of their own.
     games = np.require(payoffs, np.float64, ["C", "W"])
@@ -76,8 +61,8 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     games = games.reshape(-1, *games.shape[-2:])
     count, a, c = games.shape
     solution = MatrixSolution(np.empty(count), np.empty((count, a)), np.empty((count, c)), np.empty(count))
-    with first_call(solve_games, "the solver of matrix games", 5):
-        solve_games(games, *solution)
+    with first_call(_solve_games, "the solver of matrix games", 5):
+        _solve_games(games, *solution)
     span = games.max(axis=(1, 2)) - games.min(axis=(1, 2))
     for g in np.flatnonzero(~(solution.gaps <= GOOD_GAP * span)):
         values, rows, columns = solve_rationally(games[g])
@@ -87,7 +72,7 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
 
 
 @compiled
-def solve_games(games, values, rows, columns, gaps):  # type: ignore[no-untyped-def]
+def _solve_games(games, values, rows, columns, gaps):  # type: ignore[no-untyped-def]
     """Solve games of shape (B, A, C) into arrays like those of :class:`MatrixSolution`."""
     count, a, c = games.shape
     table = np.empty((a + 1, c + 1))
@@ -96,14 +81,14 @@ def solve_games(games, values, rows, columns, gaps):  # type: ignore[no-untyped-
         game, row, column = games[g], rows[g], columns[g]
         low, high = bounds(game)
         gaps[g] = 0.0
-        if not saddle_point(game, row, column):
-            simplex(game, low, high, table, labels, row, column)
-            gaps[g] = abs(duality_gap(game, low, row, column))
-        values[g] = expected(game, low, row, column)
+        if not _saddle_point(game, row, column):
+            _simplex(game, low, high, table, labels, row, column)
+            gaps[g] = abs(_duality_gap(game, low, row, column))
+        values[g] = _expected(game, low, row, column)
 
 
 @kernel
-def saddle_point(game, row, column):  # type: ignore[no-untyped-def]
+def _saddle_point(game, row, column):  # type: ignore[no-untyped-def]
     """Whether there is an equilibrium in pure moves; if so, write the first one into ``row`` and ``column``."""
     a, c = game.shape
     best, best_row = -np.inf, 0
@@ -142,7 +127,7 @@ def bounds(game):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def expected(game, low, row, column):  # type: ignore[no-untyped-def]
+def _expected(game, low, row, column):  # type: ignore[no-untyped-def]
     """Expected payoff to the row player, summed above the smallest payoff: a large common offset costs no digits."""
     total = 0.0
     for i in range(row.size):
@@ -152,7 +137,7 @@ def expected(game, low, row, column):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def duality_gap(game, low, row, column):  # type: ignore[no-untyped-def]
+def _duality_gap(game, low, row, column):  # type: ignore[no-untyped-def]
     """What the best reply to the column player gets, minus what the best reply to the row player leaves."""
     most, least = -np.inf, np.inf
     for i in range(row.size):
@@ -169,7 +154,7 @@ def duality_gap(game, low, row, column):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def simplex(game, low, high, table, labels, row, column):  # type: ignore[no-untyped-def]
+def _simplex(game, low, high, table, labels, row, column):  # type: ignore[no-untyped-def]
     """Solve a game that has no saddle point by the simplex method on a condensed tableau.
 
     ``labels`` holds the variable of each row of the tableau, then that of each column: 0 to C - 1 are the column
@@ -177,16 +162,16 @@ def simplex(game, low, high, table, labels, row, column):  # type: ignore[no-unt
     the smallest label (Bland 1977), which never cycles.
     """
     a, c = game.shape
-    begin(game, low, high, table, labels)
+    _begin(game, low, high, table, labels)
     for step in range(50 * (a + c)):
         bland = step >= 4 * (a + c)
-        enter = entering(table, labels, a, c, bland)
+        enter = _entering(table, labels, a, c, bland)
         if enter < 0:
             break
-        leave = leaving(table, labels, a, c, enter, bland)
+        leave = _leaving(table, labels, a, c, enter, bland)
         if leave < 0:
             break
-        pivot(table, labels, a, c, leave, enter)
+        _pivot(table, labels, a, c, leave, enter)
     for i in range(row.size):
         row[i] = 0.0
     for i in range(column.size):
@@ -197,12 +182,12 @@ def simplex(game, low, high, table, labels, row, column):  # type: ignore[no-unt
     for j in range(c):
         if labels[a + j] >= c:
             row[labels[a + j] - c] = max(table[a, j], 0.0)
-    normalise(row)
-    normalise(column)
+    _normalise(row)
+    _normalise(column)
 
 
 @kernel
-def begin(game, low, high, table, labels):  # type: ignore[no-untyped-def]
+def _begin(game, low, high, table, labels):  # type: ignore[no-untyped-def]
     """Tableau of the basis of slacks, with payoffs scaled into [1, 2]."""
     a, c = game.shape
     scale = 1.0 / (high - low)
@@ -218,7 +203,7 @@ def begin(game, low, high, table, labels):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def entering(table, labels, a, c, bland):  # type: ignore[no-untyped-def]
+def _entering(table, labels, a, c, bland):  # type: ignore[no-untyped-def]
     """Column of the variable to enter, or -1 at the optimum."""
     column = -1
     for j in range(c):
@@ -234,7 +219,7 @@ def entering(table, labels, a, c, bland):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def leaving(table, labels, a, c, enter, bland):  # type: ignore[no-untyped-def]
+def _leaving(table, labels, a, c, enter, bland):  # type: ignore[no-untyped-def]
     """Row of the variable that reaches 0 first; among equals the largest pivot, or by Bland the smallest label."""
     row, best = -1, np.inf
     for i in range(a):
@@ -254,7 +239,7 @@ def leaving(table, labels, a, c, enter, bland):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def pivot(table, labels, a, c, leave, enter):  # type: ignore[no-untyped-def]
+def _pivot(table, labels, a, c, leave, enter):  # type: ignore[no-untyped-def]
     """Exchange a row's variable for a column's."""
     inverse = 1.0 / table[leave, enter]
     for j in range(c + 1):
@@ -273,7 +258,7 @@ def pivot(table, labels, a, c, leave, enter):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def normalise(weights):  # type: ignore[no-untyped-def]
+def _normalise(weights):  # type: ignore[no-untyped-def]
     """Divide weights by their sum."""
     total = 0.0
     for i in range(weights.size):

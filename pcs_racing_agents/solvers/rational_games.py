@@ -11,8 +11,6 @@ import numpy as np
 
 from pcs_racing_agents.solvers.game_tree import Floats
 
-__all__ = ["solve_rationally"]
-
 
 def solve_rationally(game: Floats) -> tuple[float, Floats, Floats]:
     """Solve a matrix game exactly; only the answer is rounded.

@@ -8,42 +8,21 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.evaluation import Profile
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree, Integers
 
-__all__ = ["SequenceSolution", "solve_sequence_form"]
-
 
 class SequenceSolution(NamedTuple):
-    """An equilibrium of a tree.
+    """An equilibrium of a tree."""
 
-    Attributes
-    ----------
-    value : float
-        What the game is worth to car 0.
-    profile : Profile
-        An equilibrium; infosets that a player's own moves never lead to get the even distribution.
-    """
-
-    value: float
-    profile: Profile
+    value: float  #: What the game is worth to car 0.
+    profile: Profile  #: An equilibrium; infosets that a player's own moves never lead to get the even distribution.
 
 
 class _Sequences(NamedTuple):
-    """A player's sequences (an infoset and a move there; number 0 is the empty one) and the plans over them.
+    """A player's sequences (an infoset and a move there; number 0 is the empty one) and the plans over them."""
 
-    Attributes
-    ----------
-    begin : list of int
-        Number of the first sequence of each level.
-    parents : list of ndarray, shape (rows,)
-        The sequence that leads to each infoset.
-    size : int
-    leaves : ndarray, shape (roots * leaves,)
-        The sequence that leads to each leaf.
-    """
-
-    begin: list[int]
-    parents: list[Integers]
+    begin: list[int]  #: Number of the first sequence of each level.
+    parents: list[Integers]  #: shape (rows,): The sequence that leads to each infoset.
     size: int
-    leaves: Integers
+    leaves: Integers  #: shape (roots * leaves,): The sequence that leads to each leaf.
 
 
 def solve_sequence_form(tree: GameTree) -> SequenceSolution:
@@ -52,11 +31,6 @@ def solve_sequence_form(tree: GameTree) -> SequenceSolution:
     The size of the program grows with the infosets, not with plans for all of them. Exact to about 1e-9 of the largest
     payoff: :func:`~pcs_racing_agents.solvers.exploitability` tells. Slow on large trees; where all past moves are seen,
     :func:`~pcs_racing_agents.solvers.solve_exact` is a thousand times faster.
-
-    Raises
-    ------
-    InputError
-        If the program can't be solved.
     """
     from scipy.sparse import coo_array
 

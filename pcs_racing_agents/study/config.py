@@ -14,11 +14,9 @@ from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings
-from pcs_racing_agents.learning.self_play.settings import load_self_play_settings
+from pcs_racing_agents.learning.self_play.learner import load_self_play_settings
 from pcs_racing_agents.networks.targets import get_target
 from pcs_racing_agents.synthesis.config import load_archive_config
-
-__all__ = ["BEST_BLIND", "StudyConfig", "load_study_config"]
 
 BEST_BLIND = ("best-fixed", "best-schedule", "best-lead-plan")
 """Blind agents, fitted on training races: the best fixed policy, the best open-loop sequence, the best lead plan."""
@@ -193,13 +191,5 @@ class StudyConfig(Settings):
 
 
 def load_study_config(source: str | Path | StudyConfig | None = None, **changes: Any) -> StudyConfig:
-    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value impossible.
-    UnknownNameError
-        If a name is unknown.
-    """
+    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed."""
     return load_config("study", StudyConfig(), source, **changes)

@@ -1,52 +1,82 @@
-"""The adaptivity gain by family of opponents, pooled over opponents and circuits."""
+"""The adaptivity gain by family of opponents, pooled over opponents and circuits.
+
+An agent that learned against one kind of opponent may lose to another that it never met. So opponents are sorted into
+families, and a family is either for training or for testing: never both.
+"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.agents.families import FAMILIES, OpponentFamily, family_of
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.results.text_table import interval_text
 from pcs_racing_agents.study.table import matched_scores
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
-__all__ = ["FAMILY_HEAD", "FamilyGain", "family_gains", "family_rows", "write_family_gains"]
+TRAINING, TEST = "training", "test"
+
+
+@dataclass(frozen=True)
+class OpponentFamily:
+    """Opponents that drive alike."""
+
+    name: str
+    use: str  #: "training" or "test"
+    members: tuple[str, ...]  #: Names in the zoo.
+    what: str  #: What they have in common.
+
+
+FAMILIES = (
+    OpponentFamily("archive", TRAINING, ("never-switch",), "policies of the game's archive, kept for the whole race"),
+    OpponentFamily("random moves", TRAINING, ("random-moves",), "policies of the archive, changed at random"),
+    OpponentFamily("gap follower", TRAINING, ("gap-follower",), "follows the largest gap in its lidar scan"),
+    OpponentFamily(
+        "other lattice",
+        TEST,
+        ("random-policy",),
+        "policies of the lattice planner that are not in the archive",
+    ),
+    OpponentFamily("lane switcher", TEST, ("lane-switcher",), "race line or overtaking lane"),
+    OpponentFamily("pure pursuit", TEST, ("pure-pursuit",), "follows the race line and never overtakes"),
+    OpponentFamily("trained driver", TEST, ("ppo-drive",), "a network that steers"),
+    OpponentFamily(
+        "switching agents",
+        TEST,
+        ("best-schedule", "best-lead-plan", "cfr-argmax", "response", "robust", "psro", "self-play", "ppo"),
+        "agents that choose their moves",
+    ),
+)
+"""All families; each opponent belongs to one."""
+
+
+def family_of(opponent: str) -> OpponentFamily | None:
+    """Return the family of an opponent by name, options left out; None if it belongs to none."""
+    name = opponent.partition(":")[0]
+    return next((family for family in FAMILIES if name in family.members), None)
+
 
 FAMILY_HEAD = ("family", "used for", "opponents", "circuits", "races", "gain", "95 % interval")
 COLUMNS = ("family", "use", "opponents", "tracks", "races", "gain", "low", "high", "se", "df")
 
 
 class FamilyGain(NamedTuple):
-    """The gain of one agent over another against a family.
-
-    Attributes
-    ----------
-    family : OpponentFamily
-    opponents, tracks : tuple of str
-        Those of the table.
-    gain : Estimate
-        Mean difference of score over all races; every race counts the same.
-    """
+    """The gain of one agent over another against a family."""
 
     family: OpponentFamily
-    opponents: tuple[str, ...]
+    opponents: tuple[str, ...]  #: ``opponents``, ``tracks``: Those of the table.
     tracks: tuple[str, ...]
-    gain: Estimate
+    gain: Estimate  #: Mean difference of score over all races; every race counts the same.
 
 
 def family_gains(races: RaceTable, best: str, blind: str) -> list[FamilyGain]:
     """Return the gain of an agent over a blind one, a line for each family, in the order of the families.
 
     Races that share the ego's start policy, the opponent's variant or the start line form clusters.
-
-    Raises
-    ------
-    InputError
-        If the two did not drive the same races.
     """
     pairs = {(track, opponent, ego): numbers for (track, ego, opponent, _), numbers in races.pairs.items()}
     cells = list(dict.fromkeys((track, opponent) for track, opponent, ego in pairs if ego == best))

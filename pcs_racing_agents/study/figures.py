@@ -4,30 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.pictures.curves import curves_picture
-from pcs_racing_agents.pictures.style import (
-    COLOURS,
-    INK,
-    SOFT,
-    new_figure,
-    picture,
-    place_labels,
-    short,
-    tidy,
-)
+from pcs_racing_agents.pictures.style import COLOURS, INK, SOFT, new_figure, picture, place_labels, short, tidy
 from pcs_racing_agents.study.report_inputs import ScoreAndLoss
 from pcs_racing_agents.study.table import StudyTable, TableRow
-from pcs_racing_agents.tournament.pictures import payoffs_picture, ratings_picture
-
-__all__ = [
-    "adaptivity_picture",
-    "curves_picture",
-    "differences_picture",
-    "exploitability_picture",
-    "payoffs_picture",
-    "ratings_picture",
-    "scores_picture",
-]
 
 PAPER = "#c22443"
 
@@ -77,13 +56,7 @@ def differences_picture(table: StudyTable) -> Any:
 
 @picture
 def adaptivity_picture(table: StudyTable) -> Any:
-    """Draw the adaptivity gain of each row: the best agent minus the best one without observations.
-
-    Raises
-    ------
-    InputError
-        If the table has no such differences.
-    """
+    """Draw the adaptivity gain of each row: the best agent minus the best one without observations."""
     rows = [(row, row.gain) for row in table.rows if row.gain is not None]
     if not rows:
         raise InputError("the table has no adaptivity gains; name the best and the blind arm")
@@ -117,13 +90,7 @@ def adaptivity_picture(table: StudyTable) -> Any:
 
 @picture
 def exploitability_picture(points: Sequence[ScoreAndLoss]) -> Any:
-    """Draw the agents' scores over their losses to best replies.
-
-    Raises
-    ------
-    InputError
-        If there is no agent.
-    """
+    """Draw the agents' scores over their losses to best replies."""
     if not points:
         raise InputError("there is no agent whose score and loss to a best reply are known")
     figure = new_figure(7.2, 4.4)

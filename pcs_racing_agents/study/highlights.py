@@ -12,42 +12,24 @@ from pcs_racing_agents.explain.words import story
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.pairings import Pairing
 
-__all__ = ["KINDS", "ExplainedRace", "Highlight", "select_highlights", "watch_race"]
-
 KINDS = ("win", "loss", "crash")
 
 
 class ExplainedRace(NamedTuple):
-    """A race with explanation and replay for a report.
-
-    Attributes
-    ----------
-    title : str
-    text : str
-        The explanation; may be empty.
-    replay : Replay
-    picture : bytes
-        The moves, as :func:`pcs_racing_agents.explain.pictures.explanation_picture` draws them, SVG; may be empty.
-    """
+    """A race with explanation and replay for a report."""
 
     title: str
-    text: str
+    text: str  #: The explanation; may be empty.
     replay: Replay
+    #: The moves, as :func:`pcs_racing_agents.explain.pictures.explanation_picture` draws them, SVG; may be empty.
     picture: bytes = b""
 
 
 class Highlight(NamedTuple):
-    """An example race of an agent.
-
-    Attributes
-    ----------
-    title : str
-    race : int
-        Its number in the pairing.
-    """
+    """An example race of an agent."""
 
     title: str
-    race: int
+    race: int  #: Its number in the pairing.
 
 
 def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highlight]:
@@ -98,9 +80,6 @@ def watch_race(pairing: Pairing, race: int, title: str, *, candidates: bool = Fa
     ----------
     pairing : Pairing
         Its ego makes moves.
-    race : int
-        Number of the race in it.
-    title : str
     candidates : bool
         Whether to keep the candidate paths of the planners: about a megabyte.
     """

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents.fits import save_fit
-from pcs_racing_agents.jobs.jobs import Progress, open_job, run_groups
+from pcs_racing_agents.jobs.jobs import open_job, run_groups
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
 from pcs_racing_agents.networks.network_files import load_network, save_network
@@ -25,15 +26,6 @@ from pcs_racing_agents.trees.tree import RaceTree
 if TYPE_CHECKING:
     from pcs_racing_agents.networks.from_trees import TrainedOnTrees
 
-__all__ = [
-    "choose_blind",
-    "learn_responses",
-    "make_the_archive",
-    "play_trees",
-    "stored_trees",
-    "train_networks",
-    "train_ppo_baseline",
-]
 
 # Added to the study's seed: other start policies and other noise than in the races of the tables. Which start places
 # training and tables may draw from is decided in pcs_racing.race.races.start_lines.
@@ -112,26 +104,13 @@ def train_networks(study: Study) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Training:
-    """A function that trains a network on a study's trees, here or in another process.
+    """A function that trains a network on a study's trees, here or in another process."""
 
-    Attributes
-    ----------
-    trees : sequence of sequence of RaceTree
-        Of each circuit.
-    pairs : ndarray, shape (trees, 2)
-        Their starting policies.
-    identity : GameIdentity
-    about : dict
-        Facts about the training for the networks' manifests.
-    progress : callable, optional
-        Makes a progress function for epochs.
-    """
-
-    trees: Sequence[Sequence[RaceTree]]
-    pairs: NDArray[np.int64]
+    trees: Sequence[Sequence[RaceTree]]  #: Of each circuit.
+    pairs: NDArray[np.int64]  #: shape (trees, 2): Their starting policies.
     identity: GameIdentity
-    about: dict[str, str | int | float | bool]
-    progress: Callable[[str], Progress | None] | None
+    about: dict[str, str | int | float | bool]  #: Facts about the training for the networks' manifests.
+    progress: Callable[[str], Progress | None] | None  #: Makes a progress function for epochs.
 
     def __call__(self, settings: TrainSettings) -> "TrainedOnTrees":
         from pcs_racing_agents.networks.from_trees import train_on_trees

@@ -13,21 +13,12 @@ from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.play import plan_tournament, play_plan, tournament_settings
 from pcs_racing_agents.tournament.runner import play_pairings
 
-__all__ = ["StudyRaces", "race_for_ratings", "race_tables", "table_races"]
-
 TABLE_SEED = 0
 RATING_SEED = 5_000_000
 
 
 class StudyRaces(NamedTuple):
-    """Races of an agent against one kind of opponent on a circuit, for one of the study's tables.
-
-    Attributes
-    ----------
-    table : str
-    pairing : Pairing
-    races : RaceTable
-    """
+    """Races of an agent against one kind of opponent on a circuit, for one of the study's tables."""
 
     table: str
     pairing: Pairing

@@ -23,110 +23,53 @@ from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin
 
-__all__ = ["Picture", "ReportContent", "TitledTable", "page_environment", "report_page", "write_page"]
-
 
 class TitledTable(NamedTuple):
-    """A table with a title.
-
-    Attributes
-    ----------
-    title : str
-    head : tuple of str
-    rows : tuple of tuple of str
-        As many cells as the head; numbers are aligned to the right.
-    note : str
-    """
+    """A table with a title."""
 
     title: str
     head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
+    rows: tuple[tuple[str, ...], ...]  #: As many cells as the head; numbers are aligned to the right.
     note: str = ""
 
 
 class Picture(NamedTuple):
-    """A finished picture.
-
-    Attributes
-    ----------
-    title : str
-    caption : str
-    content : bytes
-        SVG or PNG.
-    """
+    """A finished picture."""
 
     title: str
     caption: str
-    content: bytes
+    content: bytes  #: SVG or PNG.
 
 
 @dataclass(frozen=True, eq=False)
 class ReportContent:
-    """Content of a report; everything but the title is optional.
-
-    Attributes
-    ----------
-    title : str
-    about : str
-        Subject of the study, in a few sentences.
-    findings : sequence of str
-        Results, a sentence each.
-    table : StudyTable, optional
-    archive : PolicyArchive, optional
-        Drawn with the moves of one policy, of length ``epsilon``.
-    epsilon : float or tuple of float
-    curves : mapping of str to sequence of Curve
-        Loss by epoch of every network, by its name.
-    reward_curves : mapping of str to sequence of Curve
-        Learning curves of reinforcement learning by step (in millions): a panel for each figure.
-    losses : sequence of ReplyLoss
-        Losses of agents to learned best replies.
-    judged : StudyTable, optional
-        The table whose scores are shown with the losses; by default ``table``.
-    round_robin : RoundRobin, optional
-    situations : sequence of Situations
-        Moves by situation, for each agent.
-    ablations : sequence of TitledTable
-    sheets : sequence of TitledTable
-        Other tables.
-    pictures : sequence of Picture
-        Other pictures.
-    races : sequence of ExplainedRace
-    settings, versions, seeds : mapping
-    seconds : mapping of str to float
-        Time of each stage, s.
-    """
+    """Content of a report; everything but the title is optional."""
 
     title: str
-    about: str = ""
-    findings: Sequence[str] = ()
+    about: str = ""  #: Subject of the study, in a few sentences.
+    findings: Sequence[str] = ()  #: Results, a sentence each.
     table: StudyTable | None = None
-    archive: PolicyArchive | None = None
+    archive: PolicyArchive | None = None  #: Drawn with the moves of one policy, of length ``epsilon``.
     epsilon: float | tuple[float, ...] = 0.5
-    curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)
+    curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)  #: Loss by epoch of every network, by its name.
+    #: Learning curves of reinforcement learning by step (in millions): a panel for each figure.
     reward_curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)
-    losses: Sequence[ReplyLoss] = ()
-    judged: StudyTable | None = None
+    losses: Sequence[ReplyLoss] = ()  #: Losses of agents to learned best replies.
+    judged: StudyTable | None = None  #: The table whose scores are shown with the losses; by default ``table``.
     round_robin: RoundRobin | None = None
-    situations: Sequence[Situations] = ()
+    situations: Sequence[Situations] = ()  #: Moves by situation, for each agent.
     ablations: Sequence[TitledTable] = ()
-    sheets: Sequence[TitledTable] = ()
-    pictures: Sequence[Picture] = ()
+    sheets: Sequence[TitledTable] = ()  #: Other tables.
+    pictures: Sequence[Picture] = ()  #: Other pictures.
     races: Sequence[ExplainedRace] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, Any] = field(default_factory=dict)
     seeds: Mapping[str, Any] = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)  #: Time of each stage, s.
 
 
 def write_page(content: ReportContent, path: str | os.PathLike[str]) -> Path:
-    """Write the report; the file appears whole or not at all. Without matplotlib it has no pictures of its own.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist.
-    """
+    """Write the report; the file appears whole or not at all. Without matplotlib it has no pictures of its own."""
     page = report_page(content)
     write_atomically(Path(path), lambda file: file.write(page.encode("utf-8")))
     return Path(path)
@@ -170,11 +113,13 @@ def report_page(content: ReportContent) -> str:
 def _draw(name: str, *arguments: Any, **options: Any) -> bytes:
     """Draw one of the report's pictures."""
     from pcs_racing_agents.explain import pcs_picture, situations
+    from pcs_racing_agents.pictures import curves
     from pcs_racing_agents.pictures.style import picture_bytes
     from pcs_racing_agents.study import figures
+    from pcs_racing_agents.tournament import table
 
-    module = {"archive_picture": pcs_picture, "situations_picture": situations}.get(name, figures)
-    return picture_bytes(getattr(module, name)(*arguments, **options))
+    home = next(module for module in (figures, curves, table, pcs_picture, situations) if hasattr(module, name))
+    return picture_bytes(getattr(home, name)(*arguments, **options))
 
 
 def _data(picture: bytes) -> str:

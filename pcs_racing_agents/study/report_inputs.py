@@ -15,60 +15,29 @@ from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.study.table import StudyTable
 
-__all__ = [
-    "ReplyLoss",
-    "ScoreAndLoss",
-    "mean_scores",
-    "read_curves",
-    "read_losses",
-    "scores_and_losses",
-    "software",
-    "total_losses",
-]
-
 Floats = NDArray[np.float64]
 
 
 class ScoreAndLoss(NamedTuple):
-    """Score of an agent in the races of a table, and its loss to a best reply.
-
-    Attributes
-    ----------
-    name : str
-    score : float
-        Mean over the rows of the table.
-    loss, low, high : float
-        Its loss and the interval.
-    """
+    """Score of an agent in the races of a table, and its loss to a best reply."""
 
     name: str
-    score: float
-    loss: float
+    score: float  #: Mean over the rows of the table.
+    loss: float  #: ``loss``, ``low``, ``high``: Its loss and the interval.
     low: float
     high: float
 
 
 class ReplyLoss(NamedTuple):
-    """Loss of an agent to a best reply that was learned against it, on one circuit or on all of them.
+    """Loss of an agent to a best reply that was learned against it, on one circuit or on all of them."""
 
-    Attributes
-    ----------
-    agent, track : str
-        The track is "all" in the line of all circuits.
-    loss, low, high : float
-        In races won, with its 95 % interval.
-    races : int
-    reply_won, agent_won, agent_own_crash : float
-        Shares of the races.
-    """
-
-    agent: str
+    agent: str  #: ``agent``, ``track``: The track is "all" in the line of all circuits.
     track: str
-    loss: float
+    loss: float  #: ``loss``, ``low``, ``high``: In races won, with its 95 % interval.
     low: float
     high: float
     races: int
-    reply_won: float
+    reply_won: float  #: ``reply_won``, ``agent_won``, ``agent_own_crash``: Shares of the races.
     agent_won: float
     agent_own_crash: float
 
@@ -77,13 +46,7 @@ LARGEST = 1e100
 
 
 def read_losses(path: str | Path) -> list[ReplyLoss]:
-    """Read the results of the stage "best-replies": a line for each agent and circuit.
-
-    Raises
-    ------
-    InputError
-        If the file can't be read, lacks a column, or holds something else than numbers.
-    """
+    """Read the results of the stage "best-replies": a line for each agent and circuit."""
     losses = []
     for row in _rows(path, ReplyLoss._fields):
         loss, low, high, races, *shares = (_number(row[name], path) for name in ReplyLoss._fields[2:])
@@ -94,13 +57,7 @@ def read_losses(path: str | Path) -> list[ReplyLoss]:
 
 
 def read_curves(path: str | Path, *columns: str, x: str = "epoch") -> list[Curve]:
-    """Read learning curves; by default training and validation loss, as they stand beside a trained network.
-
-    Raises
-    ------
-    InputError
-        If the file can't be read or lacks a column.
-    """
+    """Read learning curves; by default training and validation loss, as they stand beside a trained network."""
     names = columns or ("training_loss", "validation_loss")
     rows = _rows(path, (x, *names))
     steps = np.array([_number(row[x], path) for row in rows])

@@ -8,7 +8,11 @@ import numpy as np
 
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
+from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import load_fit
+from pcs_racing_agents.explain.explain import is_blind
+from pcs_racing_agents.explain.situations import Situations, summarise, write_situations
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.race_files import read_results, write_results
@@ -21,7 +25,6 @@ from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_
 from pcs_racing_agents.study.racing import RATING_SEED, TABLE_SEED, StudyRaces, table_races
 from pcs_racing_agents.study.report import ExplainedRace, ReportContent, TitledTable, write_page
 from pcs_racing_agents.study.report_inputs import ReplyLoss, read_curves, read_losses, software
-from pcs_racing_agents.study.situations import moves_in_situations
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.study.table import StudyTable, make_table
 from pcs_racing_agents.study.table_text import (
@@ -34,19 +37,47 @@ from pcs_racing_agents.study.table_text import (
 )
 from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
+from pcs_racing_agents.tournament.runner import play_pairings
 
-__all__ = ["best_blind", "study_table", "write_report"]
+SEED = 7_000_000
 
 
-def write_report(study: Study, seconds: Mapping[str, float]) -> None:
-    """Write ``results.csv``, ``table.csv``, ``table.md``, ``table.txt`` and ``report.html``.
+def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: int = 1000) -> list[Situations]:
+    """Count the moves of every agent of the main table that uses its observations; write each as CSV.
 
     Parameters
     ----------
-    study : Study
-    seconds : mapping of str to float
-        Time of each stage.
+    races : int
+        Maximum number of each pairing; drawn by the study's seed, the same ones for all agents.
     """
+    pairings = []
+    for table, pairing, _ in study_races:
+        if table == "main" and isinstance(pairing.ego, Agent) and not is_blind(pairing.ego):
+            rng = np.random.default_rng(np.random.SeedSequence(study.config.seed, spawn_key=(SEED,)))
+            pairings.append(pairing.take(np.sort(rng.permutation(len(pairing))[:races])))
+    if not pairings:
+        return []
+    folder = study.folder / "report" / "situations"
+    with open_job(folder, "situations", {"archive": study.archive.content_hash, "races": races}) as job:
+        progress = study.progress("races (moves in situations)")
+        repeated = play_pairings(
+            pairings, name="moves", observations=True, job=job, executor=study.executor, progress=progress
+        )
+        observed = [
+            (pairing.names[0], games.observations[:, 0], games.moves[:, 0])
+            for pairing, games in zip(pairings, repeated, strict=True)
+        ]
+    summaries = []
+    for name in dict.fromkeys(name for name, *_ in observed):
+        observations, moves = (np.concatenate([own[k] for own in observed if own[0] == name]) for k in (1, 2))
+        if (moves >= 0).any():
+            summaries.append(summarise(observations, moves, study.archive, study.setting.moves, name))
+            write_situations(summaries[-1], study.folder / "report" / f"situations-{name}.csv")
+    return summaries
+
+
+def write_report(study: Study, seconds: Mapping[str, float]) -> None:
+    """Write ``results.csv``, ``table.csv``, ``table.md``, ``table.txt`` and ``report.html``."""
     study_races = list(table_races(study))
     folder = study.folder
     write_results((row for races in study_races for row in races.races), folder / "results.csv")

@@ -1,11 +1,14 @@
 """Running a study: its stages in order, each in its own folder; finished stages are skipped.
 
 A finished stage leaves a file ``done.yaml``; a stopped stage resumes its job. The results are functions of the study's
-configuration alone.
+configuration alone. The time of a stage includes earlier runs of it that were stopped or killed.
 """
 
-from collections.abc import Sequence
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
@@ -15,12 +18,61 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.jobs.folders import claim_folder
-from pcs_racing_agents.study.clock import seconds_counted
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.stages import DONE, STAGES, Stage
 from pcs_racing_agents.study.study import Study
 
-__all__ = ["run_study", "stages_to_run"]
+BEAT = 20.0  # s: longest time that is lost when the process is killed
+
+
+@contextmanager
+def seconds_counted(file: Path) -> Iterator[Callable[[], float]]:
+    """Measure the time of a stage, starting at the seconds in a file of a stopped run.
+
+    Parameters
+    ----------
+    file : Path
+        Updated regularly; removed when the work is done.
+
+    Yields
+    ------
+    callable
+        Returns the seconds so far.
+    """
+    before, began, done = _read(file), time.monotonic(), threading.Event()
+
+    def spent() -> float:
+        return before + time.monotonic() - began
+
+    def write() -> None:
+        text = f"{spent():.1f}\n".encode()
+        write_atomically(file, lambda out: out.write(text))
+
+    def write_regularly() -> None:
+        while not done.wait(BEAT):
+            write()
+
+    thread = threading.Thread(target=write_regularly, daemon=True)
+    thread.start()
+    try:
+        yield spent
+    except BaseException:
+        done.set()
+        thread.join()
+        write()
+        raise
+    done.set()
+    thread.join()
+    file.unlink(missing_ok=True)
+
+
+def _read(file: Path) -> float:
+    """Return the seconds in a file; 0 if there are none or they are impossible."""
+    try:
+        seconds = float(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return 0.0
+    return seconds if 0.0 <= seconds < 1e9 else 0.0
 
 
 def run_study(
@@ -35,24 +87,12 @@ def run_study(
 
     Parameters
     ----------
-    config : StudyConfig
     folder : str or Path
         New, empty, or of the same study.
     only : sequence of str, optional
         Names of stages to run; each needs the results of some earlier ones. All by default.
     executor : Executor, optional
-        Runs the jobs (:func:`pcs_racing_agents.jobs.jobs.make_executor`). It does not change the results.
-    quiet : bool
-        Show no progress.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such stage.
-    InputError
-        If the folder holds something else, or a stage needs another one that is not done.
-    ModuleNotFoundError
-        If one of the stages needs a library that is missing; nothing is started then.
+        Runs the jobs (:func:`pcs_racing_agents.jobs.executors.make_executor`). It does not change the results.
     """
     remaining = stages_to_run(config, folder, only)
     study = Study(config, Path(folder), executor, quiet)
@@ -69,15 +109,6 @@ def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] |
     ----------
     config, folder, only
         As for :func:`run_study`.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such stage, or no such circuit.
-    MapError
-        If the map of a circuit can't be used.
-    ModuleNotFoundError
-        If a library is missing that one of them needs; the message says how to install it.
     """
     names = [stage.name for stage in STAGES]
     for name in only or ():

@@ -13,8 +13,6 @@ from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.synthesis.config import load_archive_config
 
-__all__ = ["DONE", "STAGES", "Stage", "stage_seconds"]
-
 DONE = "done.yaml"
 """File in the folder of a finished stage."""
 
@@ -54,29 +52,15 @@ def _report(study: Study) -> None:
 
 
 class Stage(NamedTuple):
-    """A stage of a study; it works in a folder of its name.
-
-    Attributes
-    ----------
-    name : str
-    needs : tuple of str
-        Stages that must be done before.
-    does : str
-        Its work, in a few words.
-    run : callable
-        ``run(study)`` does the work, and skips what an earlier call has done.
-    check_libraries : callable
-        ``check_libraries(config)`` raises ModuleNotFoundError if it needs a library that is missing.
-    always : bool
-        Whether it runs again after it is done.
-    """
+    """A stage of a study; it works in a folder of its name."""
 
     name: str
-    needs: tuple[str, ...]
-    does: str
-    run: Callable[[Study], None]
+    needs: tuple[str, ...]  #: Stages that must be done before.
+    does: str  #: Its work, in a few words.
+    run: Callable[[Study], None]  #: ``run(study)`` does the work, and skips what an earlier call has done.
+    #: ``check_libraries(config)`` raises ModuleNotFoundError if it needs a library that is missing.
     check_libraries: Callable[[StudyConfig], None] = _nothing
-    always: bool = False
+    always: bool = False  #: Whether it runs again after it is done.
 
 
 LEARNED = ("networks", "blind", "responses", "robust", "psro", "self-play", "ppo")
@@ -111,13 +95,7 @@ STAGES = (
 
 
 def stage_seconds(study: Study) -> dict[str, float]:
-    """Return the time of each finished stage, s, including earlier runs that were stopped.
-
-    Raises
-    ------
-    InputError
-        If a stage's note is damaged.
-    """
+    """Return the time of each finished stage, s, including earlier runs that were stopped."""
     seconds = {}
     for stage in STAGES:
         file = study.folder / stage.name / DONE

@@ -15,17 +15,12 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.jobs import Progress, show_progress
+from pcs_racing_agents.jobs.progress import Progress, show_progress
 from pcs_racing_agents.study.config import BEST_BLIND, StudyConfig
-
-__all__ = ["Study"]
 
 NETWORK_AGENTS = {
     "cfr-argmax": "regret",
     "cfr-regret-matching": "regret",
-    "normalised-regret": "normalised",
-    "advantage": "advantage",
-    "static-q": "static-q",
     "nash": "nash",
     "ppo": "ppo",
 }
@@ -37,22 +32,12 @@ SET_AGENTS = ("robust", "psro", "self-play")
 
 @dataclass(frozen=True)
 class Study:
-    """A study with its configuration and folder.
-
-    Attributes
-    ----------
-    config : StudyConfig
-    folder : Path
-    executor : Executor, optional
-        Runs the jobs.
-    quiet : bool
-        Show no progress.
-    """
+    """A study with its configuration and folder."""
 
     config: StudyConfig
     folder: Path
-    executor: Executor | None = None
-    quiet: bool = False
+    executor: Executor | None = None  #: Runs the jobs.
+    quiet: bool = False  #: Show no progress.
 
     @cached_property
     def archive(self) -> PolicyArchive:

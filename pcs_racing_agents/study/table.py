@@ -15,18 +15,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.statistics import Comparison, clustered_mean, compare, holm, match_units
 
-__all__ = [
-    "PAPER_OPPONENTS",
-    "PAPER_TABLE",
-    "ArmResult",
-    "Difference",
-    "PaperRow",
-    "StudyTable",
-    "TableRow",
-    "make_table",
-    "matched_scores",
-]
-
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
@@ -35,25 +23,14 @@ FEWEST_LINES = 5
 
 
 class PaperRow(NamedTuple):
-    """A row of the paper's table of win rates (Table I).
+    """A row of the paper's table of win rates (Table I)."""
 
-    Attributes
-    ----------
-    non_gt, gt : float
-        Win rate of the agent that never switches, and of the game-theoretic one.
-    non_gt_sd, gt_sd : float
-        The figures after the paper's plus-minus signs.
-    difference : float
-    p : float
-        p-value of the paired t-test.
-    """
-
-    non_gt: float
-    non_gt_sd: float
+    non_gt: float  #: ``non_gt``, ``gt``: Win rate of the agent that never switches, and of the game-theoretic one.
+    non_gt_sd: float  #: ``non_gt_sd``, ``gt_sd``: The figures after the paper's plus-minus signs.
     gt: float
     gt_sd: float
     difference: float
-    p: float
+    p: float  #: p-value of the paired t-test.
 
 
 PAPER_OPPONENTS = {"never-switch": "Non-GT", "random-policy": "Random", "lane-switcher": "Unseen"}
@@ -71,85 +48,44 @@ PAPER_TABLE: dict[tuple[str, bool], PaperRow] = {
 
 
 class ArmResult(NamedTuple):
-    """Results of one agent in a row.
-
-    Attributes
-    ----------
-    arm : str
-    races : int
-    score : float
-    low, high : float
-        Interval of the score that is robust to the clusters of the races.
-    sd : float
-        Standard deviation of the score over the ego's start policies, as we read the paper's plus-minus.
-    crash, own_crash : float
-        Shares of races that ended in a crash, and in a crash by the agent's fault.
-    """
+    """Results of one agent in a row."""
 
     arm: str
     races: int
     score: float
-    low: float
+    low: float  #: ``low``, ``high``: Interval of the score that is robust to the clusters of the races.
     high: float
-    sd: float
+    sd: float  #: Standard deviation of the score over the ego's start policies, as we read the paper's plus-minus.
+    #: ``crash``, ``own_crash``: Shares of races that ended in a crash, and in a crash by the agent's fault.
     crash: float
     own_crash: float
 
 
 @dataclass(frozen=True)
 class Difference:
-    """One agent minus another, over the same races.
-
-    Attributes
-    ----------
-    arm, base : str
-    result : Comparison
-        The result to quote; clustered by egos, opponents and, if pairs shared them, start lines.
-    two_way : Comparison
-        The same, clustered by egos and opponents only: it takes the start lines as given.
-    p_holm : float
-        ``result.p_clustered``, adjusted over the rows of the table in which this arm stands (Holm 1979).
-    """
+    """One agent minus another, over the same races."""
 
     arm: str
     base: str
-    result: Comparison
-    two_way: Comparison
-    p_holm: float
+    result: Comparison  #: The result to quote; clustered by egos, opponents and, if pairs shared them, start lines.
+    two_way: Comparison  #: The same, clustered by egos and opponents only: it takes the start lines as given.
+    p_holm: float  #: ``result.p_clustered``, adjusted over the rows of the table in which this arm stands (Holm 1979).
 
 
 @dataclass(frozen=True)
 class TableRow:
-    """All agents on one circuit against one kind of opponent.
-
-    Attributes
-    ----------
-    track, opponent : str
-    seen : bool
-        Whether agents were trained on this circuit.
-    paper : PaperRow, optional
-        The row of the paper's table that it corresponds to.
-    lines : int
-        Number of different start lines.
-    lines_drawn : bool
-        Whether the intervals are clustered by start line; else every pair had its own, or there are too few.
-    arms : tuple of ArmResult
-        The base first.
-    differences : tuple of Difference
-        Differences of the other arms from the base.
-    gain : Difference, optional
-        The adaptivity gain: the best agent minus the blind one that was best in training.
-    """
+    """All agents on one circuit against one kind of opponent."""
 
     track: str
     opponent: str
-    seen: bool
-    paper: PaperRow | None
-    lines: int
+    seen: bool  #: Whether agents were trained on this circuit.
+    paper: PaperRow | None  #: The row of the paper's table that it corresponds to.
+    lines: int  #: Number of different start lines.
+    #: Whether the intervals are clustered by start line; else every pair had its own, or there are too few.
     lines_drawn: bool
-    arms: tuple[ArmResult, ...]
-    differences: tuple[Difference, ...]
-    gain: Difference | None
+    arms: tuple[ArmResult, ...]  #: The base first.
+    differences: tuple[Difference, ...]  #: Differences of the other arms from the base.
+    gain: Difference | None  #: The adaptivity gain: the best agent minus the blind one that was best in training.
 
     @property
     def name(self) -> str:
@@ -159,20 +95,11 @@ class TableRow:
 
 @dataclass(frozen=True)
 class StudyTable:
-    """The whole table.
-
-    Attributes
-    ----------
-    rows : tuple of TableRow
-    base : str
-        The agent that the others are compared with: the paper's non-GT one.
-    best, blind : str, optional
-        The agents that the adaptivity gain is the difference of.
-    """
+    """The whole table."""
 
     rows: tuple[TableRow, ...]
-    base: str
-    best: str | None
+    base: str  #: The agent that the others are compared with: the paper's non-GT one.
+    best: str | None  #: ``best``, ``blind``: The agents that the adaptivity gain is the difference of.
     blind: str | None
 
     @property
@@ -203,12 +130,6 @@ def make_table(
         The best arm without observations, chosen on training races.
     seen : collection of str
         Circuits that agents were trained on.
-
-    Raises
-    ------
-    InputError
-        If there are no races, an arm is missing, arms of a row did not race the same races, or a pair raced with
-        several seeds; and where there are fewer than two ego or opponent variants.
     """
     pairs: dict[tuple[str, str, str], RaceTable] = {}
     seeds: dict[tuple[str, str, str], str] = {}
@@ -285,13 +206,7 @@ def _row(
 
 
 def matched_scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
-    """Return the scores of an arm in the order of the races of another arm.
-
-    Raises
-    ------
-    InputError
-        If the arms did not drive the same races; the message begins with the label.
-    """
+    """Return the scores of an arm in the order of the races of another arm."""
     columns = [(table.variants, table.start_s, table.side) for table in (first, races)]
     if all(np.array_equal(column, other_column) for column, other_column in zip(*columns, strict=True)):
         return races.score

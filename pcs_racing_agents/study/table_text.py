@@ -11,20 +11,6 @@ from pcs_racing_agents.results.text_table import aligned, interval_text, markdow
 from pcs_racing_agents.study.table import Difference, StudyTable, TableRow
 from pcs_racing_agents.tournament.statistics import Comparison
 
-__all__ = [
-    "DETAILS",
-    "detail_rows",
-    "difference_text",
-    "notes",
-    "overview_rows",
-    "p_text",
-    "paper_text",
-    "table_markdown",
-    "table_text",
-    "verdict_text",
-    "write_table",
-]
-
 DETAILS = ("agent", "score", "sd", "crash", "own fault", "difference", "95 % interval", "p", "p (Holm)", "paired t")
 """Columns of :func:`detail_rows`."""
 
@@ -142,11 +128,6 @@ def write_table(table: StudyTable, path: str | os.PathLike[str]) -> Path:
     """Write one line for each comparison as CSV; the same table gives the same bytes.
 
     The kind of a comparison is ``difference`` (from the base) or ``adaptivity gain``.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist.
     """
     lines: list[Sequence[object]] = [CSV_COLUMNS]
     for row in table.rows:
@@ -186,8 +167,6 @@ def verdict_text(arm: str, base: str, results: Sequence[Comparison]) -> str:
 
     Parameters
     ----------
-    arm, base : str
-        Their names.
     results : sequence of Comparison
         One difference for each row, at least one.
     """

@@ -18,15 +18,13 @@ from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import package_version
+from pcs_racing_agents.jobs.folders import package_version
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveProgress
 from pcs_racing_agents.synthesis.config import HEADROOM_SETTINGS, ArchiveConfig
 from pcs_racing_agents.synthesis.evaluate import Evaluation, summarise
 from pcs_racing_agents.synthesis.indicators import hypervolume
 from pcs_racing_agents.synthesis.pareto_archive import Scale
 from pcs_racing_agents.synthesis.selection import front_layers
-
-__all__ = ["draw_front", "hypervolume_error", "stated_settings", "write_archive"]
 
 Floats = NDArray[np.float64]
 
@@ -48,17 +46,12 @@ def write_archive(
 
     Parameters
     ----------
-    folder : Path
-    config : ArchiveConfig
     explored : tuple
         Parameters of everything raced in the search, and what came of it.
     scale : Scale
         Units of hypervolumes.
     parameters : ndarray, shape (K, P)
         Of the archive's policies.
-    raced : dict of ndarray
-        The races that measured them.
-    history : sequence of ArchiveProgress
     notes : Mapping
         What else the manifest is to say.
     """

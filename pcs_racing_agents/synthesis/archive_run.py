@@ -37,8 +37,6 @@ from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
 from pcs_racing_agents.synthesis.selection import beaten, difference_errors, spread_first, thin_out
 from pcs_racing_agents.synthesis.synthesize import synthesize
 
-__all__ = ["choose", "draw_policies", "make_archive", "measure", "stage_scenarios"]
-
 Floats = NDArray[np.float64]
 Notes = Mapping[str, str | float]
 
@@ -57,23 +55,12 @@ def make_archive(
 
     Parameters
     ----------
-    config : ArchiveConfig
     folder : str or Path
         A new or empty folder, or one in which the same synthesis was begun.
     executor : Executor, optional
-        Where policies race (:func:`pcs_racing_agents.jobs.jobs.make_executor`). It has no influence on the result.
+        Where policies race (:func:`pcs_racing_agents.jobs.executors.make_executor`). It has no influence on the result.
     callback : callable, optional
         Called with the :class:`~pcs_racing_agents.synthesis.archive_search.ArchiveProgress` as the work goes on.
-
-    Returns
-    -------
-    PolicyArchive
-
-    Raises
-    ------
-    InputError
-        If the folder holds another run or something else, a name stands for nothing, a track has no place for the
-        start, or no archive remains (too few policies below the crash limit).
     """
     folder = Path(folder)
     family = get_planner(config.planner)
@@ -112,13 +99,7 @@ def make_archive(
 
 
 def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenarios]:
-    """The races of a synthesis: of its search, its choice and its measurement; no two stages share any.
-
-    Raises
-    ------
-    InputError
-        If a track has no place for the start.
-    """
+    """The races of a synthesis: of its search, its choice and its measurement; no two stages share any."""
     search, choice, final, *_ = _roots(config)
 
     def drawn(root: np.random.SeedSequence, opponents: int, starts: int, duration: float) -> Scenarios:
@@ -177,8 +158,6 @@ def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats,
 
     Parameters
     ----------
-    races : PolicyRaces
-        The search, done.
     scenarios : Scenarios
         In which candidates for a front race again.
     seed : int

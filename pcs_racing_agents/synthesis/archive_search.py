@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.diverse import greedy_map, similarity
@@ -27,8 +28,6 @@ from pcs_racing_agents.synthesis.scenarios import Scenarios
 from pcs_racing_agents.synthesis.search import Generation
 from pcs_racing_agents.synthesis.synthesize import Evaluated
 
-__all__ = ["REFERENCE", "ArchiveCallback", "ArchiveProgress", "PolicyRaces"]
-
 Floats = NDArray[np.float64]
 
 BLOCK = 2  # policies of a task: a generation of 32 keeps 16 cores busy
@@ -36,35 +35,19 @@ REFERENCE = -0.1  # worst point of a hypervolume: a tenth of the scouts' range b
 
 
 class ArchiveProgress(NamedTuple):
-    """The progress of a synthesis.
+    """The progress of a synthesis."""
 
-    Attributes
-    ----------
-    stage : str
-        What was done last: ``"search"``, ``"choice"``, ``"measurement"`` or, of policies chosen for headroom,
-        ``"judgement"``.
-    generation, generations : int
-        Generations done, and asked for.
-    evaluations : int
-        Policies raced in the search so far.
-    hypervolume : float
-        Of the search's front, in units of the scouts' range; it may fall when opponents are replaced.
-    front : int
-        Policies in that front.
-    own_crash : float
-        Mean own crash rate of the policies raced last.
-    done : float
-        Share of all the racing that is done, 0 to 1.
-    """
-
+    #: What was done last: ``"search"``, ``"choice"``, ``"measurement"`` or, of policies chosen for headroom,
+    #: ``"judgement"``.
     stage: str
-    generation: int
+    generation: int  #: ``generation``, ``generations``: Generations done, and asked for.
     generations: int
-    evaluations: int
+    evaluations: int  #: Policies raced in the search so far.
+    #: Of the search's front, in units of the scouts' range; it may fall when opponents are replaced.
     hypervolume: float
-    front: int
-    own_crash: float
-    done: float
+    front: int  #: Policies in that front.
+    own_crash: float  #: Mean own crash rate of the policies raced last.
+    done: float  #: Share of all the racing that is done, 0 to 1.
 
 
 ArchiveCallback = Callable[[ArchiveProgress], object]
@@ -73,33 +56,17 @@ ArchiveCallback = Callable[[ArchiveProgress], object]
 
 @dataclass
 class PolicyRaces:
-    """The objective function of a synthesis: called with parameters, it races the policies as tasks of a job.
-
-    Attributes
-    ----------
-    config : ArchiveConfig
-    job : Job
-    executor : Executor or None
-    callback : callable
-    scenarios : Scenarios
-        Of the search, as they are now.
-    scale : Scale
-        Range of the scouts, once they have raced.
-    raced : list of (ndarray, Evaluation)
-        Parameters, shape (n, P), and results of all policies of the search, in the order of the races.
-    comparable : int
-        Policies from here on were raced against the same opponents.
-    history : list of ArchiveProgress
-    """
+    """The objective function of a synthesis: called with parameters, it races the policies as tasks of a job."""
 
     config: ArchiveConfig
     job: Job
     executor: Executor | None
     callback: ArchiveCallback
-    scenarios: Scenarios
-    scale: Scale = field(init=False)
+    scenarios: Scenarios  #: Of the search, as they are now.
+    scale: Scale = field(init=False)  #: Range of the scouts, once they have raced.
+    #: Parameters, shape (n, P), and results of all policies of the search, in the order of the races.
     raced: list[tuple[Floats, Evaluation]] = field(default_factory=list)
-    comparable: int = 0
+    comparable: int = 0  #: Policies from here on were raced against the same opponents.
     history: list[ArchiveProgress] = field(default_factory=list)
     _names: deque[str] = field(default_factory=lambda: deque(["scouts"]))  # of the next evaluations
 

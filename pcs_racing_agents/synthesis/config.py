@@ -7,25 +7,13 @@ from typing import Any
 
 from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import (
-    Settings,
-    checked,
-    choice,
-    names,
-    number,
-    setting,
-    text,
-    whole,
-    wholes,
-)
+from pcs_racing.base.settings import Settings, checked, choice, names, number, setting, text, whole, wholes
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing_agents.jobs.configuration import load_config, shipped_configs
 from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS
 from pcs_racing_agents.synthesis.optimisers import METHODS
-
-__all__ = ["ArchiveConfig", "list_archive_configs", "load_archive_config"]
 
 CHOICES = ("pareto", "headroom")
 """How policies are chosen for an archive: those that none clearly beats, or a pool that holds a game."""
@@ -258,13 +246,5 @@ def list_archive_configs() -> list[str]:
 
 
 def load_archive_config(source: str | Path | ArchiveConfig | None = None, **changes: Any) -> ArchiveConfig:
-    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value is out of its range.
-    InputError
-        If a name stands for nothing.
-    """
+    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed."""
     return load_config(KIND, ArchiveConfig(), source, **changes)

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_choice, check_number, check_whole
 from pcs_racing.game.archive import PolicyArchive
 
-__all__ = ["METHODS", "greedy_map", "log_elementary_symmetric", "sample_kdpp", "select_diverse", "similarity"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -35,7 +33,6 @@ def select_diverse(
 
     Parameters
     ----------
-    archive : PolicyArchive
     k : int
         1 to the number of policies.
     method : {"kdpp", "map", "random"}
@@ -49,11 +46,6 @@ def select_diverse(
     -------
     ndarray of int, shape (k,)
         Indices of the policies, ascending, all different.
-
-    Raises
-    ------
-    InputError
-        If ``k`` or ``scale`` is out of its range, or there is no such method.
     """
     check_whole("k", k, 1, len(archive))
     check_choice("method", method, METHODS)
@@ -86,8 +78,6 @@ def sample_kdpp(kernel: Floats, k: int, rng: np.random.Generator) -> Indices:
     ----------
     kernel : ndarray, shape (K, K)
         Symmetric, with no negative eigenvalue and at least ``k`` positive ones.
-    k : int
-    rng : numpy.random.Generator
     """
     values, vectors = np.linalg.eigh(kernel)
     with np.errstate(divide="ignore"):

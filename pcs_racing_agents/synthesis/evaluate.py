@@ -17,8 +17,6 @@ from pcs_racing.track.loading import as_track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.synthesis.scenarios import Scenarios, check_policies
 
-__all__ = ["Evaluation", "PolicyTask", "evaluate", "join", "on_worker", "race_policies", "race_segments", "summarise"]
-
 Floats = NDArray[np.float64]
 
 RACES_AT_ONCE = 4096  # bounded memory
@@ -28,24 +26,12 @@ PolicyTask: TypeAlias = tuple[Scenarios, Floats]
 
 
 class Evaluation(NamedTuple):
-    """Coordinates, own crashes and wins of K policies.
+    """Coordinates, own crashes and wins of K policies."""
 
-    Attributes
-    ----------
-    coordinates : ndarray, shape (K, G)
-        Mean over all segments of races, in the characteristics' units.
-    own_crash : ndarray, shape (K,)
-        Share of the races that ended by a crash of the policy's own fault.
-    spread : ndarray, shape (K, G)
-        Standard error of the coordinates, were the races drawn again.
-    won : ndarray, shape (K,)
-        Share of the races that the policy won.
-    """
-
-    coordinates: Floats
-    own_crash: Floats
-    spread: Floats
-    won: Floats
+    coordinates: Floats  #: shape (K, G): Mean over all segments of races, in the characteristics' units.
+    own_crash: Floats  #: shape (K,): Share of the races that ended by a crash of the policy's own fault.
+    spread: Floats  #: shape (K, G): Standard error of the coordinates, were the races drawn again.
+    won: Floats  #: shape (K,): Share of the races that the policy won.
 
 
 def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
@@ -57,11 +43,6 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
         ``totals`` (k, R, G): sums over the segments that each race began; ``segments`` (k, R): how many it began;
         ``own_crash`` (k, R): whether it ended by a crash of the policy's own fault; ``crashed`` (k, R): whether it
         ended by a crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none.
-
-    Raises
-    ------
-    InputError
-        If a characteristic is not finite.
     """
     raced = race_segments(task, threads)
     values = raced.pop("values")
@@ -80,11 +61,6 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
     dict of ndarray
         ``values`` (k, R, S, G): characteristics of the policy in each of the S segments of a race; NaN in segments that
         the race did not begin. The others as :func:`race_policies` returns them.
-
-    Raises
-    ------
-    InputError
-        If a characteristic is not finite.
     """
     scenarios, parameters = task
     axes = get_characteristics(scenarios.characteristics)
@@ -149,22 +125,10 @@ def evaluate(
 
     Parameters
     ----------
-    scenarios : Scenarios
     parameters : ndarray, shape (K, P)
     executor : Executor, optional
         Where blocks of policies race; in this thread by default, which shares the races among the cores. It has no
         influence on the result.
-    block : int
-        Policies in a block.
-
-    Returns
-    -------
-    Evaluation
-
-    Raises
-    ------
-    InputError
-        If the parameters have another shape than the planner's, or a characteristic is not finite.
     """
     parameters = check_policies("parameters", parameters, get_planner(scenarios.planner))
     tasks = [(scenarios, parameters[first : first + block]) for first in range(0, len(parameters), block)]

@@ -21,8 +21,6 @@ from pcs_racing_agents.synthesis.archive_search import PolicyRaces
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.synthesis.evaluate import Evaluation
 
-__all__ = ["best_of_each_interval", "choose_for_headroom", "judge_headroom"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Notes = Mapping[str, str | float]
@@ -37,8 +35,6 @@ def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tupl
 
     Parameters
     ----------
-    races : PolicyRaces
-        The search, done.
     allowed : ndarray of int
         Policies of the search that may be candidates.
     seed : int
@@ -50,11 +46,6 @@ def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tupl
         Those that vary, in the order of the first axis.
     notes : Mapping
         What the choice expects of the pool.
-
-    Raises
-    ------
-    InputError
-        If there are too few candidates.
     """
     config = races.config
     theta, explored = races.explored()
@@ -114,7 +105,6 @@ def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: in
     score : ndarray, shape (K,)
     count : int
         Intervals take turns, until so many are chosen or none is left.
-    intervals : int
 
     Returns
     -------

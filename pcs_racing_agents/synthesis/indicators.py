@@ -11,16 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.optional import require
 
-__all__ = [
-    "contributions",
-    "distance_to_improvement",
-    "hypervolume",
-    "non_dominated",
-    "search_corners",
-    "total_hypervolume",
-    "uncrowded_improvement",
-]
-
 Floats = NDArray[np.float64]
 
 
@@ -34,11 +24,6 @@ def non_dominated(points: ArrayLike, *, duplicates: bool = True) -> NDArray[np.b
     points : array_like, shape (K, G)
     duplicates : bool
         Whether equal points all stay (none beats the other), or only the first of them.
-
-    Raises
-    ------
-    InputError
-        If the points are no finite table.
     """
     points = _points(points)
     if len(points) == 0:
@@ -56,11 +41,6 @@ def hypervolume(points: ArrayLike, reference: ArrayLike) -> float:
     points : array_like, shape (K, G)
     reference : array_like, shape (G,) or ()
         The worst point that counts; one number stands for all axes.
-
-    Raises
-    ------
-    InputError
-        If the points are no finite table or the reference doesn't fit them.
     """
     points = _points(points)
     return _hypervolume(points, _reference(reference, points.shape[1]))
@@ -70,11 +50,6 @@ def contributions(points: ArrayLike, reference: ArrayLike) -> Floats:
     """Hypervolume that the front of some points would lose without each of them, shape (K,).
 
     0 for points that another one beats or equals; such points do not lessen what others contribute.
-
-    Raises
-    ------
-    InputError
-        As :func:`hypervolume`.
     """
     points = _points(points)
     reference = _reference(reference, points.shape[1])
@@ -91,11 +66,6 @@ def total_hypervolume(points: ArrayLike, front: ArrayLike, reference: ArrayLike)
     points : array_like, shape (n, G)
     front : array_like, shape (K, G)
     reference : array_like, shape (G,) or ()
-
-    Raises
-    ------
-    InputError
-        As :func:`hypervolume`.
     """
     points = _points(points)
     front = _front(front, points.shape[1])
@@ -120,11 +90,6 @@ def uncrowded_improvement(points: ArrayLike, front: ArrayLike, reference: ArrayL
     front : array_like, shape (K, G)
         May be empty, and may hold points that others beat.
     reference : array_like, shape (G,) or ()
-
-    Raises
-    ------
-    InputError
-        As :func:`hypervolume`.
     """
     points = _points(points)
     front = _front(front, points.shape[1])
@@ -142,11 +107,6 @@ def distance_to_improvement(points: ArrayLike, front: ArrayLike, reference: Arra
 
     0 in that region and on its border. The region is where all axes exceed the reference and no point of the front is
     at least as large on all of them.
-
-    Raises
-    ------
-    InputError
-        As :func:`hypervolume`.
     """
     points = _points(points)
     corners = search_corners(front, _reference(reference, points.shape[1]))
@@ -168,11 +128,6 @@ def search_corners(front: ArrayLike, reference: ArrayLike) -> Floats:
     ----------
     front : array_like, shape (K, G)
     reference : array_like, shape (G,)
-
-    Raises
-    ------
-    InputError
-        As :func:`hypervolume`.
     """
     reference = _reference(reference, np.size(reference))
     front = _front(front, len(reference))

@@ -25,25 +25,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.optional import require
-from pcs_racing_agents.synthesis.indicators import (
-    contributions,
-    hypervolume,
-    total_hypervolume,
-    uncrowded_improvement,
-)
+from pcs_racing_agents.synthesis.indicators import contributions, hypervolume, total_hypervolume, uncrowded_improvement
 from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
-
-__all__ = [
-    "LOSSES",
-    "MEANS",
-    "MOCMAES",
-    "CubeCMAES",
-    "OptimiserOptions",
-    "cma_options",
-    "hypervolume_loss",
-    "latin_hypercube",
-    "middle_of_the_best",
-]
 
 Floats = NDArray[np.float64]
 
@@ -56,40 +39,20 @@ LEAST_GAIN = 1e-5  # of the normalised hypervolume, in a generation
 
 @dataclass(frozen=True, eq=False)
 class OptimiserOptions:
-    """Options of an optimiser. Optimisers work in the unit cube and maximise.
+    """Options of an optimiser. Optimisers work in the unit cube and maximise."""
 
-    Attributes
-    ----------
-    dimension : int
-        Parameters, P.
-    population : int
-        Points of a generation, n.
-    seed : SeedSequence
-    elite_ratio : float
-        Share of a generation that is recombined and added to the archive (lambda of Algorithm 1).
-    loss, mean : str
-        Reading of Algorithm 1.
-    start : ndarray, shape (P,), optional
-        First mean; without one the first generation is a sample of the whole cube (:func:`latin_hypercube`), and the
-        search starts in the middle of what is best there, with half the step size.
-    step_size : float
-        First standard deviation.
-    reference : float or ndarray, shape (G,)
-        Reference point in normalised objectives.
-    ideal, nadir : ndarray, shape (G,), optional
-        Fixed points for the normalisation.
-    """
-
-    dimension: int
-    population: int
+    dimension: int  #: Parameters, P.
+    population: int  #: Points of a generation, n.
     seed: np.random.SeedSequence
-    elite_ratio: float
-    loss: str
+    elite_ratio: float  #: Share of a generation that is recombined and added to the archive (lambda of Algorithm 1).
+    loss: str  #: ``loss``, ``mean``: Reading of Algorithm 1.
     mean: str
+    #: shape (P,): First mean; without one the first generation is a sample of the whole cube (:func:`latin_hypercube`),
+    #: and the search starts in the middle of what is best there, with half the step size.
     start: Floats | None
-    step_size: float
-    reference: float | Floats
-    ideal: Floats | None
+    step_size: float  #: First standard deviation.
+    reference: float | Floats  #: shape (G,): Reference point in normalised objectives.
+    ideal: Floats | None  #: shape (G,): ``ideal``, ``nadir``: Fixed points for the normalisation.
     nadir: Floats | None
 
 
@@ -100,20 +63,10 @@ class CubeCMAES:
     ----------
     mean : ndarray, shape (P,)
         First mean.
-    step_size : float
-        First standard deviation.
     largest : float
         The step size stays below.
     population, elite : int
         Points of a generation, and how many of them are recombined.
-    rng : Generator
-
-    Raises
-    ------
-    InputError
-        If there is only one parameter.
-    ModuleNotFoundError
-        If pycma is not installed.
     """
 
     def __init__(
@@ -168,12 +121,7 @@ def cma_options(rng: np.random.Generator) -> dict[str, Any]:
 
 
 class MOCMAES:
-    """Algorithm 1 of the paper, with the ask-and-tell protocol.
-
-    Attributes
-    ----------
-    restarts : int
-    """
+    """Algorithm 1 of the paper, with the ask-and-tell protocol."""
 
     def __init__(self, setting: OptimiserOptions) -> None:
         # Line 2: initialise lambda, mu, sigma, C = I, p_sigma = p_c = 0. The archive is empty.
@@ -278,10 +226,8 @@ def hypervolume_loss(
     Parameters
     ----------
     kind : {"uhvi", "total_hypervolume"}
-    archive : ParetoArchive
     objectives : ndarray, shape (n, G)
     violation : ndarray, shape (n,)
-    scale : Scale
     reference : float or ndarray, shape (G,)
         In units of the scale.
     """

@@ -8,21 +8,14 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.synthesis.indicators import non_dominated
 
-__all__ = ["ParetoArchive", "Scale"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
 class Scale(NamedTuple):
-    """Points that stand for 1 and 0 on each axis while hypervolumes are measured.
+    """Points that stand for 1 and 0 on each axis while hypervolumes are measured."""
 
-    Attributes
-    ----------
-    ideal, nadir : ndarray, shape (G,)
-    """
-
-    ideal: Floats
+    ideal: Floats  #: shape (G,)
     nadir: Floats
 
     def __call__(self, objectives: Floats) -> Floats:
@@ -32,29 +25,16 @@ class Scale(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ParetoArchive:
-    """All points of a search so far; adding points returns a new archive.
+    """All points of a search so far; adding points returns a new archive."""
 
-    Attributes
-    ----------
-    parameters : ndarray, shape (N, P)
-    objectives : ndarray, shape (N, G)
-        To maximise; means where a point was evaluated several times.
-    violation : ndarray, shape (N,)
-        Up to 0 where the point is feasible; means likewise.
-    evaluations : ndarray, shape (N,)
-        How often each was evaluated.
-    member : ndarray, shape (N,)
-        Whether the point was added to the archive (the population archive of Algorithm 1).
-    front : ndarray, shape (K,)
-        Indices of the archive's Pareto front, ascending: feasible members that no other feasible member beats; of
-        equal ones the first.
-    """
-
-    parameters: Floats
-    objectives: Floats
-    violation: Floats
-    evaluations: Indices
+    parameters: Floats  #: shape (N, P)
+    objectives: Floats  #: shape (N, G): To maximise; means where a point was evaluated several times.
+    violation: Floats  #: shape (N,): Up to 0 where the point is feasible; means likewise.
+    evaluations: Indices  #: shape (N,): How often each was evaluated.
+    #: shape (N,): Whether the point was added to the archive (the population archive of Algorithm 1).
     member: NDArray[np.bool_]
+    #: shape (K,): Indices of the archive's Pareto front, ascending: feasible members that no other feasible member
+    #: beats; of equal ones the first.
     front: Indices = field(init=False)
 
     def __post_init__(self) -> None:

@@ -21,51 +21,25 @@ from pcs_racing.race.races import start_lines
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 
-__all__ = ["Scenarios", "check_policies", "draw_scenarios"]
-
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Scenarios:
-    """The races that every policy drives: R of them.
+    """The races that every policy drives: R of them."""
 
-    Attributes
-    ----------
-    tracks : tuple of Track or str
-        Circuits, or their names or folders, which workers on other machines load themselves.
-    config : RaceConfig
-        Rules and duration.
-    planner : str
-        Of the policies and of their opponents.
-    characteristics : tuple of str
-    segment_seconds : float
-        Length of the segments that coordinates are means of, s.
-    opponents : ndarray, shape (O, P)
-        Parameters of the opponents.
-    track : ndarray, shape (R,)
-        Index of the circuit of each race, ascending.
-    start_s : ndarray, shape (R,)
-        Start line, m.
-    side : ndarray, shape (R,)
-        0 when the policy starts on the left or in front.
-    seed : ndarray, shape (R,)
-        Noise key.
-    opponent : ndarray, shape (R,)
-        Index of the opponent.
-    """
-
+    #: Circuits, or their names or folders, which workers on other machines load themselves.
     tracks: tuple[Track | str, ...]
-    config: RaceConfig
-    planner: str
+    config: RaceConfig  #: Rules and duration.
+    planner: str  #: Of the policies and of their opponents.
     characteristics: tuple[str, ...]
-    segment_seconds: float
-    opponents: Floats
-    track: NDArray[np.int64]
-    start_s: Floats
-    side: NDArray[np.int64]
-    seed: NDArray[np.uint64]
-    opponent: NDArray[np.int64]
+    segment_seconds: float  #: Length of the segments that coordinates are means of, s.
+    opponents: Floats  #: shape (O, P): Parameters of the opponents.
+    track: NDArray[np.int64]  #: shape (R,): Index of the circuit of each race, ascending.
+    start_s: Floats  #: shape (R,): Start line, m.
+    side: NDArray[np.int64]  #: shape (R,): 0 when the policy starts on the left or in front.
+    seed: NDArray[np.uint64]  #: shape (R,): Noise key.
+    opponent: NDArray[np.int64]  #: shape (R,): Index of the opponent.
 
     def __len__(self) -> int:
         return len(self.track)
@@ -92,11 +66,7 @@ def draw_scenarios(
 
     Parameters
     ----------
-    tracks : sequence of Track or str
-    config : RaceConfig
     opponents : ndarray, shape (O, P)
-    characteristics : sequence of str
-    planner : str
     starts : int
         Start lines on each track, 1 to 1000.
     segment_seconds : float
@@ -108,12 +78,6 @@ def draw_scenarios(
     -------
     Scenarios
         ``len(tracks) * starts * len(opponents) * 2`` races.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range, a track has no place for the start, or the duration is no multiple of the
-        segments.
     """
     segments = round(config.duration / segment_seconds) if segment_seconds > 0.0 else 0
     if segments < 1 or abs(segments * segment_seconds - config.duration) > 1e-9:

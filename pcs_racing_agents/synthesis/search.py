@@ -4,6 +4,7 @@ All objectives are maximised. A search is replayable: the same seed and the same
 that was stopped resumes when it receives the same results again.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,96 +15,51 @@ from pcs_racing.base.checks import check_array, check_choice, check_number, chec
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.synthesis.indicators import contributions, hypervolume
 from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS, OptimiserOptions
-from pcs_racing_agents.synthesis.optimisers import make_optimiser
+from pcs_racing_agents.synthesis.optimisers import Optimiser, make_optimiser
 from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
-
-__all__ = ["Generation", "Search", "Synthesis"]
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
 class Generation(NamedTuple):
-    """The archive after a generation, and the points and results of that generation.
+    """The archive after a generation, and the points and results of that generation."""
 
-    Attributes
-    ----------
-    generation : int
-        Its number, from 1; 0 for an initial sample.
-    evaluations : int
-        Of all generations so far.
-    hypervolume : float
-        Of the archive's front in the normalisation of this generation. The range of the front changes unless ideal and
-        nadir were stated, so these numbers can't be compared with each other: see :meth:`Synthesis.hypervolumes`.
-    archive_size : int
-        Points in the front, K.
-    restarts : int
-        So far.
-    step_size : float
-        Largest standard deviation of a parameter, as a share of its range; NaN for methods without one.
-    infeasible : int
-        Points of this generation that violate the constraint.
-    front : ndarray, shape (K, G)
-        Objectives of the archive's front.
-    front_parameters : ndarray, shape (K, P)
-        Its points.
-    parameters : ndarray, shape (n, P)
-        The points evaluated.
-    repeats : ndarray, shape (n,)
-        How often each had been evaluated before.
-    objectives : ndarray, shape (n, G)
-    violation : ndarray, shape (n,)
-    """
-
-    generation: int
-    evaluations: int
+    generation: int  #: Its number, from 1; 0 for an initial sample.
+    evaluations: int  #: Of all generations so far.
+    #: Of the archive's front in the normalisation of this generation. The range of the front changes unless ideal and
+    #: nadir were stated, so these numbers can't be compared with each other: see :meth:`Synthesis.hypervolumes`.
     hypervolume: float
-    archive_size: int
-    restarts: int
+    archive_size: int  #: Points in the front, K.
+    restarts: int  #: So far.
+    #: Largest standard deviation of a parameter, as a share of its range; NaN for methods without one.
     step_size: float
-    infeasible: int
-    front: Floats
-    front_parameters: Floats
-    parameters: Floats
-    repeats: Indices
-    objectives: Floats
-    violation: Floats
+    infeasible: int  #: Points of this generation that violate the constraint.
+    front: Floats  #: shape (K, G): Objectives of the archive's front.
+    front_parameters: Floats  #: shape (K, P): Its points.
+    parameters: Floats  #: shape (n, P): The points evaluated.
+    repeats: Indices  #: shape (n,): How often each had been evaluated before.
+    objectives: Floats  #: shape (n, G)
+    violation: Floats  #: shape (n,)
 
 
 @dataclass(frozen=True, eq=False)
 class Synthesis:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes
-    ----------
-    parameters : ndarray, shape (K, P)
-        The archive's Pareto front, in the order in which its points were found. It is empty if nothing feasible was.
-    objectives : ndarray, shape (K, G)
-    evaluations : ndarray, shape (K,)
-        How often each was evaluated; objectives are means.
-    explored_parameters : ndarray, shape (N, P)
-        Everything evaluated.
-    explored_objectives : ndarray, shape (N, G)
-    explored_violation : ndarray, shape (N,)
-    explored_evaluations : ndarray, shape (N,)
-    generations : tuple of Generation
-    ideal, nadir : ndarray, shape (G,)
-        Of the final front, or what was stated.
-    reference : ndarray, shape (G,)
-        Reference point of hypervolumes in units of ideal (1) and nadir (0).
-    """
-
+    #: shape (K, P): The archive's Pareto front, in the order in which its points were found. It is empty if nothing
+    #: feasible was.
     parameters: Floats
-    objectives: Floats
-    evaluations: Indices
-    explored_parameters: Floats
-    explored_objectives: Floats
-    explored_violation: Floats
-    explored_evaluations: Indices
+    objectives: Floats  #: shape (K, G)
+    evaluations: Indices  #: shape (K,): How often each was evaluated; objectives are means.
+    explored_parameters: Floats  #: shape (N, P): Everything evaluated.
+    explored_objectives: Floats  #: shape (N, G)
+    explored_violation: Floats  #: shape (N,)
+    explored_evaluations: Indices  #: shape (N,)
     generations: tuple[Generation, ...]
-    ideal: Floats
+    ideal: Floats  #: shape (G,): ``ideal``, ``nadir``: Of the final front, or what was stated.
     nadir: Floats
-    reference: Floats
+    reference: Floats  #: shape (G,): Reference point of hypervolumes in units of ideal (1) and nadir (0).
 
     def hypervolumes(self) -> Floats:
         """Hypervolume of the archive's front after each generation, all in the final normalisation, shape (T,)."""
@@ -126,9 +82,9 @@ class Search:
         Loss of CMA-ES: the uncrowded hypervolume improvement, or the paper's words taken literally.
     mean : {"generation", "archive"}
         Where the mean of CMA-ES moves: to its generation's elite, or to the mean of the archive's Pareto set.
-    seed : int
-    method : {"mo-cma-es", "nsga2", "comocma", "cma-mae", "random"}
-        The first is the paper's. The options for CMA-ES do nothing in ``nsga2`` and ``random``.
+    method : {"mo-cma-es", "nsga2", "random"} or callable
+        The first is the paper's. The options for CMA-ES do nothing in the others. A function makes an optimiser of your
+        own (:class:`pcs_racing_agents.synthesis.optimisers.Optimiser`) of the options.
     reference : float or array_like, shape (G,)
         Reference point of the hypervolume in normalised objectives; by default a tenth of the range below the nadir.
     ideal, nadir : array_like, shape (G,), optional
@@ -138,21 +94,6 @@ class Search:
         a sample of everything within the bounds.
     step_size : float
         First standard deviation of CMA-ES, as a share of the bounds' range, above 0 to 1; half of it after a sample.
-
-    Attributes
-    ----------
-    population : int
-    repeats : ndarray, shape (n,)
-        How often each of the points asked for last had been evaluated before.
-
-    Raises
-    ------
-    InputError
-        If an argument is out of its range.
-    UnknownNameError
-        If there is no such method.
-    ModuleNotFoundError
-        If a library is missing; the message says how to install it.
     """
 
     def __init__(
@@ -164,7 +105,7 @@ class Search:
         loss: str = "uhvi",
         mean: str = "generation",
         seed: int = 0,
-        method: str = "mo-cma-es",
+        method: str | Callable[[OptimiserOptions], Optimiser] = "mo-cma-es",
         reference: ArrayLike = -0.1,
         ideal: ArrayLike | None = None,
         nadir: ArrayLike | None = None,
@@ -205,6 +146,7 @@ class Search:
         self._asked = np.zeros((0, dimension))
         self._new: Floats | None = None  # the points asked for in the unit cube; None where they are old ones
         self._rows = np.zeros(0, np.int64)
+        #: shape (n,): How often each of the points asked for last had been evaluated before.
         self.repeats: Indices = self._rows
 
     @property
@@ -213,13 +155,7 @@ class Search:
         return self._parameters[self._explored.front]
 
     def ask(self) -> Floats:
-        """Return the points to evaluate next, shape (n, P).
-
-        Raises
-        ------
-        InputError
-            If the last points have no results yet.
-        """
+        """Return the points to evaluate next, shape (n, P)."""
         self._check_results_in()
         self._new = np.clip(self._optimiser.ask(), 0.0, 1.0)
         # Rounding may lead beyond the upper bound.
@@ -233,11 +169,6 @@ class Search:
         As many as a generation has, the front's points in turn: those evaluated least often first, and of these the
         ones that contribute most hypervolume, which are the likeliest to be there by luck. Their objectives become
         means; the optimiser does not see these results.
-
-        Raises
-        ------
-        InputError
-            If the last points have no results yet, or there is no feasible point.
         """
         self._check_results_in()
         explored, front = self._explored, self._explored.front
@@ -262,11 +193,6 @@ class Search:
             Up to 0 where a point is feasible. Infeasible points never enter the archive and rank behind all others, the
             more the larger it is. Of points evaluated several times it is averaged, so let it be negative where a
             constraint is kept with room to spare.
-
-        Raises
-        ------
-        InputError
-            If nothing was asked for, or the values have another shape or are not finite.
         """
         asked = self._asked
         if len(asked) == 0:
@@ -288,11 +214,6 @@ class Search:
 
         The optimisers see them as what is there already; none of them recombines these points. Returned is the archive
         with them, as a generation of the number of the last one, 0 before the first.
-
-        Raises
-        ------
-        InputError
-            If the points lie outside the bounds, or values have another shape or are not finite.
         """
         points = self.check_points("parameters", parameters)
         self._check_results_in()
@@ -316,11 +237,6 @@ class Search:
 
         For objectives that change their meaning during the search, such as results against other opponents. Everything
         else evaluated so far stays explored, but can't return to the archive: its values are of the old kind.
-
-        Raises
-        ------
-        InputError
-            If values have another shape or are not finite.
         """
         self._check_results_in()
         values, violations = self._checked(objectives, violation, self.archive)

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.jobs.chunks import Arrays
 
-__all__ = ["beaten", "difference_errors", "front_layers", "spread_first", "thin_out"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -75,8 +73,6 @@ def spread_first(points: Floats, spacing: float, count: int) -> Indices:
     ----------
     points : ndarray, shape (K, G)
         Normalised coordinates.
-    spacing : float
-    count : int
     """
     kept: list[int] = []
     for candidate in np.lexsort((np.arange(len(points)), front_layers(points))).tolist():
@@ -95,8 +91,6 @@ def thin_out(points: Floats, spacing: float, most: int) -> Indices:
     ----------
     points : ndarray, shape (K, G)
         Normalised coordinates.
-    spacing : float
-    most : int
     """
     while len(kept := spread_first(points, spacing, len(points))) > most:
         spacing = max(1.05 * spacing, 1e-4)

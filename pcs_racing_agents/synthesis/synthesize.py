@@ -11,26 +11,18 @@ from pcs_racing.base.checks import check_array, check_number, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.synthesis.search import Generation, Search, Synthesis
 
-__all__ = ["Evaluated", "synthesize"]
-
 BLOCKS = 16  # of a generation, when an executor evaluates them
 
 
 class Evaluated(NamedTuple):
-    """Objectives of n points, and by how much they violate the constraint.
+    """Objectives of n points, and by how much they violate the constraint."""
 
-    Attributes
-    ----------
-    objectives : ndarray, shape (n, G)
-        To maximise.
-    violation : ndarray, shape (n,), optional
-        By how much a constraint is violated: up to 0 where the point is feasible, which all are if it is left out.
-    parameters : ndarray, shape (n, P), optional
-        The points themselves. Where stored results carry them, they are compared with the points asked for.
-    """
-
-    objectives: ArrayLike
+    objectives: ArrayLike  #: shape (n, G): To maximise.
+    #: shape (n,): By how much a constraint is violated: up to 0 where the point is feasible, which all are if it is
+    #: left out.
     violation: ArrayLike | None = None
+    #: shape (n, P): The points themselves. Where stored results carry them, they are compared with the points asked
+    #: for.
     parameters: ArrayLike | None = None
 
 
@@ -82,20 +74,6 @@ def synthesize(
     **options
         Of :class:`Search`: ``population``, ``elite_ratio``, ``loss``, ``mean``, ``seed``, ``method``, ``reference``,
         ``ideal``, ``nadir``, ``start``, ``step_size``.
-
-    Returns
-    -------
-    Synthesis
-
-    Raises
-    ------
-    InputError
-        If an argument is out of its range, a result has another shape or is not finite, or stored results belong to
-        other points than this search asks for.
-    UnknownNameError
-        If there is no such method.
-    ModuleNotFoundError
-        If a library is missing; the message says how to install it.
     """
     check_whole("generations", generations, 1 if initial is None else 0, 1_000_000)
     most = np.inf if evaluations is None else check_whole("evaluations", evaluations, 1)

@@ -1,6 +1,6 @@
 """Competitors against each other: games, pairings, tournaments, ratings and their tables."""
 
-from pcs_racing_agents.jobs.jobs import show_progress
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.race_files import write_results
 from pcs_racing_agents.results.races import RaceRow, RaceTable
 from pcs_racing_agents.tournament.games import PlayedGames, play_each, play_games

@@ -23,21 +23,11 @@ from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import LEAD_PLAN, best_fixed, best_lead_plan, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.tournament.games import PlayedGames
-from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
+from pcs_racing_agents.tournament.pairings import Pairing, draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
-from pcs_racing_agents.tournament.schedule import draw_schedule
-
-__all__ = [
-    "OBJECTIVES",
-    "MetaStrategy",
-    "TrainingRaces",
-    "fit_best_fixed",
-    "fit_best_lead_plan",
-    "fit_best_schedule",
-    "fit_psro",
-]
 
 Choices = tuple[int, ...]
 
@@ -50,27 +40,14 @@ OBJECTIVES: dict[str, Callable[[PlayedGames], NDArray[np.float64]]] = {
 
 @dataclass(frozen=True, eq=False)
 class TrainingRaces:
-    """The races in which candidates are compared.
-
-    Attributes
-    ----------
-    tracks : tuple of Track
-    opponents : tuple of Competitor
-        Each is met equally often.
-    setting : Setting
-    races : int
-        Races against each opponent on each track; even.
-    seed : int
-        Of starts, start policies and noise: another one than that of the test races.
-    objective : {"score", "utility"}
-    """
+    """The races in which candidates are compared."""
 
     tracks: tuple[Track, ...]
-    opponents: tuple[Competitor, ...]
+    opponents: tuple[Competitor, ...]  #: Each is met equally often.
     setting: Setting
-    races: int = 100
-    seed: int = 1_000_003
-    objective: str = "score"
+    races: int = 100  #: Races against each opponent on each track; even.
+    seed: int = 1_000_003  #: Of starts, start policies and noise: another one than that of the test races.
+    objective: str = "score"  #: "score" or "utility"
 
     def __post_init__(self) -> None:
         if self.objective not in OBJECTIVES:
@@ -94,14 +71,7 @@ class TrainingRaces:
 
 
 class RunOptions(NamedTuple):
-    """Where training races are simulated, and who is told of their progress: options of :func:`play_pairings`.
-
-    Attributes
-    ----------
-    job : Job or None
-    executor : Executor or None
-    progress : callable or None
-    """
+    """Where training races are simulated, and who is told of their progress: options of :func:`play_pairings`."""
 
     job: Job | None = None
     executor: Executor | None = None
@@ -137,21 +107,9 @@ def fit_best_schedule(
 
     Parameters
     ----------
-    training : TrainingRaces
     method : {"ascent", "all"}
         "all" evaluates every sequence: M to the power of the number of moves, 625 for 5 moves and 4 steps. "ascent"
         begins with the best constant sequence and takes the best change of one step, until none is an improvement.
-    job, executor, progress
-        As for :func:`play_pairings`.
-
-    Returns
-    -------
-    Fit
-
-    Raises
-    ------
-    InputError
-        If the method is unknown, or "all" would evaluate more than 10,000 sequences.
     """
     setting, run = training.setting, RunOptions(job, executor, progress)
     count, steps = len(setting.moves), setting.config.moves
@@ -181,8 +139,6 @@ def _search(
     ----------
     raced : callable
         ``raced(choices, before)`` returns what choices reach; ``before`` were raced earlier.
-    options : sequence of int
-    places : int
     every : bool
         Whether to race every choice; otherwise the search begins with the best of those with one option at all places,
         and takes the best change of one place until none is an improvement.
@@ -227,16 +183,8 @@ def fit_best_fixed(
 
     Parameters
     ----------
-    training : TrainingRaces
     targets : sequence of int, optional
         Candidates; all policies of the archive by default.
-    job, executor, progress
-        As for :func:`fit_best_schedule`.
-
-    Raises
-    ------
-    InputError
-        If the archive has no such policy.
     """
     setting = training.setting
     candidates = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]
@@ -261,16 +209,8 @@ def fit_best_lead_plan(
 
     Parameters
     ----------
-    training : TrainingRaces
     targets : sequence of int, optional
         Candidates; all policies of the archive by default.
-    job, executor, progress
-        As for :func:`fit_best_schedule`.
-
-    Raises
-    ------
-    InputError
-        If the archive has no such policy.
     """
     setting, run = training.setting, RunOptions(job, executor, progress)
     candidates = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]
@@ -285,18 +225,10 @@ def fit_best_lead_plan(
 
 
 class MetaStrategy(NamedTuple):
-    """An equilibrium of the zero-sum game in which both players choose one of N agents.
+    """An equilibrium of the zero-sum game in which both players choose one of N agents."""
 
-    Attributes
-    ----------
-    weights : ndarray, shape (N,)
-        Probability of each agent.
-    payoffs : ndarray, shape (N, N)
-        Mean excess of each agent's objective over each other's.
-    """
-
-    weights: NDArray[np.float64]
-    payoffs: NDArray[np.float64]
+    weights: NDArray[np.float64]  #: shape (N,): Probability of each agent.
+    payoffs: NDArray[np.float64]  #: shape (N, N): Mean excess of each agent's objective over each other's.
 
 
 def fit_psro(
@@ -321,15 +253,8 @@ def fit_psro(
         At least two.
     known : MetaStrategy, optional
         Of the first members: their payoffs are taken from it.
-    job, executor, progress
-        As for :func:`fit_best_schedule`.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than two members, two of one name, or fewer than are known.
     """
-    from pcs_racing_agents.tournament.meta_game import zero_sum_equilibrium
+    from pcs_racing_agents.tournament.round_robin import zero_sum_equilibrium
 
     names = [member.name for member in members]
     if len(members) < 2 or len(set(names)) < len(names):

@@ -21,59 +21,30 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.tournament.shared_driving import SharedGames, drive_shared
 
-__all__ = [
-    "PlayedGames",
-    "game_between",
-    "join_played",
-    "play_each",
-    "play_games",
-    "variant_count",
-]
-
 BATCH = 4096  # games advanced together: bounded memory
 
 CARS = ("ego", "opponent")
 
 
 class PlayedGames(NamedTuple):
-    """Results of a batch of B games of m moves; the ego drove car 0.
+    """Results of a batch of B games of m moves; the ego drove car 0."""
 
-    Attributes
-    ----------
-    lead : ndarray, shape (B,)
-        Progress of the ego minus that of the opponent at the end, m.
-    winner : ndarray, shape (B,), int8
-        0 for the ego, 1 for the opponent, -1 for a tie and for a crash without a winner.
-    utility : ndarray, shape (B,)
-        Utility of the ego.
-    crash : ndarray, shape (B, 2), int8
-        0 none, 1 into a wall, 2 with the other car.
-    fault : ndarray, shape (B, 2), int8
-        1 for a car that is to blame for the crash.
-    overtakes : ndarray, shape (B, 2), int64
-        How often each passed the other.
-    duration : ndarray, shape (B,)
-        Length of the race, s; shorter after a crash.
-    policy : ndarray, shape (B, 2, m + 1), int64
-        Policy of the archive that was driven in each step; -1 for a driver and for steps after a crash.
-    moves : ndarray, shape (B, 2, m), int64
-        Moves made; -1 for a driver and after a crash.
-    noise : ndarray, shape (B,), uint64
-        Key of the noise, with which :func:`pcs_racing_agents.tournament.watching.record_game` drives a game again.
-    observations : ndarray, shape (B, 2, D), float32
-        Last observations of both cars; they include the earlier ones.
-    """
-
-    lead: NDArray[np.float64]
+    lead: NDArray[np.float64]  #: shape (B,): Progress of the ego minus that of the opponent at the end, m.
+    #: shape (B,): 0 for the ego, 1 for the opponent, -1 for a tie and for a crash without a winner.
     winner: NDArray[np.int8]
-    utility: NDArray[np.float64]
-    crash: NDArray[np.int8]
-    fault: NDArray[np.int8]
-    overtakes: NDArray[np.int64]
-    duration: NDArray[np.float64]
+    utility: NDArray[np.float64]  #: shape (B,): Utility of the ego.
+    crash: NDArray[np.int8]  #: shape (B, 2): 0 none, 1 into a wall, 2 with the other car.
+    fault: NDArray[np.int8]  #: shape (B, 2): 1 for a car that is to blame for the crash.
+    overtakes: NDArray[np.int64]  #: shape (B, 2): How often each passed the other.
+    duration: NDArray[np.float64]  #: shape (B,): Length of the race, s; shorter after a crash.
+    #: shape (B, 2, m + 1): Policy of the archive that was driven in each step; -1 for a driver and for steps after a
+    #: crash.
     policy: NDArray[np.int64]
-    moves: NDArray[np.int64]
+    moves: NDArray[np.int64]  #: shape (B, 2, m): Moves made; -1 for a driver and after a crash.
+    #: shape (B,): Key of the noise, with which :func:`pcs_racing_agents.tournament.watching.record_game` drives a game
+    #: again.
     noise: NDArray[np.uint64]
+    #: shape (B, 2, D): Last observations of both cars; they include the earlier ones.
     observations: NDArray[np.float32]
 
     @property
@@ -98,13 +69,7 @@ def variant_count(game: RaceGame, competitor: Competitor) -> int:
 
 
 def game_between(game: RaceGame, ego: Competitor, opponent: Competitor) -> RaceGame:
-    """Return the game in which two competitors meet: with the move "stay", and with their planners.
-
-    Raises
-    ------
-    InputError
-        If one of them does not fit the game.
-    """
+    """Return the game in which two competitors meet: with the move "stay", and with their planners."""
     planners = [car.planner if isinstance(car, Driver) else None for car in (ego, opponent)]
     config = game.config if game.config.stay else replace(game.config, stay=True)
     arena = replace(game, config=config, ego_planner=planners[0], opponent_planner=planners[1])
@@ -136,15 +101,6 @@ def play_games(
         B of them.
     seeds : array_like of int, shape (B,)
         Keys of the games' noise.
-
-    Returns
-    -------
-    PlayedGames
-
-    Raises
-    ------
-    InputError
-        If a competitor does not fit the game, a variant or a move does not exist, or lengths differ.
     """
     (played,) = play_each(game, [ego], opponent, policies=policies, starts=starts, seeds=seeds)
     return played
@@ -174,11 +130,6 @@ def play_each(
     -------
     list of K PlayedGames
         What :func:`play_games` returns for each.
-
-    Raises
-    ------
-    InputError
-        As :func:`play_games`; and if there is no ego, or a driver among several.
     """
     players = [as_competitor(ego) for ego in egos]
     other = as_competitor(opponent)

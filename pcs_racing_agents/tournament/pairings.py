@@ -10,7 +10,7 @@ Tournaments, the tables of studies, training races and folders of results consis
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,45 +22,68 @@ from pcs_racing.game.competitor import competitor_name
 from pcs_racing.game.moves import move_names
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
-from pcs_racing.race.races import start_lines
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.races import draw_starts, start_lines
 from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor
 from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
 from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_each, variant_count
-from pcs_racing_agents.tournament.schedule import RaceSchedule
 
-__all__ = ["Pairing", "cross_pairing", "schedule_pairing"]
+MOST_RACES = 2000
+
+
+class RaceSchedule(NamedTuple):
+    """Races of one pair on one track; the same for all pairs (common random numbers)."""
+
+    starts: Starts  #: N of them; races 2j and 2j + 1 start on the same line, from either side.
+    #: shape (N, 2): Random numbers that select the variants of ego and opponent. Races 2j and 2j + 1 swap them with the
+    #: sides, so that the advantage of a side is equal for both competitors.
+    draws: NDArray[np.uint64]
+    seeds: NDArray[np.uint64]  #: shape (N,): Keys of the noise.
+
+    def variants(self, ego: int, opponent: int) -> NDArray[np.int64]:
+        """Return the variants in each race, shape (N, 2), from the numbers of variants of ego and opponent."""
+        return (self.draws % np.array([ego, opponent], np.uint64)).astype(np.int64)
+
+
+def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> RaceSchedule:
+    """Draw the races of each pair on a track.
+
+    Parameters
+    ----------
+    config : RaceConfig
+        Its ``start_lines`` is not used: every two races draw a line of their own.
+    races : int
+        Even, from 2 to 2000.
+    """
+    if not is_whole(races) or races % 2 or not 2 <= races <= MOST_RACES:
+        raise InputError(
+            f"races_per_pair is {races!r}; it must be an even number from 2 to {MOST_RACES}, since every start line is "
+            "driven from both sides"
+        )
+    starts = draw_starts(track, replace(config, start_lines=races // 2), races, seed)
+    generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
+    draws = generator.integers(2**63, size=(races // 2, 2), dtype=np.uint64)
+    swapped = np.stack([draws, draws[:, ::-1]], axis=1).reshape(races, 2)
+    return RaceSchedule(starts, swapped, race_seeds(seed, races))
+
 
 LINE_SETS = 8  # start lines on a circuit, as a multiple of those of one pair of variants
 
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """N races of two competitors on one circuit.
+    """N races of two competitors on one circuit."""
 
-    Attributes
-    ----------
-    game : RaceGame
-        Circuit, archive and rules.
-    ego, opponent : Competitor
-        In car 0 and car 1.
-    variants : ndarray, shape (N, 2), int64
-        The policy of the archive that each starts with; for a driver which of its policies.
-    starts : Starts
-        N of them.
-    noise : ndarray, shape (N,), uint64
-        Keys of the races' noise.
-    seed : int
-        Seed of the draws of all of this.
-    """
-
-    game: RaceGame
-    ego: Competitor
+    game: RaceGame  #: Circuit, archive and rules.
+    ego: Competitor  #: ``ego``, ``opponent``: In car 0 and car 1.
     opponent: Competitor
+    #: shape (N, 2): The policy of the archive that each starts with; for a driver which of its policies.
     variants: NDArray[np.int64]
-    starts: Starts
-    noise: NDArray[np.uint64]
-    seed: int
+    starts: Starts  #: N of them.
+    noise: NDArray[np.uint64]  #: shape (N,): Keys of the races' noise.
+    seed: int  #: Seed of the draws of all of this.
 
     def __len__(self) -> int:
         return len(self.noise)
@@ -78,13 +101,7 @@ class Pairing:
         )
 
     def race_arguments(self, race: int) -> dict[str, Any]:
-        """Return the variants, start and seed of a race: keyword arguments of functions that simulate a single game.
-
-        Raises
-        ------
-        InputError
-            If there is no such race.
-        """
+        """Return the variants, start and seed of a race: keyword arguments of functions that simulate a single game."""
         if not 0 <= race < len(self):
             raise InputError(f"there is no race {race} in this pairing; there are races 0 to {len(self) - 1}")
         return {"policies": self.variants[race], "start": self.starts.take([race]), "seed": int(self.noise[race])}
@@ -143,8 +160,6 @@ def cross_pairing(
 
     Parameters
     ----------
-    game : RaceGame
-        Circuit, archive and rules.
     ego, opponent : Agent, Driver, Policy, or object with ``predict`` or ``decide``
         "never-switch" is the paper's non-GT agent, "random-policy" its random one, "lane-switcher" its unseen one. The
         draws depend on the numbers of their variants only: all agents drive the same races.
@@ -154,12 +169,6 @@ def cross_pairing(
         Start lines of each pair of variants, 1 to 1000; drawn from eight times as many.
     seed : int
         Must be equal for pairings that are compared.
-
-    Raises
-    ------
-    InputError
-        If a competitor does not fit the game, a number is impossible, a variant does not exist, or the track has no
-        place to start.
     """
     cars = (as_competitor(ego), as_competitor(opponent))
     arena = game_between(game, *cars)

@@ -19,24 +19,13 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_races
 from pcs_racing_agents.tournament.games import game_between
-from pcs_racing_agents.tournament.pairings import Pairing, schedule_pairing
+from pcs_racing_agents.tournament.pairings import Pairing, RaceSchedule, draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
-from pcs_racing_agents.tournament.schedule import RaceSchedule, draw_schedule
 from pcs_racing_agents.tournament.watching import Recording, record_game
-
-__all__ = [
-    "Tournament",
-    "TournamentPlan",
-    "game_rules",
-    "plan_tournament",
-    "play_plan",
-    "play_tournament",
-    "record_row",
-    "tournament_settings",
-]
 
 Entrant = str | Policy | Competitor
 Rules = GameConfig | RaceConfig | str | Path
@@ -44,26 +33,13 @@ Rules = GameConfig | RaceConfig | str | Path
 
 @dataclass(frozen=True, eq=False)
 class TournamentPlan:
-    """A tournament that has been checked and whose races have been drawn, but not simulated.
-
-    Attributes
-    ----------
-    competitors : tuple of Competitor
-    tracks : tuple of Track
-    setting : Setting
-        The archive and the rules, the move "stay" included.
-    schedules : tuple of RaceSchedule
-        The races of each pair, by track.
-    races_per_pair : int
-        On each track.
-    seed : int
-    """
+    """A tournament that has been checked and whose races have been drawn, but not simulated."""
 
     competitors: tuple[Competitor, ...]
     tracks: tuple[Track, ...]
-    setting: Setting
-    schedules: tuple[RaceSchedule, ...]
-    races_per_pair: int
+    setting: Setting  #: The archive and the rules, the move "stay" included.
+    schedules: tuple[RaceSchedule, ...]  #: The races of each pair, by track.
+    races_per_pair: int  #: On each track.
     seed: int
 
     @property
@@ -89,13 +65,7 @@ class TournamentPlan:
 
 @dataclass(frozen=True, eq=False)
 class Tournament:
-    """A tournament that was played.
-
-    Attributes
-    ----------
-    plan : TournamentPlan
-    races : RaceTable
-    """
+    """A tournament that was played."""
 
     plan: TournamentPlan
     races: RaceTable
@@ -110,11 +80,6 @@ def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
         Rules of a game are taken as they are.
     **settings
         Fields of :class:`pcs_racing.GameConfig` to change.
-
-    Raises
-    ------
-    InputError
-        If a value is impossible, or the duration can't be divided into such steps.
     """
     if isinstance(race, GameConfig):
         return load_game_config(race, **settings)
@@ -177,36 +142,21 @@ def play_tournament(
 
     Parameters
     ----------
-    tracks : Track or sequence of Track
     entrants : sequence, or mapping by name
         At least two agents, drivers, policies, names (:func:`pcs_racing_agents.agents.make`), or models with
         ``predict``; with different names.
     race : GameConfig, RaceConfig, str or path
         The rules. Those of a race alone make a game of the same duration (:func:`game_rules`); its ``start_lines`` is
         not used, since every two races draw a line of their own.
-    archive : PolicyArchive, str or path
-        Policies of the agents.
     races_per_pair : int
         Races of each pair on each track; even, from 2 to 2000.
     seed : int
         Seed of start lines, start policies and noise, and of the draws of agents that are given by name.
     job : Job, optional
         Stores results, so that a stopped tournament can be resumed; opened with :func:`tournament_settings`.
-    executor : Executor, optional
-        Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
-        Called as ``progress(done, total, label)``, counting races; :func:`pcs_racing_agents.jobs.jobs.show_progress`
-        prints a line.
-
-    Returns
-    -------
-    Tournament
-
-    Raises
-    ------
-    InputError
-        If names appear twice, there are too few competitors, one of them does not fit the archive or the rules, a
-        number is impossible, or a track has no place to start.
+        Called as ``progress(done, total, label)``, counting races;
+        :func:`pcs_racing_agents.jobs.progress.show_progress` prints a line.
     """
     plan = plan_tournament(tracks, entrants, race, archive=archive, races_per_pair=races_per_pair, seed=seed)
     return play_plan(plan, job=job, executor=executor, progress=progress)
@@ -240,13 +190,7 @@ def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
 
 
 def record_row(tournament: Tournament, row: RaceRow, *, candidates: bool = True) -> Recording:
-    """Repeat a race of a tournament, and record it.
-
-    Raises
-    ------
-    InputError
-        If the race is not part of this tournament.
-    """
+    """Repeat a race of a tournament, and record it."""
     for pairing in tournament.plan.pairings:
         if (pairing.game.track.name, *pairing.names) == (row.track, row.ego, row.opponent):
             return record_game(

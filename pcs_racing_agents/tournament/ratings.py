@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament.statistics.student_t import check_level
-
-__all__ = ["Ratings", "rate"]
+from pcs_racing_agents.tournament.statistics.clusters import check_level
 
 Floats = NDArray[np.float64]
 
@@ -25,31 +23,16 @@ ELO = 400.0 / np.log(10.0)
 
 @dataclass(frozen=True, eq=False)
 class Ratings:
-    """Estimated strengths of N agents.
+    """Estimated strengths of N agents."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Sorted. N agents.
-    strength : ndarray, shape (N,)
-        Natural log-odds, mean 0: a difference of 1 means winning 2.7 times as often as losing.
-    low, high : ndarray, shape (N,)
-        Bootstrap interval of the strength; NaN without a generator.
-    tie : float
-        Weight of ties: between equal agents the share of ties is ``tie / (2 + tie)``.
-    races : ndarray of int, shape (N,)
-        Races that counted.
-    left_out : ndarray of int, shape (N,)
-        Races that paid neither agent.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: Sorted. N agents.
+    #: shape (N,): Natural log-odds, mean 0: a difference of 1 means winning 2.7 times as often as losing.
     strength: Floats
-    low: Floats
+    low: Floats  #: shape (N,): ``low``, ``high``: Bootstrap interval of the strength; NaN without a generator.
     high: Floats
-    tie: float
-    races: NDArray[np.intp]
-    left_out: NDArray[np.intp]
+    tie: float  #: Weight of ties: between equal agents the share of ties is ``tie / (2 + tie)``.
+    races: NDArray[np.intp]  #: shape (N,): Races that counted.
+    left_out: NDArray[np.intp]  #: shape (N,): Races that paid neither agent.
 
     @property
     def elo(self) -> Floats:
@@ -62,13 +45,7 @@ class Ratings:
         return ELO * np.asarray(strength, np.float64)
 
     def probabilities(self, first: str, second: str) -> tuple[float, float, float]:
-        """Return the probabilities that the first of two agents wins, ties and loses.
-
-        Raises
-        ------
-        InputError
-            If an agent was not rated.
-        """
+        """Return the probabilities that the first of two agents wins, ties and loses."""
         for name in (first, second):
             if name not in self.names:
                 raise InputError(f"{name!r} was not rated; these were: {', '.join(self.names)}")
@@ -98,8 +75,6 @@ def rate(
 
     Parameters
     ----------
-    first, second : sequence of str, length R
-        Names of the two agents of each race.
     result : array_like, shape (R,)
         1 the first won, -1 the second won, 0 a tie.
     unpaid : array_like of bool, shape (R,), optional
@@ -110,20 +85,9 @@ def rate(
         Generator of the bootstrap; without it there are no intervals.
     replicates : int
         Bootstrap replicates, at least 100.
-    level : float
-        Level of the intervals.
     prior_sd : float
         Standard deviation of the prior on the log-odds scale. 3 is weak: after 73 wins in 100 races between two agents
         it moves their strengths from 0.497 to 0.496.
-
-    Returns
-    -------
-    Ratings
-
-    Raises
-    ------
-    InputError
-        If lengths differ, an agent races itself, a result is impossible, or agents or groups of them never met.
     """
     check_level(level)
     if not 0.0 < prior_sd < np.inf:

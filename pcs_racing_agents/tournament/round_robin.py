@@ -1,23 +1,111 @@
 """Summary of a round robin: score matrix, ratings, and the meta-game of choosing an agent.
 
-A rating is one number for each agent; in the equilibrium and in alpha-rank the best agent depends on the opponent
-(:mod:`pcs_racing_agents.tournament.meta_game`).
+In the meta-game each player chooses an agent, and the score matrix gives the payoffs. A rating is one number and can't
+represent cycles (a beats b, b beats c, c beats a); the equilibrium of this game and alpha-rank can.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.optional import require
 from pcs_racing_agents.results.races import RaceTable
-from pcs_racing_agents.tournament.meta_game import alpha_rank, excess, zero_sum_equilibrium
+from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from pcs_racing_agents.tournament.ratings import Ratings, rate
 
-__all__ = ["RoundRobin", "drivers", "round_robin"]
-
 Floats = NDArray[np.float64]
+
+
+class Equilibrium(NamedTuple):
+    """An equilibrium of a two-player zero-sum game."""
+
+    value: float  #: Payoff of the row player.
+    row: Floats  #: shape (R,): Probabilities of the row player.
+    column: Floats  #: shape (C,): Probabilities of the column player.
+    exploitability: float  #: Sum of both players' gains from a best response: 0 up to rounding.
+
+
+def excess(scores: ArrayLike) -> Floats:
+    """Return the zero-sum payoffs of a score matrix: half of ``scores - scores.T``.
+
+    Parameters
+    ----------
+    scores : array_like, shape (N, N)
+        Score of the row's agent against the column's. The diagonal is not used.
+    """
+    matrix = _matrix(scores, square=True)
+    return 0.5 * (matrix - matrix.T)
+
+
+def zero_sum_equilibrium(payoffs: ArrayLike) -> Equilibrium:
+    """Solve a matrix game exactly (:func:`pcs_racing_agents.solvers.solve_matrix_games`).
+
+    If several equilibria exist, for instance because two agents are equal, it is one of them; the value is the same for
+    all.
+
+    Parameters
+    ----------
+    payoffs : array_like, shape (R, C)
+        Payoff of the row player, who maximises it; the column player minimises it.
+    """
+    solution = solve_matrix_games(_matrix(payoffs))
+    return Equilibrium(float(solution.values[0]), solution.rows[0], solution.columns[0], float(solution.gaps[0]))
+
+
+def alpha_rank(scores: ArrayLike, *, epsilon: float = 0.001, tolerance: float = 0.0) -> Floats:
+    """Return the stationary distribution over agents of alpha-rank (Omidshafiei et al. 2019), by OpenSpiel.
+
+    A population of one agent changes to another one that beats it, or, with probability ``epsilon``, to one that it
+    beats (the limit of strong selection). Only the sign of a difference in score counts, so differences within the
+    noise should count as none.
+
+    Parameters
+    ----------
+    scores : array_like, shape (N, N)
+        Score of the row's agent against the column's, N at least 2; the diagonal is not used.
+    epsilon : float
+        From 1e-6 to 0.5.
+    tolerance : float
+        Differences in score up to this one count as none.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Shares, which sum up to 1.
+    """
+    gain = 2.0 * excess(scores)
+    if len(gain) < 2:
+        raise InputError("there is 1 agent; a ranking needs at least 2")
+    if not 1e-6 <= epsilon <= 0.5:
+        raise InputError(f"epsilon is {epsilon!r}; it must be from 1e-6 to 0.5")
+    if not 0.0 <= tolerance < np.inf:
+        raise InputError(f"tolerance is {tolerance!r}; it must be a difference in score, 0 or more")
+    require("pyspiel", "networkx", extra="games")
+    from open_spiel.python.egt import alpharank
+
+    decided = np.where(np.abs(gain) > tolerance, gain, 0.0)
+    return np.asarray(alpharank.compute([decided], use_inf_alpha=True, inf_alpha_eps=epsilon)[2], dtype=np.float64)
+
+
+def _matrix(values: ArrayLike, *, square: bool = False) -> Floats:
+    try:
+        matrix = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("the payoffs must be a matrix of numbers") from None
+    if matrix.ndim != 2 or matrix.size == 0 or (square and matrix.shape[0] != matrix.shape[1]):
+        raise InputError(f"the payoffs have shape {matrix.shape}; they must be a {'square ' if square else ''}matrix")
+    if square:
+        np.fill_diagonal(matrix, 0.0)
+    wrong = np.argwhere(~np.isfinite(matrix))
+    if len(wrong):
+        i, j = wrong[0]
+        raise InputError(f"the payoff of row {i} against column {j} is {matrix[i, j]}; it must be a finite number")
+    return matrix
+
 
 FEWEST_LINES = 5
 """Least number of start lines for a bootstrap interval."""
@@ -25,31 +113,20 @@ FEWEST_LINES = 5
 
 @dataclass(frozen=True, eq=False)
 class RoundRobin:
-    """Results of a round robin of N agents.
+    """Results of a round robin of N agents."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        N agents.
-    scores : ndarray, shape (N, N)
-        Score of the row's agent against the column's: races won, a tie counting half; NaN where they did not meet.
-    noise : float
-        Noise of a difference of two agents' scores against each other: 1.96 standard errors over start lines (root mean
-        square over the pairs); NaN if there are too few lines.
-    ratings : Ratings, optional
-        None if they can't be estimated.
-    equilibrium : ndarray, shape (N,), optional
-        Probabilities of the agents in an equilibrium of the meta-game; if all pairs met.
-    alpha_rank : ndarray, shape (N,), optional
-        Stationary distribution of alpha-rank; differences within the noise count as none. With OpenSpiel, if all
-        pairs met on several lines.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: N agents.
+    #: shape (N, N): Score of the row's agent against the column's: races won, a tie counting half; NaN where they did
+    #: not meet.
     scores: Floats
+    #: Noise of a difference of two agents' scores against each other: 1.96 standard errors over start lines (root mean
+    #: square over the pairs); NaN if there are too few lines.
     noise: float
-    ratings: Ratings | None
+    ratings: Ratings | None  #: None if they can't be estimated.
+    #: shape (N,): Probabilities of the agents in an equilibrium of the meta-game; if all pairs met.
     equilibrium: Floats | None
+    #: shape (N,): Stationary distribution of alpha-rank; differences within the noise count as none. With OpenSpiel, if
+    #: all pairs met on several lines.
     alpha_rank: Floats | None
 
     def rating(self, name: str) -> tuple[float, float, float]:
@@ -66,17 +143,8 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
 
     Parameters
     ----------
-    names : sequence of str
-        The agents, in the order of the result.
     races : RaceTable
         All pairs shared the start lines. A crash without a winner is no tie.
-    seed : int
-        Seed of the bootstrap of the ratings.
-
-    Raises
-    ------
-    InputError
-        If another agent raced.
     """
     first, second = drivers(names, races).T
     won = np.array([1.0, -1.0, 0.0])[races.winner]
@@ -102,13 +170,7 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
 
 
 def drivers(names: Sequence[str], races: RaceTable) -> NDArray[np.intp]:
-    """Return the agent in each car of each race as an index in ``names``, shape (N, 2).
-
-    Raises
-    ------
-    InputError
-        If another agent raced.
-    """
+    """Return the agent in each car of each race as an index in ``names``, shape (N, 2)."""
     words = races.agents.words
     unknown = sorted({words[code] for code in np.unique(races.agents.codes).tolist()} - set(names))
     if unknown:

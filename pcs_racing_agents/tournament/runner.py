@@ -17,52 +17,34 @@ from pcs_racing.track.track import Track, calibration_values
 from pcs_racing_agents.agents.agent import Driver, competitor_hash
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import numbered_tasks, run_tasks
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.games import PlayedGames, join_played
 from pcs_racing_agents.tournament.pairings import Pairing
 
-__all__ = ["play_pairing", "play_pairings"]
-
 BLOCK = 400  # races of one task: about a second of work
 
 
 class RaceBlock(NamedTuple):
-    """The races of one task.
+    """The races of one task."""
 
-    Attributes
-    ----------
-    content_hash : str
-        Hash of everything that their result depends on.
-    group : int
-        Number of the group of pairings.
-    first, last : int
-        The races of each pairing from ``first`` to before ``last``.
-    """
-
-    content_hash: str
-    group: int
-    first: int
+    content_hash: str  #: Hash of everything that their result depends on.
+    group: int  #: Number of the group of pairings.
+    first: int  #: ``first``, ``last``: The races of each pairing from ``first`` to before ``last``.
     last: int
 
 
 @dataclass(frozen=True, eq=False)
 class RaceWorker:
-    """A function that simulates blocks of races; it is sent to other processes once, with games and competitors.
+    """A function that simulates blocks of races; it is sent to other processes once, with games and competitors."""
 
-    Attributes
-    ----------
-    groups : sequence of sequence of Pairing
-        The pairings of a group differ in nothing but their egos.
-    observations : bool
-        Whether to return observations.
-    """
-
-    groups: Sequence[Sequence[Pairing]]
-    observations: bool
+    groups: Sequence[Sequence[Pairing]]  #: The pairings of a group differ in nothing but their egos.
+    observations: bool  #: Whether to return observations.
 
     def __call__(self, block: RaceBlock) -> dict[str, NDArray[Any]]:
+        """Race a block of a group, and return the columns of its table."""
         group = self.groups[block.group]
         races = group[0].take(np.arange(block.first, block.last))
         played = join_played(races.play_each([pairing.ego for pairing in group]))
@@ -93,16 +75,11 @@ def play_pairings(
 
     Parameters
     ----------
-    pairings : sequence of Pairing
-    name : str
-        Name of this part of the job's work.
     observations : bool
         Whether to return observations; else ``PlayedGames.observations`` has no columns.
     job : Job, optional
         Stores results; races with stored results are not simulated again. Results are then read from its chunks, so
         that memory does not grow with the number of races.
-    executor : Executor, optional
-        Simulates the races; by default this process, on all cores. It does not change the result.
     progress : callable, optional
         Called as ``progress(done, total, name)``, counting races.
     """

@@ -20,31 +20,19 @@ from pcs_racing.game.state import GameState, take_games
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver
 
-__all__ = ["SharedGames", "drive_shared"]
-
 Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class SharedGames:
-    """B games of each of K egos, of m moves.
+    """B games of each of K egos, of m moves."""
 
-    Attributes
-    ----------
-    state : GameState
-        The ends of all different games.
-    branch : ndarray of int, shape (K, B)
-        Where in ``state`` each ego's games are.
-    policy : ndarray, shape (K, B, 2, m + 1), int64
-        Policy of the archive that was driven in each step; -1 for a driver and for steps after a crash.
-    moves : ndarray, shape (K, B, 2, m), int64
-        Moves made; -1 for a driver and after a crash.
-    """
-
-    state: GameState
-    branch: Indices
+    state: GameState  #: The ends of all different games.
+    branch: Indices  #: shape (K, B): Where in ``state`` each ego's games are.
+    #: shape (K, B, 2, m + 1): Policy of the archive that was driven in each step; -1 for a driver and for steps after a
+    #: crash.
     policy: Indices
-    moves: Indices
+    moves: Indices  #: shape (K, B, 2, m): Moves made; -1 for a driver and after a crash.
 
 
 def drive_shared(
@@ -63,7 +51,6 @@ def drive_shared(
         With the planners of both cars and the move "stay".
     egos : sequence of K competitors
         Several of them only if none is a driver.
-    opponent : Competitor
     variants : ndarray of int, shape (B, 2)
         What each car starts with: a policy of the archive; for a driver which of its policies.
     starts : Starts

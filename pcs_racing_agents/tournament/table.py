@@ -1,66 +1,49 @@
 """The tables of a tournament: standings of the competitors and the payoff matrix, as values, text and a picture."""
 
 import os
+from collections.abc import Sequence
 from functools import lru_cache
 from itertools import compress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.tournament.play import Tournament
+from pcs_racing_agents.tournament.ratings import Ratings
 from pcs_racing_agents.tournament.round_robin import RoundRobin, drivers, round_robin
-
-__all__ = [
-    "Standing",
-    "payoff_matrix",
-    "payoff_picture",
-    "standings",
-    "sum_up",
-    "tournament_text",
-]
 
 COLUMNS = ("agent", "races", "score", "rating", "95 %", "win", "tie", "loss", "crash: own", "other's", "overtakes")
 META = ("equilibrium", "alpha-rank")
 
 
 class Standing(NamedTuple):
-    """How one competitor did, as shares of its races; the five shares from ``win`` on sum up to 1.
-
-    Attributes
-    ----------
-    name : str
-    races : int
-    score : float
-        Share of races that the rules count as won, plus half of the ties. After a crash nobody wins under the crash
-        rule ``nobody``; under ``fault-loses`` the car that is not to blame does.
-    rating, rating_low, rating_high : float
-        Bradley-Terry strength on the scale of chess ratings, mean 0, and its 95 % interval; NaN where the races do not
-        tell.
-    win, tie, loss : float
-        Races without a crash.
-    own_crash, other_crash : float
-        Races that ended in a crash by its own fault (or of both), or by the other's fault alone.
-    overtakes : float
-        Mean number of its overtakes in a race.
-    equilibrium, alpha_rank : float
-        Its probabilities in :class:`pcs_racing_agents.tournament.round_robin.RoundRobin`; NaN if unknown.
-    """
+    """How one competitor did, as shares of its races; the five shares from ``win`` on sum up to 1."""
 
     name: str
     races: int
+    #: Share of races that the rules count as won, plus half of the ties. After a crash nobody wins under the crash rule
+    #: ``nobody``; under ``fault-loses`` the car that is not to blame does.
     score: float
+    #: ``rating``, ``rating_low``, ``rating_high``: Bradley-Terry strength on the scale of chess ratings, mean 0, and
+    #: its 95 % interval; NaN where the races do not tell.
     rating: float
-    win: float
+    win: float  #: ``win``, ``tie``, ``loss``: Races without a crash.
     tie: float
     loss: float
+    #: ``own_crash``, ``other_crash``: Races that ended in a crash by its own fault (or of both), or by the other's
+    #: fault alone.
     own_crash: float
     other_crash: float
-    overtakes: float
+    overtakes: float  #: Mean number of its overtakes in a race.
     rating_low: float = np.nan
     rating_high: float = np.nan
+    #: ``equilibrium``, ``alpha_rank``: Its probabilities in
+    #: :class:`pcs_racing_agents.tournament.round_robin.RoundRobin`; NaN if unknown.
     equilibrium: float = np.nan
     alpha_rank: float = np.nan
 
@@ -159,18 +142,58 @@ def tournament_text(tournament: Tournament) -> str:
 
 
 def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
-    """Draw the payoff matrix; the suffix of the path is the format.
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist.
-    ModuleNotFoundError
-        If matplotlib is not installed.
-    """
+    """Draw the payoff matrix; the suffix of the path is the format."""
     from pcs_racing_agents.pictures.style import save_picture
-    from pcs_racing_agents.tournament.pictures import payoffs_picture
 
     names = [standing.name for standing in standings(tournament)]
     order = [tournament.plan.names.index(name) for name in names]
     return save_picture(payoffs_picture(names, payoff_matrix(tournament)[np.ix_(order, order)]), path)
+
+
+@picture
+def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
+    """Draw the score matrix as a heat map; purple above one half, orange below.
+
+    Parameters
+    ----------
+    payoffs : array_like, shape (N, N)
+        Score of the row's agent against the column's; NaN where they did not meet.
+    """
+    matrix = np.asarray(payoffs, np.float64)
+    if matrix.shape != (len(names), len(names)) or len(names) == 0:
+        raise InputError(f"payoffs have shape {matrix.shape}; {len(names)} agents need ({len(names)}, {len(names)})")
+    labels = [short(name) for name in names]
+    size = 0.58 * len(names)
+    figure = new_figure(size + 2.0, size + 1.4)
+    axes = figure.subplots()
+    image = axes.imshow(matrix, cmap="PuOr", vmin=-0.15, vmax=1.15)
+    axes.set_xticks(range(len(names)), labels, rotation=40, ha="left", rotation_mode="anchor")
+    axes.xaxis.tick_top()
+    axes.set_yticks(range(len(names)), labels)
+    for (i, j), value in np.ndenumerate(matrix):
+        if not np.isnan(value):
+            dark = image.cmap(image.norm(value))[:3] @ np.array([0.299, 0.587, 0.114]) < 0.5
+            axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color="white" if dark else INK)
+    axes.tick_params(length=0)
+    axes.spines[:].set_visible(False)
+    axes.set_xlabel("score of the row's agent against the column's")
+    return figure
+
+
+@picture
+def ratings_picture(ratings: Ratings) -> Any:
+    """Draw the ratings with their intervals, best on top, on the scale of chess."""
+    order = np.argsort(-ratings.strength, kind="stable")
+    low, high = ratings.to_elo(ratings.low), ratings.to_elo(ratings.high)
+    figure = new_figure(7.2, 0.9 + 0.3 * len(order))
+    axes = figure.subplots()
+    axes.axvline(0.0, color=EDGE, lw=1.0)
+    for rank, i in enumerate(order):
+        if np.isfinite(ratings.low[i]):
+            axes.plot([low[i], high[i]], [-rank] * 2, color=COLOURS[0], lw=2.0, solid_capstyle="butt")
+        axes.plot(ratings.elo[i], -rank, "o", color=COLOURS[0], ms=6)
+    axes.set_yticks([-rank for rank in range(len(order))], [short(ratings.names[i]) for i in order])
+    axes.set_ylim(-len(order) + 0.4, 0.6)
+    axes.set_xlabel("rating (Bradley-Terry; 400 are odds of ten to one; mean 0)")
+    tidy(axes, "x")
+    return figure

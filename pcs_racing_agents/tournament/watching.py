@@ -15,24 +15,13 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_games
 
-__all__ = ["Recording", "record_game"]
-
 
 class Recording(NamedTuple):
-    """A recorded game.
-
-    Attributes
-    ----------
-    replay : Replay
-    played : PlayedGames
-        Results of the one game.
-    game : RaceGame
-        The game as it was played, with the planners of both cars.
-    """
+    """A recorded game."""
 
     replay: Replay
-    played: PlayedGames
-    game: RaceGame
+    played: PlayedGames  #: Results of the one game.
+    game: RaceGame  #: The game as it was played, with the planners of both cars.
 
 
 def record_game(
@@ -58,11 +47,6 @@ def record_game(
         Key of its noise.
     candidates : bool
         Whether to keep the candidate paths of each planner.
-
-    Raises
-    ------
-    InputError
-        As :func:`play_games`.
     """
     variants = np.asarray(policies)
     if variants.shape != (2,):

@@ -16,8 +16,6 @@ from pcs_racing_agents.trees.far import finish
 from pcs_racing_agents.trees.paths import PolicyPaths, check_size, policy_paths
 from pcs_racing_agents.trees.tree import RaceTree
 
-__all__ = ["build_tree", "check_game"]
-
 
 def build_tree(
     game: RaceGame,
@@ -45,12 +43,6 @@ def build_tree(
         Keys of the games, as for :meth:`RaceGame.reset`; key 0 by default. Without steering noise a single one.
     share : bool
         Whether to put last steps together instead of driving all of them.
-
-    Raises
-    ------
-    InputError
-        If a policy, start or seed does not exist, the tree would be too large, or the game has drivers from outside the
-        archive.
     """
     check_game(game)
     place = start if isinstance(start, Starts) else Starts(*(np.array([value]) for value in start))
@@ -88,13 +80,7 @@ def build_tree(
 
 
 def check_game(game: RaceGame) -> None:
-    """Check that trees of a game can be built.
-
-    Raises
-    ------
-    InputError
-        If a car is driven by another planner than the archive's, or the tree would be too large.
-    """
+    """Check that trees of a game can be built."""
     for car, planner in enumerate(game.setup.planners):
         if planner.name != game.archive.planner:
             raise InputError(

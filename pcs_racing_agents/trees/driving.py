@@ -18,8 +18,6 @@ from pcs_racing.race.races import advance
 from pcs_racing.race.rates import PLAN_EVERY
 from pcs_racing.race.state import RaceState, concatenate, empty_state, take
 
-__all__ = ["RaceEnds", "drive_children", "drive_to_the_end"]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
@@ -28,16 +26,10 @@ CHUNK = 64
 
 
 class RaceEnds(NamedTuple):
-    """The ends of races: those parts of a :class:`RaceState` that decide the payoff.
+    """The ends of races: those parts of a :class:`RaceState` that decide the payoff."""
 
-    Attributes
-    ----------
-    progress : ndarray, shape (B, 2)
-    crash, fault : ndarray, shape (B, 2), int8
-    """
-
-    progress: Floats
-    crash: NDArray[np.int8]
+    progress: Floats  #: shape (B, 2)
+    crash: NDArray[np.int8]  #: shape (B, 2)
     fault: NDArray[np.int8]
 
     @classmethod
@@ -79,7 +71,6 @@ def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: 
 
     Parameters
     ----------
-    game : RaceGame
     parents : RaceState
         Left as it is.
     rows : array of int, shape (B,)

@@ -23,8 +23,6 @@ from pcs_racing_agents.trees.driving import drive_children
 from pcs_racing_agents.trees.far import finish
 from pcs_racing_agents.trees.paths import PolicyPaths, policy_paths
 
-__all__ = ["OPPONENTS", "EgoTrees", "check_ego", "join_ego", "play_ego"]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
@@ -46,42 +44,26 @@ BLOCK = 64  # roots driven together: some thousand races in the last step
 
 @dataclass(frozen=True, eq=False)
 class EgoTrees:
-    """R roots; after ``k`` moves ``A**k`` histories of car 0's moves each, in row-major order, first move first.
+    """R roots; after ``k`` moves ``A**k`` histories of car 0's moves each, in row-major order, first move first."""
 
-    Attributes
-    ----------
-    policies : ndarray, shape (R, 2)
-        Policies that the cars start with.
-    seeds : ndarray, shape (R,), uint64
-        Keys of the games: ``RaceGame.reset(seeds, policies=policies)`` starts the same ones.
-    replies : ndarray, shape (R, m)
-        Moves of car 1; -1 for none.
-    paths : tuple of ndarray, shape (R, A**k)
-        Number of car 0's policy path within its root, for ``k`` from 0 to m: histories of one number are one race.
-    own : tuple of ndarray, shape (R, A**k, G)
-        Normalised coordinates of car 0's policy in step ``k``, for ``k`` below m.
-    leads : tuple of ndarray, shape (R, A**k)
-        Lead of car 0 at the end of step ``k``, m; 0 where the race was over before.
-    estimates : tuple of ndarray, shape (R, A**k, 2, G), float32
-        Normalised coordinates of each car as measured in step ``k``; 0 where the race was over before.
-    over : tuple of ndarray, shape (R, A**k), bool
-        Whether the race had ended in a crash when move ``k`` was due.
-    payoffs : ndarray, shape (R, A**m), float32
-        What the end is worth to car 0.
-    driven : ndarray, shape (R,), int64
-        Segments that were driven.
-    """
-
-    policies: Indices
+    policies: Indices  #: shape (R, 2): Policies that the cars start with.
+    #: shape (R,): Keys of the games: ``RaceGame.reset(seeds, policies=policies)`` starts the same ones.
     seeds: NDArray[np.uint64]
-    replies: Indices
+    replies: Indices  #: shape (R, m): Moves of car 1; -1 for none.
+    #: shape (R, A**k): Number of car 0's policy path within its root, for ``k`` from 0 to m: histories of one number
+    #: are one race.
     paths: tuple[Indices, ...]
+    #: shape (R, A**k, G): Normalised coordinates of car 0's policy in step ``k``, for ``k`` below m.
     own: tuple[Floats, ...]
+    #: shape (R, A**k): Lead of car 0 at the end of step ``k``, m; 0 where the race was over before.
     leads: tuple[Floats, ...]
+    #: shape (R, A**k, 2, G): Normalised coordinates of each car as measured in step ``k``; 0 where the race was over
+    #: before.
     estimates: tuple[NDArray[np.float32], ...]
+    #: shape (R, A**k): Whether the race had ended in a crash when move ``k`` was due.
     over: tuple[NDArray[np.bool_], ...]
-    payoffs: NDArray[np.float32]
-    driven: Indices
+    payoffs: NDArray[np.float32]  #: shape (R, A**m): What the end is worth to car 0.
+    driven: Indices  #: shape (R,): Segments that were driven.
 
     def __len__(self) -> int:
         return len(self.seeds)
@@ -104,11 +86,6 @@ class EgoTrees:
         """Return the observations of car 0 before move ``level``, shape (R, A**level, D), float32.
 
         Where the race was over by then, the observation at its end.
-
-        Raises
-        ------
-        InputError
-            If there is no such move.
         """
         if not 0 <= level < self.moves:
             raise InputError(f"move {level} is none of the trees'; it must lie in 0 to {self.moves - 1}")
@@ -141,13 +118,7 @@ class EgoTrees:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], where: str) -> "EgoTrees":
-        """Return the trees of arrays from :meth:`arrays`; messages of errors begin with ``where``.
-
-        Raises
-        ------
-        InputError
-            If an array is missing, of another type or shape than the others say, or not finite.
-        """
+        """Return the trees of arrays from :meth:`arrays`; messages of errors begin with ``where``."""
         try:
             moves = arrays["replies"].shape[1]
             values: dict[str, Any] = {
@@ -190,13 +161,7 @@ def _check_shapes(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) ->
 
 
 def join_ego(batches: list[EgoTrees]) -> EgoTrees:
-    """Return the roots of several batches as one.
-
-    Raises
-    ------
-    InputError
-        If there are none.
-    """
+    """Return the roots of several batches as one."""
     if not batches:
         raise InputError("there are no ego trees to join; give at least one batch")
     arrays = [batch.arrays() for batch in batches]
@@ -233,13 +198,6 @@ def play_ego(
         Root of all that is drawn.
     first : int
         Number of the first root.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range or an array has another shape.
-    UnknownNameError
-        If there is no such opponent.
     """
     check_ego(game, roots, opponent, seed, first)
     count, options = len(game.archive), game.table.shape[1]
@@ -267,15 +225,7 @@ def play_ego(
 
 
 def check_ego(game: RaceGame, roots: int, opponent: str | ArrayLike, seed: int, first: int = 0) -> None:
-    """Check the arguments of :func:`play_ego`.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range, or the game has drivers from outside the archive.
-    UnknownNameError
-        If there is no such opponent.
-    """
+    """Check the arguments of :func:`play_ego`."""
     check_game(game)
     check_whole("roots", roots, 1, MOST_ROOTS)
     check_whole("first", first, 0, 2**40)

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.jobs.jobs import Progress, chunk_file, open_job, read_chunk
+from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.trees.ego import MOST_ROOTS, EgoTrees, check_ego, join_ego, play_ego
 from pcs_racing_agents.trees.storage import MAKE_AGAIN, game_settings, read_settings
-
-__all__ = ["build_ego_trees", "load_ego_trees"]
 
 KIND = "ego trees"
 NAME = "ego"
@@ -53,7 +53,6 @@ def build_ego_trees(
 
     Parameters
     ----------
-    game : RaceGame
     folder : str or Path
         New, empty, or left by the same call.
     roots, opponent, seed
@@ -63,13 +62,6 @@ def build_ego_trees(
         does not change the result.
     progress : callable, optional
         Called as ``progress(done, total, label)`` after every 32 roots.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range, or the folder holds something else.
-    UnknownNameError
-        If there is no such opponent.
     """
     check_ego(game, roots, opponent, seed)
     settings = {**game_settings(game), "roots": int(roots), "opponent": opponent, "seed": int(seed)}
@@ -83,13 +75,7 @@ def build_ego_trees(
 
 
 def load_ego_trees(folder: str | Path) -> EgoTrees:
-    """Read all ego trees of a folder.
-
-    Raises
-    ------
-    InputError
-        If the folder holds none, or a file is missing or damaged.
-    """
+    """Read all ego trees of a folder."""
     roots = read_settings(folder, KIND).get("roots")
     if type(roots) is not int or not 1 <= roots <= MOST_ROOTS:
         raise InputError(

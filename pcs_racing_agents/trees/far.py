@@ -17,8 +17,6 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.state import RaceState
 from pcs_racing_agents.trees.driving import RaceEnds, drive_to_the_end
 
-__all__ = ["finish"]
-
 Indices = NDArray[np.int64]
 
 MARGIN = 2.0
@@ -34,7 +32,6 @@ def finish(
 
     Parameters
     ----------
-    game : RaceGame
     parents : RaceState
         Races that go on; left as they are.
     rows : array of int, shape (B,)

@@ -11,28 +11,18 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["MAX_LEAVES", "PolicyPaths", "check_size", "own_histories", "policy_paths"]
-
 Indices = NDArray[np.int64]
 
 MAX_LEAVES = 10_000_000
 
 
 class PolicyPaths(NamedTuple):
-    """The different policy paths of one player, level by level; ``U_k`` of them after ``k`` moves.
+    """The different policy paths of one player, level by level; ``U_k`` of them after ``k`` moves."""
 
-    Attributes
-    ----------
-    policy : tuple of ndarray, shape (U_k,)
-        Policy at the end of each path.
-    parent : tuple of ndarray, shape (U_k,)
-        Path of the level above that it continues.
-    history : tuple of ndarray, shape (A**k,)
-        Path that each history of the player's own moves goes along; histories in row-major order, first move first.
-    """
-
-    policy: tuple[Indices, ...]
-    parent: tuple[Indices, ...]
+    policy: tuple[Indices, ...]  #: shape (U_k,): Policy at the end of each path.
+    parent: tuple[Indices, ...]  #: shape (U_k,): Path of the level above that it continues.
+    #: shape (A**k,): Path that each history of the player's own moves goes along; histories in row-major order, first
+    #: move first.
     history: tuple[Indices, ...]
 
     def count(self, level: int) -> int:
@@ -47,8 +37,6 @@ def policy_paths(table: Indices, start: int, moves: int) -> PolicyPaths:
     ----------
     table : ndarray, shape (K, A)
         Where every move leads from every policy.
-    start : int
-        Policy to start from.
     moves : int
         Moves to follow.
     """
@@ -79,13 +67,7 @@ def own_histories(level: int, options: int) -> tuple[Indices, Indices]:
 
 
 def check_size(options: int, moves: int) -> None:
-    """Check that a tree is not too large.
-
-    Raises
-    ------
-    InputError
-        If a tree has more than 10 million leaves.
-    """
+    """Check that a tree is not too large."""
     leaves = options ** (2 * moves)
     if leaves > MAX_LEAVES:
         raise InputError(

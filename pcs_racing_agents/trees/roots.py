@@ -10,8 +10,6 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.start_grid import Starts
 
-__all__ = ["Root", "choose_pairs", "default_seeds", "draw_root"]
-
 Indices = NDArray[np.int64]
 
 ATTEMPTS = 20  # as many as RaceGame.reset makes
@@ -19,23 +17,12 @@ NOISY_SEEDS = 4
 
 
 class Root(NamedTuple):
-    """The root of a tree: policies, start and noise.
+    """The root of a tree: policies, start and noise."""
 
-    Attributes
-    ----------
-    policies : ndarray, shape (2,)
-    start_s : float
-        Arc length of the start line, m.
-    side : int
-        0 when car 0 starts on the left or in front.
-    seeds : ndarray, shape (S,), uint64
-        Keys of the games.
-    """
-
-    policies: Indices
-    start_s: float
-    side: int
-    seeds: NDArray[np.uint64]
+    policies: Indices  #: shape (2,)
+    start_s: float  #: Arc length of the start line, m.
+    side: int  #: 0 when car 0 starts on the left or in front.
+    seeds: NDArray[np.uint64]  #: shape (S,): Keys of the games.
 
 
 def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
@@ -46,16 +33,10 @@ def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
 
     Parameters
     ----------
-    archive : PolicyArchive
     count : int
         1 to 100,000.
     seed : int
         Of the choice.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range.
     """
     from pcs_racing_agents.synthesis.diverse import select_diverse
 
@@ -82,11 +63,9 @@ def draw_root(game: RaceGame, policies: Indices, seeds: int, rng: np.random.Gene
 
     Parameters
     ----------
-    game : RaceGame
     policies : array of int, shape (2,)
     seeds : int
         Games of the root, which differ in their noise alone.
-    rng : numpy.random.Generator
     """
     noisy = game.config.race.steering_noise > 0.0
     start_s, side, kept = 0.0, 0, np.zeros(0, np.uint64)

@@ -15,21 +15,13 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
+from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk
 from pcs_racing_agents.jobs.folders import read_job
-from pcs_racing_agents.jobs.jobs import Progress, TaskGroup, chunk_file, open_job, read_chunk, run_groups
+from pcs_racing_agents.jobs.jobs import TaskGroup, open_job, run_groups
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.trees.build import build_tree, check_game
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
-
-__all__ = [
-    "StoredTrees",
-    "build_trees",
-    "game_settings",
-    "load_trees",
-    "open_trees",
-    "read_settings",
-    "stored_identity",
-]
 
 KIND = "game trees"
 NAME = "tree"
@@ -72,7 +64,6 @@ def build_trees(
 
     Parameters
     ----------
-    game : RaceGame
     folder : str or Path
         New, empty, or left by the same call.
     pairs : int or array of int, shape (N, 2)
@@ -86,12 +77,6 @@ def build_trees(
         change the result.
     progress : callable, optional
         Called as ``progress(done, total, label)`` after every tree.
-
-    Raises
-    ------
-    InputError
-        If a number is out of its range, a pair is not in the archive, no tree of the game can be built, or the folder
-        holds something else.
     """
     with open_trees(
         game, folder, pairs=pairs, seeds_per_pair=seeds_per_pair, seed=seed, one_thread=executor is not None
@@ -124,11 +109,6 @@ def open_trees(
     TaskGroup
         The trees as tasks, so that those of several folders can be played side by side
         (:func:`pcs_racing_agents.jobs.jobs.run_groups`).
-
-    Raises
-    ------
-    InputError
-        As for :func:`build_trees`.
     """
     check_game(game)
     start_pairs = _checked_pairs(game.archive, pairs, seed)
@@ -183,17 +163,10 @@ def _checked_pairs(archive: PolicyArchive, pairs: int | ArrayLike, seed: int) ->
 
 @dataclass(frozen=True)
 class StoredTrees(Sequence[RaceTree]):
-    """Trees in a folder, each read when it is asked for.
-
-    Attributes
-    ----------
-    folder : Path
-    settings : Mapping
-        Settings of the job: the game (:func:`game_settings`), pairs and seeds.
-    """
+    """Trees in a folder, each read when it is asked for."""
 
     folder: Path
-    settings: Mapping[str, Any]
+    settings: Mapping[str, Any]  #: Settings of the job: the game (:func:`game_settings`), pairs and seeds.
 
     def __len__(self) -> int:
         return len(self.settings["pairs"])
@@ -221,13 +194,7 @@ class StoredTrees(Sequence[RaceTree]):
     @overload
     def __getitem__(self, index: slice) -> list[RaceTree]: ...
     def __getitem__(self, index: int | slice) -> RaceTree | list[RaceTree]:
-        """Read one tree, or several.
-
-        Raises
-        ------
-        InputError
-            If its file is missing or damaged, or holds another tree.
-        """
+        """Read one tree, or several."""
         if isinstance(index, slice):
             return [self[i] for i in range(len(self))[index]]
         at = range(len(self))[index]
@@ -248,13 +215,7 @@ class StoredTrees(Sequence[RaceTree]):
         return (self[i] for i in range(len(self)))
 
     def check(self, game: RaceGame) -> None:
-        """Check that the trees are those of a game.
-
-        Raises
-        ------
-        InputError
-            If they were played with another archive, track, rules or encoding; the first difference is named.
-        """
+        """Check that the trees are those of a game."""
         for key, wanted in _plain(game_settings(game)).items():
             stored = self.settings.get(key)
             if stored != wanted:
@@ -273,11 +234,6 @@ def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> Stor
         Where :func:`build_trees` put them.
     archive : PolicyArchive, optional
         The archive that they must have been played with.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no trees, or some are missing, or they are of another archive.
     """
     trees = StoredTrees(Path(folder), _checked(read_settings(folder, KIND), Path(folder) / "job.yaml"))
     archive_settings = trees.settings["archive"]
@@ -294,13 +250,7 @@ def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> Stor
 
 
 def read_settings(folder: str | Path, kind: str) -> dict[str, Any]:
-    """Read the settings of the job in a folder.
-
-    Raises
-    ------
-    InputError
-        If the folder holds no results of that kind.
-    """
+    """Read the settings of the job in a folder."""
     file = Path(folder) / "job.yaml"
     try:
         manifest = read_job(file)

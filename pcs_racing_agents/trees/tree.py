@@ -15,40 +15,23 @@ from pcs_racing_agents.trees.paths import PolicyPaths, check_size, own_histories
 if TYPE_CHECKING:
     from pcs_racing_agents.solvers import GameTree
 
-__all__ = ["RaceTree", "TreeStatistics", "tree_from_arrays"]
 
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 
 class TreeStatistics(NamedTuple):
-    """The cost of a tree in driven segments (steps of the game, the first one included), and what sharing saved.
+    """The cost of a tree in driven segments (steps of the game, the first one included), and what sharing saved."""
 
-    Attributes
-    ----------
-    seeds : int
-        Noise seeds of the root; all numbers below are sums over them.
-    driven : int
-        Segments that were driven.
-    live : int
-        Segments of different policy paths, those after a crash left out: what is driven where no two cars are too far
-        apart to see each other.
-    shared : int
-        Segments of a tree whose branches share only their beginnings: one for each joint history of moves.
-    replayed : int
-        Segments if every joint history of all moves was raced from the start.
-    crashed : float
-        Share of the joint histories of all moves that end in a crash.
-    duplicates : float
-        Share of the joint histories of all moves that go along the same policies as another one that was counted.
-    """
-
-    seeds: int
-    driven: int
+    seeds: int  #: Noise seeds of the root; all numbers below are sums over them.
+    driven: int  #: Segments that were driven.
+    #: Segments of different policy paths, those after a crash left out: what is driven where no two cars are too far
+    #: apart to see each other.
     live: int
-    shared: int
-    replayed: int
-    crashed: float
+    shared: int  #: Segments of a tree whose branches share only their beginnings: one for each joint history of moves.
+    replayed: int  #: Segments if every joint history of all moves was raced from the start.
+    crashed: float  #: Share of the joint histories of all moves that end in a crash.
+    #: Share of the joint histories of all moves that go along the same policies as another one that was counted.
     duplicates: float
 
 
@@ -63,43 +46,26 @@ class RaceTree:
 
     With steering noise the same moves end differently for each noise seed. Seeds share their information sets: the
     players see the history, but not the seed.
-
-    Attributes
-    ----------
-    policies : ndarray, shape (2,)
-        Policies that the cars start with.
-    start_s : float
-        Arc length of the start line, m.
-    side : int
-        0 when car 0 started on the left or in front.
-    seeds : ndarray, shape (S,), uint64
-        Keys of the games: ``RaceGame.reset(seeds, policies=..., starts=...)`` starts the same ones.
-    table : ndarray, shape (K, A)
-        Where every move leads from every policy.
-    points : ndarray, shape (K, G)
-        Normalised coordinates of the policies as the players see them.
-    path_payoffs : ndarray, shape (S, U0_m, U1_m), float32
-        Payoffs to car 0; car 1 gets minus that.
-    path_leads : tuple of ndarray, shape (S, U0_k, U1_k)
-        Lead of car 0 at the end of step ``k``, m, for ``k`` below ``m``; 0 where the race was over before.
-    path_estimates : tuple of ndarray, shape (S, U0_k, U1_k, 2, G), float32
-        Normalised coordinates of each car as measured in step ``k``; 0 where the race was over before.
-    path_over : tuple of ndarray, shape (S, U0_k, U1_k), bool
-        Whether the race had ended in a crash when move ``k`` was due.
-    driven, live, crashed : ndarray, shape (S,), int64
-        Numbers behind :attr:`statistics`; ``crashed`` counts joint histories of all moves.
     """
 
-    policies: Indices
-    start_s: float
-    side: int
+    policies: Indices  #: shape (2,): Policies that the cars start with.
+    start_s: float  #: Arc length of the start line, m.
+    side: int  #: 0 when car 0 started on the left or in front.
+    #: shape (S,): Keys of the games: ``RaceGame.reset(seeds, policies=..., starts=...)`` starts the same ones.
     seeds: NDArray[np.uint64]
-    table: Indices
-    points: Floats
-    path_payoffs: NDArray[np.float32]
+    table: Indices  #: shape (K, A): Where every move leads from every policy.
+    points: Floats  #: shape (K, G): Normalised coordinates of the policies as the players see them.
+    path_payoffs: NDArray[np.float32]  #: shape (S, U0_m, U1_m): Payoffs to car 0; car 1 gets minus that.
+    #: shape (S, U0_k, U1_k): Lead of car 0 at the end of step ``k``, m, for ``k`` below ``m``; 0 where the race was
+    #: over before.
     path_leads: tuple[Floats, ...]
+    #: shape (S, U0_k, U1_k, 2, G): Normalised coordinates of each car as measured in step ``k``; 0 where the race was
+    #: over before.
     path_estimates: tuple[NDArray[np.float32], ...]
+    #: shape (S, U0_k, U1_k): Whether the race had ended in a crash when move ``k`` was due.
     path_over: tuple[NDArray[np.bool_], ...]
+    #: shape (S,): ``driven``, ``live``, ``crashed``: Numbers behind :attr:`statistics`; ``crashed`` counts joint
+    #: histories of all moves.
     driven: Indices
     live: Indices
     crashed: Indices
@@ -173,11 +139,6 @@ class RaceTree:
         -------
         ndarray, shape (S, N_k, 2, D), float32
             Where the race was over by then, the observation at its end.
-
-        Raises
-        ------
-        InputError
-            If there is no such move.
         """
         if not 0 <= level < self.moves:
             raise InputError(f"move {level} is none of the tree's; it must lie in 0 to {self.moves - 1}")
@@ -258,21 +219,7 @@ def _check_plain(arrays: Mapping[str, NDArray[Any]], wanted: list[str], moves: i
 
 
 def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) -> RaceTree:
-    """Return the tree of arrays from :meth:`RaceTree.arrays`.
-
-    Parameters
-    ----------
-    arrays : Mapping of str to ndarray
-    moves : int
-        Moves of each player.
-    where : str
-        Beginning of the messages of errors.
-
-    Raises
-    ------
-    InputError
-        If an array is missing, has another shape than the others, or is not finite.
-    """
+    """Return the tree of arrays from :meth:`RaceTree.arrays`."""
     wanted = [*_PLAIN, "payoffs", *(f"{name}_{k}" for name in _LEVELS for k in range(moves))]
     missing = [name for name in wanted if name not in arrays]
     if missing:

@@ -28,8 +28,6 @@ from pcs_racing_agents.tournament.watching import record_game
 from pcs_racing_agents.view.view_page import fill, player_parts, template
 from pcs_racing_agents.view.view_server import Answer, error_answer
 
-__all__ = ["MOST_RACES", "PersonRaces", "first_frames", "play_page"]
-
 MOST_RACES = 1_000_000
 
 _ADDRESS = re.compile(r"/race/([0-9]{1,6})/((?:[0-9]{1,3}(?:-[0-9]{1,3})*)?)(\.html)?")
@@ -55,20 +53,11 @@ class _GivenMoves:
 
 @dataclass(frozen=True, eq=False)
 class PersonRaces:
-    """Races of a person in car 0 against a competitor in car 1; race ``k`` has a start and policies of its own.
-
-    Attributes
-    ----------
-    game : RaceGame
-    opponent : Competitor
-        In car 1.
-    seed : int
-        Root of the starts, of the policies that both cars start with, and of the noise.
-    """
+    """Races of a person in car 0 against a competitor in car 1; race ``k`` has a start and policies of its own."""
 
     game: RaceGame
-    opponent: Competitor
-    seed: int = 0
+    opponent: Competitor  #: In car 1.
+    seed: int = 0  #: Root of the starts, of the policies that both cars start with, and of the noise.
 
     def answer(self, path: str) -> Answer:
         """Answer ``/race/K/MOVES`` with :meth:`situation` as JSON, and ``/race/K/MOVES.html`` with the race so far.
@@ -88,23 +77,11 @@ class PersonRaces:
             return error_answer(409, str(error))
 
     def replay(self, number: int, moves: tuple[int, ...]) -> Replay:
-        """Return the race up to the next move of the person, or to its end.
-
-        Raises
-        ------
-        InputError
-            If there is no such race or move, or more moves than the game has.
-        """
+        """Return the race up to the next move of the person, or to its end."""
         return self._drive(number, moves)[0]
 
     def situation(self, number: int, moves: tuple[int, ...]) -> dict[str, Any]:
-        """Return what the person may know before the next move, as plain values.
-
-        Raises
-        ------
-        InputError
-            As for :meth:`replay`.
-        """
+        """Return what the person may know before the next move, as plain values."""
         replay, played, steps = self._drive(number, moves)
         game, archive = self.game, self.game.archive
         made, over = len(moves), self._over(played, len(moves))

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.results.races import RaceTable
 
-__all__ = ["OUTCOMES", "SelectedRace", "choose_races", "outcomes"]
-
 OUTCOMES = (
     "a win by switching",
     "a loss",
@@ -26,18 +24,10 @@ OUTCOMES = (
 
 
 class SelectedRace(NamedTuple):
-    """A selected race.
+    """A selected race."""
 
-    Attributes
-    ----------
-    race : int
-        Line of the results, from 0.
-    why : str
-        Agent and outcome, such as ``"cfr-argmax: a win by switching"``.
-    """
-
-    race: int
-    why: str
+    race: int  #: Line of the results, from 0.
+    why: str  #: Agent and outcome, such as ``"cfr-argmax: a win by switching"``.
 
 
 def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
@@ -45,7 +35,6 @@ def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
 
     Parameters
     ----------
-    races : RaceTable
     car : int
         0 or 1.
     """
@@ -59,12 +48,6 @@ def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
 
 def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
     """Select races to show, by a deterministic rule.
-
-    Parameters
-    ----------
-    races : RaceTable
-    count : int
-        Maximum number.
 
     Returns
     -------

@@ -25,8 +25,6 @@ from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.watching import record_game
 from pcs_racing_agents.view.results_folder import ResultsFolder
 
-__all__ = ["PLACES", "RaceRepeater", "RepeatedRace", "circuit_values", "race_values", "space_values"]
-
 PLACES = 4000  # resolution of positions: steps across the picture
 PLAN_SKIP = 2  # every second plan is kept
 MOST_PAIRINGS = 64
@@ -35,52 +33,26 @@ Floats = NDArray[np.float64]
 
 
 class RepeatedRace(NamedTuple):
-    """A repeated race as data for the page.
+    """A repeated race as data for the page."""
 
-    Attributes
-    ----------
-    race : int
-        Line of the results, from 0.
-    circuit : str
-        Name of its circuit.
-    values : dict
-        Data of the race: :func:`race_values`.
-    """
-
-    race: int
-    circuit: str
-    values: dict[str, Any]
+    race: int  #: Line of the results, from 0.
+    circuit: str  #: Name of its circuit.
+    values: dict[str, Any]  #: Data of the race: :func:`race_values`.
 
 
 class RaceRepeater:
-    """Repeats races of a results folder, and stores the data that they share; not thread-safe.
-
-    Parameters
-    ----------
-    results : ResultsFolder
-
-    Attributes
-    ----------
-    circuits : dict of str to dict
-        By name, those of the races driven so far: :func:`circuit_values`.
-    space : dict or None
-        The Policy Characteristic Space: :func:`space_values`; None before the first race.
-    """
+    """Repeats races of a results folder, and stores the data that they share; not thread-safe."""
 
     def __init__(self, results: ResultsFolder) -> None:
         self.results = results
+        #: By name, those of the races driven so far: :func:`circuit_values`.
         self.circuits: dict[str, dict[str, Any]] = {}
+        #: The Policy Characteristic Space: :func:`space_values`; None before the first race.
         self.space: dict[str, Any] | None = None
         self._pairings: RecentlyUsed[tuple[str, str, str, int], Pairing] = RecentlyUsed(MOST_PAIRINGS)
 
     def drive(self, number: int) -> RepeatedRace:
-        """Repeat the race of a line of the results.
-
-        Raises
-        ------
-        InputError
-            If there is no such line, the archive, the circuit or an agent has changed since, or the result differs.
-        """
+        """Repeat the race of a line of the results."""
         row = self.results.row(number)
         pairing = self._pairings.get(_pair(row), lambda: self.results.pairing(row))
         if row.race >= len(pairing):
@@ -167,12 +139,6 @@ def space_values(archive: PolicyArchive, moves: Sequence[str]) -> dict[str, Any]
     """Return the Policy Characteristic Space as plain values for the page's JSON.
 
     Positions are in steps of 1/4000 of the picture, from its left and lower edge.
-
-    Parameters
-    ----------
-    archive : PolicyArchive
-    moves : sequence of str
-        Names of the moves.
     """
     columns = plane(archive)
     kinds = get_characteristics(archive.characteristics)

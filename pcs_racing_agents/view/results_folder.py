@@ -27,57 +27,29 @@ from pcs_racing_agents.results.race_files import read_results
 from pcs_racing_agents.results.races import RaceRow, RaceTable
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.study import Study
-from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, schedule_pairing
-from pcs_racing_agents.tournament.schedule import draw_schedule
-
-__all__ = ["ResultsFolder", "open_results"]
+from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, draw_schedule, schedule_pairing
 
 MANIFEST = "job.yaml"
 
 
 @dataclass(frozen=True, eq=False)
 class ResultsFolder:
-    """The races of a folder.
-
-    Attributes
-    ----------
-    folder : Path
-    settings : Mapping
-        Settings of a tournament, from ``job.yaml``.
-    races : RaceTable
-        Content of ``results.csv``.
-    study : Study, optional
-        The study that they belong to, whose agents are used instead of the zoo's.
-    tournament : bool
-        Whether they are a tournament; else they are the races of a study's tables.
-    """
+    """The races of a folder."""
 
     folder: Path
-    settings: Mapping[str, Any]
-    races: RaceTable
-    study: Study | None
-    tournament: bool
+    settings: Mapping[str, Any]  #: Settings of a tournament, from ``job.yaml``.
+    races: RaceTable  #: Content of ``results.csv``.
+    study: Study | None  #: The study that they belong to, whose agents are used instead of the zoo's.
+    tournament: bool  #: Whether they are a tournament; else they are the races of a study's tables.
 
     def row(self, number: int) -> RaceRow:
-        """Return a line of the results, counted from 0.
-
-        Raises
-        ------
-        InputError
-            If there is none.
-        """
+        """Return a line of the results, counted from 0."""
         if not 0 <= number < len(self.races):
             raise InputError(f"there is no race {number} in {self.folder}; it holds races 0 to {len(self.races) - 1}")
         return self.races[number]
 
     def check_lead(self, number: int, lead: float) -> None:
-        """Check that a repeated race ended with the lead that the results have, to four digits.
-
-        Raises
-        ------
-        InputError
-            If it did not.
-        """
+        """Check that a repeated race ended with the lead that the results have, to four digits."""
         recorded = f"{self.row(number).lead:.4f}"
         if f"{lead:.4f}" != recorded:
             raise InputError(
@@ -91,13 +63,7 @@ class ResultsFolder:
         return self.races.pairs
 
     def pairing(self, row: RaceRow) -> Pairing:
-        """Return the pairing of a line, by track, pair and seed; ``row.race`` is the line's number in the pairing.
-
-        Raises
-        ------
-        InputError
-            If the archive, the track or an agent has changed since.
-        """
+        """Return the pairing of a line, by track, pair and seed; ``row.race`` is the line's number in the pairing."""
         try:
             if self.study is not None and not self.tournament:
                 return self._of_study(self.study, row)
@@ -108,13 +74,7 @@ class ResultsFolder:
             raise InputError(f"{self.folder / MANIFEST} is damaged: {error!r}") from None
 
     def pairings(self, agent: str) -> Iterator[tuple[Pairing, int]]:
-        """Return all pairings of an agent, with the car that it drove in them.
-
-        Raises
-        ------
-        InputError
-            If it did not race here, or as :meth:`pairing`.
-        """
+        """Return all pairings of an agent, with the car that it drove in them."""
         firsts = [self.races[int(numbers[0])] for numbers in self.pairs.values()]
         rows = [row for row in firsts if agent in (row.ego, row.opponent)]
         if not rows:
@@ -153,13 +113,7 @@ class ResultsFolder:
 
 
 def open_results(folder: str | Path) -> ResultsFolder:
-    """Open the folder of a tournament or of a study.
-
-    Raises
-    ------
-    InputError
-        If it is neither, or holds no results.
-    """
+    """Open the folder of a tournament or of a study."""
     path = Path(folder)
     manifest = _manifest(path)
     if manifest is None or manifest["kind"] not in ("tournament", "study"):

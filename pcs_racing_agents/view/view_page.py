@@ -20,57 +20,29 @@ from pcs_racing_agents.results.races import Categorical, RaceTable
 from pcs_racing_agents.view.race_choice import SelectedRace
 from pcs_racing_agents.view.race_replays import RepeatedRace
 
-__all__ = ["ViewContent", "fill", "packed_races", "player_parts", "template", "view_page"]
-
 _SHARED = re.compile(r"/\* shared: (\w+) \*/(.*?)/\* end of shared \*/", re.DOTALL)
 
 
 @dataclass(frozen=True)
 class ViewContent:
-    """Content of a page.
-
-    Attributes
-    ----------
-    title : str
-    races : RaceTable
-    results : str
-        Their path, as written in a command.
-    start : str
-        ``"side-by-side"``, or another kind of start, in which one car is in front.
-    picks : sequence of SelectedRace
-        The races with replays.
-    driven : sequence of RepeatedRace
-        Their replays.
-    circuits : mapping of str to dict
-        Their circuits, by name.
-    space : mapping, optional
-        The Policy Characteristic Space.
-    why_not : str
-        Why no race can be repeated; ``""`` if they can.
-    serve : bool
-        Whether a server (:mod:`pcs_racing_agents.view.view_server`) repeats the others on request.
-    """
+    """Content of a page."""
 
     title: str
     races: RaceTable
-    results: str = ""
-    start: str = "side-by-side"
-    picks: Sequence[SelectedRace] = ()
-    driven: Sequence[RepeatedRace] = ()
-    circuits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    space: Mapping[str, Any] | None = None
-    why_not: str = ""
-    serve: bool = False
+    results: str = ""  #: Their path, as written in a command.
+    start: str = "side-by-side"  #: ``"side-by-side"``, or another kind of start, in which one car is in front.
+    picks: Sequence[SelectedRace] = ()  #: The races with replays.
+    driven: Sequence[RepeatedRace] = ()  #: Their replays.
+    circuits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  #: Their circuits, by name.
+    space: Mapping[str, Any] | None = None  #: The Policy Characteristic Space.
+    why_not: str = ""  #: Why no race can be repeated; ``""`` if they can.
+    serve: bool = False  #: Whether a server (:mod:`pcs_racing_agents.view.view_server`) repeats the others on request.
 
 
 def view_page(content: ViewContent) -> str:
     """Return the page.
 
     A link may name filters, a race and a moment, such as ``view.html#agent=adaptive&crash=own&race=12&t=9.5``.
-
-    Parameters
-    ----------
-    content : ViewContent
     """
     list_page, player, beside = (template(*place) for place in _TEMPLATES)
     shared = player_parts(player)

@@ -18,8 +18,6 @@ from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.race.replay_files import safe_json
 from pcs_racing_agents.view.race_replays import RaceRepeater
 
-__all__ = ["MOST_KEPT", "Answer", "RaceService", "error_answer", "make_server"]
-
 MOST_KEPT = 200  # answers kept in memory, some 40 kB each
 LONGEST_PATH = 100
 
@@ -27,20 +25,11 @@ _RACE = re.compile(r"/race/([0-9]{1,7})")
 
 
 class Answer(NamedTuple):
-    """The answer to a request.
+    """The answer to a request."""
 
-    Attributes
-    ----------
-    status : int
-        HTTP status.
-    body : bytes
-    kind : str
-        Media type of the body.
-    """
-
-    status: int
+    status: int  #: HTTP status.
     body: bytes
-    kind: str = "application/json"
+    kind: str = "application/json"  #: Media type of the body.
 
 
 def error_answer(status: int, text: str) -> Answer:
@@ -49,14 +38,7 @@ def error_answer(status: int, text: str) -> Answer:
 
 
 class RaceService:
-    """Repeats races one at a time and caches the last answers.
-
-    Parameters
-    ----------
-    driver : RaceRepeater
-    races : int
-        Number of races.
-    """
+    """Repeats races one at a time and caches the last answers."""
 
     def __init__(self, driver: RaceRepeater, races: int) -> None:
         self.driver = driver
@@ -95,11 +77,6 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
         ``answer(path) -> Answer`` for every other address of at most 100 characters.
     port : int
         0 takes a free one.
-
-    Raises
-    ------
-    InputError
-        If the port is impossible or taken.
     """
     check_whole("port", port, 0, 65535)  # 0 takes any free one
     content = page.encode()

@@ -6,7 +6,7 @@ from pcs_racing import CONTEST, PAPER, draw_starts, get_planner, load_race_confi
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.planners.network import INPUTS, network_planner
 from pcs_racing.planners.trained import trained_planner
-from pcs_racing_agents.agents.drawing import draw, hash_rows
+from pcs_racing_agents.agents.agent import draw, hash_rows
 from pcs_racing_agents.learning.ppo.drives import Drives
 from pcs_racing_agents.solvers import GameTree, cfr, exploitability, play_value, solve_exact
 from pcs_racing_agents.solvers.cfr import VARIANTS

@@ -7,7 +7,8 @@ from zoo_games import CONFIG, toy_archive, untrained
 
 from pcs_racing import PolicyArchive, RaceGame, load_race_config, load_track, save_archive
 from pcs_racing_agents.agents import Setting, make_setting
-from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
 

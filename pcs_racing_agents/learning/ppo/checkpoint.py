@@ -10,8 +10,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.learning.ppo.learner import Learner
 
-__all__ = ["pack", "restore_learner", "store_learner", "under"]
-
 PLAIN = "plain"
 
 
@@ -38,13 +36,7 @@ def store_learner(learner: Learner) -> Arrays:
 
 
 def restore_learner(learner: Learner, arrays: Arrays) -> None:
-    """Restore the state that :func:`store_learner` returned, in a learner with equal settings.
-
-    Raises
-    ------
-    InputError
-        If it is the state of another learner.
-    """
+    """Restore the state that :func:`store_learner` returned, in a learner with equal settings."""
     import torch
 
     model = learner.model
@@ -107,14 +99,8 @@ def unpack(arrays: Arrays, like: Any) -> Any:
 
     Parameters
     ----------
-    arrays : dict of ndarray
     like
         A value of the same structure, with arrays of the same shapes and types.
-
-    Raises
-    ------
-    InputError
-        If the arrays belong to a value of another structure.
     """
     try:
         plain = json.loads(arrays[PLAIN].tobytes())

@@ -37,8 +37,6 @@ from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, sco
 from pcs_racing_agents.learning.ppo.settings import DriveSettings
 from pcs_racing_agents.learning.ppo.tasks import split_envs
 
-__all__ = ["ACTION_LIMIT", "DriveTask", "Drives", "LearnerBatch", "make_drive_task"]
-
 ACTION_LIMIT = 10.0  # tanh of it is 1 but for 4e-9
 EVALUATION_SEED = 1_000_003  # root of the races of evaluations
 
@@ -58,7 +56,6 @@ class LearnerBatch(DriveBatch):
 
     Parameters
     ----------
-    episodes : int
     leading : float
         Reward for a second in front, m.
     **arguments
@@ -97,9 +94,6 @@ class Drives(BatchVectorEnv):
 
     Parameters
     ----------
-    races : int
-    track : Track
-    config : RaceConfig
     opponents : sequence of Policy
         One of them is drawn for each race.
     hold : int
@@ -143,21 +137,12 @@ class Drives(BatchVectorEnv):
 
 @dataclass(frozen=True, eq=False)
 class DriveTask:
-    """The learning task at the control level; :func:`make_drive_task` makes it.
-
-    Attributes
-    ----------
-    settings : DriveSettings
-    tracks : tuple of Track
-    rules : tuple of RaceConfig
-    policies : tuple of Policy
-        The opponents, in the order of the settings.
-    """
+    """The learning task at the control level; :func:`make_drive_task` makes it."""
 
     settings: DriveSettings
     tracks: tuple[Track, ...]
     rules: tuple[RaceConfig, ...]
-    policies: tuple[Policy, ...]
+    policies: tuple[Policy, ...]  #: The opponents, in the order of the settings.
 
     activation = "tanh"
     limit = WEIGHT_LIMIT
@@ -232,13 +217,7 @@ def _learner_planner(hidden: tuple[int, ...], hold: int) -> Planner:
 
 
 def make_drive_task(settings: DriveSettings) -> DriveTask:
-    """Load circuits, rules and opponents, and check that they fit together.
-
-    Raises
-    ------
-    InputError
-        If a circuit, rules or an opponent is unknown, or they do not fit.
-    """
+    """Load circuits, rules and opponents, and check that they fit together."""
     tracks = tuple(load_track(name) for name in settings.tracks)
     rules = tuple(load_race_config(race) for race in settings.races)
     if len({config.name for config in rules}) < len(rules):

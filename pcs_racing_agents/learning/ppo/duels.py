@@ -29,40 +29,21 @@ from pcs_racing_agents.learning.ppo.tasks import group_seeds, split_envs
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import save_network
 
-__all__ = ["DuelTask", "make_duel_task", "play_duels"]
-
 Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class DuelTask:
-    """The learning task at the strategy level; :func:`make_duel_task` makes it.
-
-    Attributes
-    ----------
-    settings : DuelSettings
-    archive : PolicyArchive
-    tracks : tuple of Track
-    game : RaceGame
-        On the first circuit; archive, moves and observations are the same on all.
-    mixtures : tuple of tuple of (weight, name)
-        The opponents, in a mixture for each planner.
-    batches : mapping of Matchup to GameBatch
-        Games of the evaluation.
-    overrides : mapping
-        Rules in place of those of the settings, as plain values by name.
-    threads : int
-        Threads that drive the games of training. They do not change the results.
-    """
+    """The learning task at the strategy level; :func:`make_duel_task` makes it."""
 
     settings: DuelSettings
     archive: PolicyArchive
     tracks: tuple[Track, ...]
-    game: RaceGame
-    mixtures: tuple[tuple[tuple[int, str], ...], ...]
-    batches: Mapping[Matchup, GameBatch] = field(repr=False)
-    overrides: Mapping[str, Any]
-    threads: int
+    game: RaceGame  #: On the first circuit; archive, moves and observations are the same on all.
+    mixtures: tuple[tuple[tuple[int, str], ...], ...]  #: The opponents, in a mixture for each planner.
+    batches: Mapping[Matchup, GameBatch] = field(repr=False)  #: Games of the evaluation.
+    overrides: Mapping[str, Any]  #: Rules in place of those of the settings, as plain values by name.
+    threads: int  #: Threads that drive the games of training. They do not change the results.
 
     activation = "relu"
     limit = 1e6
@@ -131,18 +112,12 @@ def make_duel_task(
 
     Parameters
     ----------
-    settings : DuelSettings
     archive : PolicyArchive, optional
         In place of the one that the settings name.
     rules : GameConfig, optional
         In place of the race and the size of moves that the settings name.
     threads : int
         Threads that drive the games. They do not change the results.
-
-    Raises
-    ------
-    InputError
-        If a circuit, the archive, the rules or an opponent is unknown, or they do not fit.
     """
     overrides = {} if rules is None else {"game": asdict(rules)}
     archive = load_archive(settings.archive) if archive is None else archive
@@ -172,7 +147,6 @@ def play_duels(batch: GameBatch, network: RegretNetwork, seed: int) -> MatchupSc
     ----------
     batch : GameBatch
         Overwritten.
-    network : RegretNetwork
     seed : int
         Seed of starts, policies and noise: the same seed gives every network the same games.
     """

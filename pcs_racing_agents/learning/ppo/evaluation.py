@@ -13,62 +13,28 @@ from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.csv_files import read_csv, write_csv
 from pcs_racing_agents.results.text_table import aligned
 
-__all__ = [
-    "EvaluationCurve",
-    "Matchup",
-    "MatchupScore",
-    "evaluation_curves",
-    "mean_score",
-    "read_evaluations",
-    "score_races",
-    "score_table",
-    "write_evaluations",
-]
-
 
 class Matchup(NamedTuple):
-    """The races of an evaluation that share circuit, rules and opponent.
+    """The races of an evaluation that share circuit, rules and opponent."""
 
-    Attributes
-    ----------
-    track, race, opponent : str
-        Names of the circuit, the rules and the opponent.
-    """
-
-    track: str
+    track: str  #: ``track``, ``race``, ``opponent``: Names of the circuit, the rules and the opponent.
     race: str
     opponent: str
 
 
 class MatchupScore(NamedTuple):
-    """Result of the races of a matchup; the shares add up to 1 with ties and crashes that neither car wins.
-
-    Attributes
-    ----------
-    races : int
-    worth : float
-        Mean objective of the evaluation: in duels the utility of a game; in drives 1 for a win, -1 for a loss or a
-        crash by own fault.
-    error : float
-        Standard error of ``worth``.
-    won, lost : float
-        Shares of the races.
-    crashed : float
-        Share that ended in a crash by any fault.
-    fault : float
-        Share that ended in a crash by the learner's fault.
-    lead : float
-        Mean lead at the end, m.
-    """
+    """Result of the races of a matchup; the shares add up to 1 with ties and crashes that neither car wins."""
 
     races: int
+    #: Mean objective of the evaluation: in duels the utility of a game; in drives 1 for a win, -1 for a loss or a crash
+    #: by own fault.
     worth: float
-    error: float
-    won: float
+    error: float  #: Standard error of ``worth``.
+    won: float  #: ``won``, ``lost``: Shares of the races.
     lost: float
-    crashed: float
-    fault: float
-    lead: float
+    crashed: float  #: Share that ended in a crash by any fault.
+    fault: float  #: Share that ended in a crash by the learner's fault.
+    lead: float  #: Mean lead at the end, m.
 
 
 def score_races(worth: NDArray[np.float64], winner: NDArray[np.int8], race: RaceState) -> MatchupScore:
@@ -100,7 +66,6 @@ def mean_score(scores: Mapping[Matchup, MatchupScore], weights: Mapping[str, int
 
     Parameters
     ----------
-    scores : mapping of Matchup to MatchupScore
     weights : mapping of str to int
         How often each opponent is met.
     """
@@ -133,20 +98,11 @@ EVALUATION_COLUMNS = ("seed", "steps", *Matchup._fields, *MatchupScore._fields)
 
 
 class EvaluationCurve(NamedTuple):
-    """All evaluations of a learner with one seed.
-
-    Attributes
-    ----------
-    seed : int
-    steps : tuple of int
-        Steps learned before each evaluation.
-    scores : tuple of mapping of Matchup to MatchupScore
-        Its result.
-    """
+    """All evaluations of a learner with one seed."""
 
     seed: int
-    steps: tuple[int, ...]
-    scores: tuple[Mapping[Matchup, MatchupScore], ...]
+    steps: tuple[int, ...]  #: Steps learned before each evaluation.
+    scores: tuple[Mapping[Matchup, MatchupScore], ...]  #: Its result.
 
 
 def write_evaluations(curves: Sequence[EvaluationCurve], file: Path) -> Path:
@@ -161,13 +117,7 @@ def write_evaluations(curves: Sequence[EvaluationCurve], file: Path) -> Path:
 
 
 def read_evaluations(file: Path) -> list[EvaluationCurve]:
-    """Read what :func:`write_evaluations` wrote.
-
-    Raises
-    ------
-    InputError
-        If it is something else.
-    """
+    """Read what :func:`write_evaluations` wrote."""
     curves: dict[int, dict[int, dict[Matchup, MatchupScore]]] = {}
     table = read_csv(file)
     if table.columns != EVALUATION_COLUMNS:
@@ -187,7 +137,6 @@ def evaluation_curves(curves: Sequence[EvaluationCurve], weights: Mapping[str, i
 
     Parameters
     ----------
-    curves : sequence of EvaluationCurve
     weights : mapping of str to int
         How often each opponent is met.
     """

@@ -23,33 +23,17 @@ from pcs_racing_agents.networks.torch_layers import layers_from_torch, torch_alo
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
 
-__all__ = [
-    "Learner",
-    "actor_layers",
-    "check_packages",
-    "learn_once",
-    "make_learner",
-    "own_randomness",
-]
 
 FIGURES = ("approx_kl", "clip_fraction", "entropy_loss", "explained_variance", "value_loss")
 """Recorded figures of every update, by the names of Stable-Baselines3."""
 
 
 class Learner(NamedTuple):
-    """A PPO model with its learning-rate schedule and weight limit.
-
-    Attributes
-    ----------
-    model : PPO
-    rate : LinearRate
-    limit : float
-        Largest weight that the policy may have.
-    """
+    """A PPO model with its learning-rate schedule and weight limit."""
 
     model: "PPO"
     rate: "LinearRate"
-    limit: float
+    limit: float  #: Largest weight that the policy may have.
 
 
 class LinearRate:
@@ -60,18 +44,13 @@ class LinearRate:
         self.steps = 0
 
     def __call__(self, _: float) -> float:
+        """Return the rate after the steps so far."""
         share = min(self.steps / self.total, 1.0)
         return self.first + share * (self.last - self.first)
 
 
 def check_packages() -> None:
-    """Check that Stable-Baselines3 is installed.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If it is not; the message says how to install it.
-    """
+    """Check that Stable-Baselines3 is installed."""
     try:
         import stable_baselines3  # noqa: F401
     except ImportError:
@@ -103,10 +82,6 @@ def make_learner(
 
     Parameters
     ----------
-    settings : PPOSettings
-    groups : sequence of BatchVectorEnv
-        Training environments.
-    seed : int
     activation : {"relu", "tanh"}
         Activation between the layers.
     limit : float
@@ -162,13 +137,7 @@ def make_learner(
 
 
 def learn_once(learner: Learner) -> dict[str, float]:
-    """Collect the steps of one update, and make it; return :data:`FIGURES` and the mean reward of a step.
-
-    Raises
-    ------
-    InputError
-        If a weight has become infinite or NaN.
-    """
+    """Collect the steps of one update, and make it; return :data:`FIGURES` and the mean reward of a step."""
     import torch
 
     model = learner.model

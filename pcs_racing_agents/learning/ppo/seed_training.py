@@ -14,41 +14,19 @@ from pcs_racing_agents.learning.ppo.learner import Learner, actor_layers, learn_
 from pcs_racing_agents.learning.ppo.settings import PPOSettings
 from pcs_racing_agents.learning.ppo.tasks import LearningTask
 
-__all__ = ["SeedRecord", "SeedTraining"]
-
 
 @dataclass
 class SeedRecord:
-    """Evaluations and updates of a training so far, and its best policy.
-
-    Attributes
-    ----------
-    seed : int
-    weights : mapping of str to int
-        How often each opponent is met.
-    steps : list of int
-        Steps learned before each evaluation.
-    scores : list of dict of Matchup to MatchupScore
-        The evaluations.
-    updates : list of tuple of float
-        Steps, and the figures of every update.
-    best_at : int
-        Index of the best evaluation.
-    best : DenseLayers, optional
-        The policy at that time; None before the first evaluation.
-    seconds : float
-        Time spent.
-    finished : bool
-    """
+    """Evaluations and updates of a training so far, and its best policy."""
 
     seed: int
-    weights: Mapping[str, int]
-    steps: list[int] = field(default_factory=list)
-    scores: list[dict[Matchup, MatchupScore]] = field(default_factory=list)
-    updates: list[tuple[float, ...]] = field(default_factory=list)
-    best_at: int = 0
-    best: DenseLayers | None = None
-    seconds: float = 0.0
+    weights: Mapping[str, int]  #: How often each opponent is met.
+    steps: list[int] = field(default_factory=list)  #: Steps learned before each evaluation.
+    scores: list[dict[Matchup, MatchupScore]] = field(default_factory=list)  #: The evaluations.
+    updates: list[tuple[float, ...]] = field(default_factory=list)  #: Steps, and the figures of every update.
+    best_at: int = 0  #: Index of the best evaluation.
+    best: DenseLayers | None = None  #: The policy at that time; None before the first evaluation.
+    seconds: float = 0.0  #: Time spent.
     finished: bool = False
 
     @property
@@ -118,21 +96,12 @@ class SeedRecord:
 
 @dataclass(frozen=True, eq=False)
 class SeedTraining:
-    """A function that trains with a seed for some time; it is sent to other processes with the task.
-
-    Attributes
-    ----------
-    task : LearningTask
-    settings : PPOSettings
-    seconds : float
-        Duration of a call; it does not change the result, nor does the process.
-    on_update : callable, optional
-        Called with the record at the beginning of a piece and after every update.
-    """
+    """A function that trains with a seed for some time; it is sent to other processes with the task."""
 
     task: LearningTask
     settings: PPOSettings
-    seconds: float
+    seconds: float  #: Duration of a call; it does not change the result, nor does the process.
+    #: Called with the record at the beginning of a piece and after every update.
     on_update: Callable[[SeedRecord], None] | None = None
 
     def __call__(self, piece: tuple[int, Arrays | None]) -> Arrays:

@@ -23,8 +23,6 @@ from pcs_racing.base.settings import (
 )
 from pcs_racing_agents.jobs.configuration import shipped_configs
 
-__all__ = ["LEVELS", "DriveSettings", "DuelSettings", "PPOSettings", "load_ppo_settings"]
-
 TRAINING_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
 _OPPONENTS = weights(1, 1000)
@@ -163,13 +161,6 @@ def load_ppo_settings(source: str | Path | PPOSettings, **changes: Any) -> PPOSe
     """Return settings from a shipped configuration's name, a YAML file or settings, with some fields changed.
 
     A file names its ``level`` ("duel" or "drive") beside the fields of :class:`DuelSettings` or :class:`DriveSettings`.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value impossible.
-    UnknownNameError
-        If the name is no configuration and no file.
     """
     if isinstance(source, PPOSettings):
         return load_settings("ppo", source, None, **changes)

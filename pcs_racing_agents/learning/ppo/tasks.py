@@ -14,25 +14,13 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore
 
-__all__ = ["LearningTask", "group_seeds", "split_envs"]
-
 
 class LearningTask(Protocol):
-    """A learning task: :class:`pcs_racing_agents.learning.ppo.duels.DuelTask` or ``DriveTask``.
+    """A learning task: :class:`pcs_racing_agents.learning.ppo.duels.DuelTask` or ``DriveTask``."""
 
-    Attributes
-    ----------
-    activation : {"relu", "tanh"}
-        Between the layers of the policy.
-    limit : float
-        Largest weight that the policy may have.
-    unit : str
-        Name of a step, for reports.
-    """
-
-    activation: str
-    limit: float
-    unit: str
+    activation: str  #: "relu" or "tanh": Between the layers of the policy.
+    limit: float  #: Largest weight that the policy may have.
+    unit: str  #: Name of a step, for reports.
 
     @property
     def threads(self) -> int:
@@ -61,7 +49,6 @@ def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
 
     Parameters
     ----------
-    seed : int
     groups : int
         How many are needed.
     purpose : int

@@ -20,7 +20,8 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Progress, open_job
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes
 from pcs_racing_agents.learning.ppo.drives import make_drive_task
 from pcs_racing_agents.learning.ppo.duels import make_duel_task
@@ -37,44 +38,23 @@ from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings,
 from pcs_racing_agents.learning.ppo.tasks import LearningTask
 from pcs_racing_agents.results.csv_files import write_csv
 
-__all__ = ["PPOResult", "check_checkpoint_seconds", "make_task", "train_ppo"]
-
 CHECKPOINT_SECONDS = 20.0
 
 
 @dataclass(frozen=True, eq=False)
 class PPOResult:
-    """A trained policy and its learning curves.
-
-    Attributes
-    ----------
-    settings : PPOSettings
-    task : LearningTask
-    curves : tuple of EvaluationCurve
-        Of each seed.
-    layers : DenseLayers
-        The policy: of all evaluations of all seeds the one of highest worth.
-    seed : int
-        That it is from.
-    steps : int
-        After which it was evaluated.
-    scores : mapping of Matchup to MatchupScore
-        That evaluation. It is biased upwards: the best of many, in the same races every time.
-    seconds : float
-        Time of the training with all seeds, without interruptions.
-    folder : Path
-        Holds the weights, what describes them, and the curves.
-    """
+    """A trained policy and its learning curves."""
 
     settings: PPOSettings
     task: LearningTask
-    curves: tuple[EvaluationCurve, ...]
-    layers: DenseLayers
-    seed: int
-    steps: int
+    curves: tuple[EvaluationCurve, ...]  #: Of each seed.
+    layers: DenseLayers  #: The policy: of all evaluations of all seeds the one of highest worth.
+    seed: int  #: That it is from.
+    steps: int  #: After which it was evaluated.
+    #: That evaluation. It is biased upwards: the best of many, in the same races every time.
     scores: Mapping[Matchup, MatchupScore]
-    seconds: float
-    folder: Path
+    seconds: float  #: Time of the training with all seeds, without interruptions.
+    folder: Path  #: Holds the weights, what describes them, and the curves.
 
 
 def train_ppo(
@@ -114,21 +94,6 @@ def train_ppo(
         Archive in place of that of the settings of a duel.
     rules : GameConfig, optional
         Rules in place of the race and the size of moves in the settings of a duel.
-    **changes
-        Fields of the settings to change.
-
-    Returns
-    -------
-    PPOResult
-
-    Raises
-    ------
-    InputError
-        If settings are impossible, name something unknown, or the folder holds something else; nothing is touched then.
-    JobError
-        If another process trains in the folder, or it can't be written to.
-    ModuleNotFoundError
-        If Stable-Baselines3 is not installed.
     """
     settings = load_ppo_settings(config, **changes)
     check_checkpoint_seconds(checkpoint_seconds)
@@ -192,16 +157,10 @@ def make_task(
 
     Parameters
     ----------
-    settings : PPOSettings
     archive, rules : optional
         Those of the game, in place of what the settings of a duel name.
     threads : int
         Threads that drive the games of a duel. They do not change the results.
-
-    Raises
-    ------
-    InputError
-        If one of them is unknown, or they do not fit, or a drive is given an archive or the rules of a game.
     """
     if isinstance(settings, DuelSettings):
         return make_duel_task(settings, archive, rules, threads)
@@ -222,13 +181,7 @@ def _named(settings: DuelSettings, archive: PolicyArchive | None, rules: GameCon
 
 
 def check_checkpoint_seconds(seconds: float) -> None:
-    """Check the time between two checkpoints.
-
-    Raises
-    ------
-    InputError
-        If it is below 0 or not a number.
-    """
+    """Check the time between two checkpoints."""
     if not seconds >= 0.0:
         raise InputError(f"the time between two checkpoints is {seconds!r} s; it must be 0 or more")
 

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecEnv
 
-__all__ = ["TUNED_FILE", "TunedPPO", "tuned_environments", "tuned_ppo"]
 
 TUNED_FILE = shipped_configs("sb3")["ppo"]
 """The file with the settings of all environments, in the format of rl_zoo3."""
@@ -28,32 +27,16 @@ LINEAR = "lin_"
 
 @dataclass(frozen=True)
 class TunedPPO:
-    """A task of an environment and the settings with which PPO learns it.
+    """A task of an environment and the settings with which PPO learns it."""
 
-    Attributes
-    ----------
-    environment : str
-        Id of the environment.
-    arguments : Mapping
-        Arguments of the environment: the task.
-    num_envs : int
-        Environments that are stepped together.
-    steps : int
-        Steps of the training, over all environments.
-    normalize : bool
-        Whether observations and rewards are normalised by ``VecNormalize``.
-    unequal_cars : Mapping, optional
-        Arguments of :class:`pcs_racing_agents.learning.ppo.unequal_cars.UnequalCars`, if the environments are in it.
-    settings : Mapping
-        Arguments of ``PPO``; the learning rate as a number, or as text such as "lin_1e-3": it falls linearly to 0.
-    """
-
-    environment: str
-    arguments: Mapping[str, Any]
-    num_envs: int
-    steps: int
-    normalize: bool = False
+    environment: str  #: Id of the environment.
+    arguments: Mapping[str, Any]  #: Arguments of the environment: the task.
+    num_envs: int  #: Environments that are stepped together.
+    steps: int  #: Steps of the training, over all environments.
+    normalize: bool = False  #: Whether observations and rewards are normalised by ``VecNormalize``.
+    #: Arguments of :class:`pcs_racing_agents.learning.ppo.unequal_cars.UnequalCars`, if the environments are in it.
     unequal_cars: Mapping[str, Any] | None = None
+    #: Arguments of ``PPO``; the learning rate as a number, or as text such as "lin_1e-3": it falls linearly to 0.
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def make_envs(self, num_envs: int | None = None) -> "VecEnv":
@@ -105,11 +88,6 @@ def tuned_ppo(environment: str) -> TunedPPO:
     environment : str
         Its id, for instance ``"pcs_racing/Match-v0"``.
 
-    Raises
-    ------
-    UnknownNameError
-        If there are no settings for it.
-
     Examples
     --------
     >>> tuned = tuned_ppo("pcs_racing/Match-v0")
@@ -131,13 +109,7 @@ def tuned_ppo(environment: str) -> TunedPPO:
 
 
 def learning_rate(value: float | str) -> Any:
-    """Return a learning rate as PPO takes it: a number, or a function of the share of the training that is left.
-
-    Raises
-    ------
-    ConfigError
-        If a text is not "lin_" and a number.
-    """
+    """Return a learning rate as PPO takes it: a number, or a function of the share of the training that is left."""
     if not isinstance(value, str):
         return float(value)
     try:

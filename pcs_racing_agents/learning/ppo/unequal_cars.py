@@ -16,8 +16,6 @@ try:
 except ImportError as error:
     raise ImportError('self-play needs Stable-Baselines3: pip install "pcs-racing[learning]"') from error
 
-__all__ = ["UnequalCars"]
-
 
 class UnequalCars(VecEnvWrapper):
     """Self-play in which one car of each race is slower, and in half of the races blind; drawn anew for each race.
@@ -31,11 +29,6 @@ class UnequalCars(VecEnvWrapper):
         Least share of its speed that the slower car of a race has, in (0, 1].
     seed : int
         Of what is drawn.
-
-    Raises
-    ------
-    InputError
-        If ``slowest`` is not in its range.
     """
 
     def __init__(self, venv: VecEnv, slowest: float = 0.5, seed: int = 0) -> None:

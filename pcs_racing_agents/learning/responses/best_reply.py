@@ -6,8 +6,9 @@ opponent would: a loss is always stated together with the learner's budget.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -19,15 +20,16 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
 from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
 from pcs_racing_agents.networks import RegretNetwork
+from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.races import RaceTable, concatenate_races
+from pcs_racing_agents.results.text_table import aligned, interval_text
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
-
-__all__ = ["BestReply", "best_reply", "excess_estimate", "learn_best_reply", "race_on_circuits"]
 
 LINES = 5
 """Start lines of each pair of variants, each driven from both sides."""
@@ -38,21 +40,12 @@ RACE_SEED = 9_000_000
 
 
 class BestReply(NamedTuple):
-    """A learned best reply to an agent, and how it raced.
+    """A learned best reply to an agent, and how it raced."""
 
-    Attributes
-    ----------
-    network : RegretNetwork
-        The reply: values of its moves.
-    races : RaceTable
-        Of the reply (the ego) against the agent (the opponent).
-    loss : Estimate
-        The agent's loss in races won: half of the reply's wins minus its own, from -0.5 to 0.5. Where every race has
-        a winner, it is the share of the races that the reply won, minus one half.
-    """
-
-    network: RegretNetwork
-    races: RaceTable
+    network: RegretNetwork  #: The reply: values of its moves.
+    races: RaceTable  #: Of the reply (the ego) against the agent (the opponent).
+    #: The agent's loss in races won: half of the reply's wins minus its own, from -0.5 to 0.5. Where every race has a
+    #: winner, it is the share of the races that the reply won, minus one half.
     loss: Estimate
 
 
@@ -74,10 +67,6 @@ def best_reply(
     ----------
     games : sequence of RaceGame
         One on each circuit, all of one archive and one set of rules. The reply is one network for all of them.
-    agent : Competitor
-        Agent or driver to reply to.
-    setting : Setting
-        Archive and rules, as agents know them.
     settings : ResponseSettings
         The learner's budget and seed.
     job : Job
@@ -87,13 +76,6 @@ def best_reply(
         About how many on all circuits together; at least 40 on each.
     part : str
         Beginning of the names of this work in the job.
-    executor : Executor, optional
-    progress : callable, optional
-
-    Raises
-    ------
-    InputError
-        If the games differ in archive, moves or rules, or there are too few races.
     """
     check_whole("races", races, FEWEST * len(games))
     reply = learn_best_reply(games, agent, setting, settings, job, part=part, executor=executor, progress=progress)
@@ -141,13 +123,7 @@ def race_on_circuits(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> RaceTable:
-    """Race two competitors on several circuits: about so many races in all, in the crossed design of the tables.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 40 races for each circuit.
-    """
+    """Race two competitors on several circuits: about so many races in all, in the crossed design of the tables."""
     each = check_whole("races", races, FEWEST * len(games)) / len(games)
     count = max(2, round(math.sqrt(each / (2 * LINES))))
     rng = np.random.default_rng(np.random.SeedSequence(seed + RACE_SEED, spawn_key=(0,)))
@@ -168,11 +144,6 @@ def excess_estimate(races: RaceTable) -> Estimate:
     """Return half of the ego's wins minus the opponent's, as a share of the races, with a clustered interval.
 
     Races that share a start policy, a driver's policy or the start line form clusters.
-
-    Raises
-    ------
-    InputError
-        If there is no race, or all have the same ego variant.
     """
     if len(races) == 0:
         raise InputError("there are no races; an estimate needs some")
@@ -204,3 +175,59 @@ def _without_policies(
     mean = np.bincount(cells, excess, len(count)) / np.maximum(count, 1)
     balanced = count[cells] == count[mirrored]
     return excess - np.where(balanced, 0.5 * (mean[cells] - mean[mirrored]), 0.0)
+
+
+ALL = "all"
+REPLY_HEAD = ("agent", "circuit", "loss", "95 % interval", "races", "reply won", "agent won", "agent's own crashes")
+REPLY_NOTE = """loss: half of the reply's wins minus the agent's, as a share of the races; 0.1 means that the reply
+won 60 of 100 races. It is a lower bound: a learner with a larger budget may find a better reply. The interval is robust
+to clusters of start policies and start lines."""
+COLUMNS = ("agent", "track", "loss", "low", "high", "se", "df", "races", "reply_won", "agent_won", "agent_own_crash")
+
+
+def reply_text(replies: Mapping[str, BestReply], settings: ResponseSettings) -> str:
+    """Return the table of the losses of several agents, with the learner's budget."""
+    budget = (
+        f"learner: {settings.starts} games branched at every step and on each circuit, {settings.rounds} rounds, "
+        f"{settings.members} networks"
+    )
+    return "\n".join([*aligned([REPLY_HEAD, *reply_rows(replies)]), "", REPLY_NOTE, budget])
+
+
+def reply_rows(replies: Mapping[str, BestReply]) -> list[tuple[str, ...]]:
+    """Return the lines of the table: each agent on each circuit, and on all if there are several."""
+    rows: list[tuple[str, ...]] = []
+    for agent, reply in replies.items():
+        for track, races, loss in _by_track(reply):
+            won, lost = np.mean(races.winner == 0), np.mean(races.winner == 1)
+            rows.append(
+                (
+                    agent,
+                    track,
+                    f"{loss.mean:+.3f}",
+                    interval_text(loss.low, loss.high),
+                    str(loss.units),
+                    f"{won:.3f}",
+                    f"{lost:.3f}",
+                    f"{np.mean(races.fault[:, 1] > 0):.1%}",
+                )
+            )
+    return rows
+
+
+def write_replies(replies: Mapping[str, BestReply], path: Path) -> Path:
+    """Write a line for each agent and circuit as CSV, and one for all circuits if there are several."""
+    lines: list[tuple[object, ...]] = [COLUMNS]
+    for agent, reply in replies.items():
+        for track, races, loss in _by_track(reply):
+            shares = np.mean(races.winner == 0), np.mean(races.winner == 1), np.mean(races.fault[:, 1] > 0)
+            numbers = [f"{value:.6g}" for value in (loss.mean, loss.low, loss.high, loss.se)]
+            lines.append((agent, track, *numbers, loss.df, loss.units, *(f"{share:.6g}" for share in shares)))
+    return write_csv(lines, path)
+
+
+def _by_track(reply: BestReply) -> list[tuple[str, RaceTable, Estimate]]:
+    words, codes = reply.races.track
+    parts = [(word, reply.races.take(codes == code)) for code, word in enumerate(words)]
+    rows = [(word, races, excess_estimate(races)) for word, races in parts]
+    return rows if len(rows) == 1 else [*rows, (ALL, reply.races, reply.loss)]

@@ -16,50 +16,25 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing_agents.agents.agent import Competitor, Driver
 
-__all__ = ["WORTH", "Branches", "branch_games", "outcome"]
-
 WORTH = ("win", "utility")
 """Values of an outcome: 1 for a race won, 0.5 for a tie and 0 otherwise ("win"), or the game's utility."""
 
 
 class Branches(NamedTuple):
-    """Outcomes of every move in R games that were not over at the step of the branching.
+    """Outcomes of every move in R games that were not over at the step of the branching."""
 
-    Attributes
-    ----------
-    observations : ndarray, shape (R, D), float32
-        Observations of car 0.
-    outcomes : ndarray, shape (R, A)
-        Value of the game's result for car 0 after each move.
-    game : ndarray, shape (R,), int64
-        Index of the game; games that were over before are absent.
-    behaviour : ndarray, shape (R,), int64
-        Index of the behaviour of car 0 before the branching.
-    opponent_policy : ndarray, shape (R,), int64
-        Policy of car 1 at the branching, which car 0 can't observe; -1 for a driver.
-    leads : ndarray, shape (R, A)
-        Lead of car 0 when the race ended, m.
-    crashed : ndarray, shape (R, A), bool
-        Whether it ended in a crash.
-    """
-
-    observations: NDArray[np.float32]
-    outcomes: NDArray[np.float64]
-    game: NDArray[np.int64]
-    behaviour: NDArray[np.int64]
+    observations: NDArray[np.float32]  #: shape (R, D): Observations of car 0.
+    outcomes: NDArray[np.float64]  #: shape (R, A): Value of the game's result for car 0 after each move.
+    game: NDArray[np.int64]  #: shape (R,): Index of the game; games that were over before are absent.
+    behaviour: NDArray[np.int64]  #: shape (R,): Index of the behaviour of car 0 before the branching.
+    #: shape (R,): Policy of car 1 at the branching, which car 0 can't observe; -1 for a driver.
     opponent_policy: NDArray[np.int64]
-    leads: NDArray[np.float64]
-    crashed: NDArray[np.bool_]
+    leads: NDArray[np.float64]  #: shape (R, A): Lead of car 0 when the race ended, m.
+    crashed: NDArray[np.bool_]  #: shape (R, A): Whether it ended in a crash.
 
 
 def outcome(game: RaceGame, state: GameState, worth: str = "win") -> NDArray[np.float64]:
-    """Return the value of games that are over for car 0, shape (B,).
-
-    Raises
-    ------
-    InputError
-        If ``worth`` is not one of :data:`WORTH`.
-    """
+    """Return the value of games that are over for car 0, shape (B,)."""
     if worth not in WORTH:
         raise InputError(f"worth is {worth!r}; it must be one of {', '.join(WORTH)}")
     if worth == "utility":
@@ -83,7 +58,6 @@ def branch_games(
 
     Parameters
     ----------
-    game : RaceGame
     opponent : Competitor
         Competitor in car 1. Of a driver, the game's key selects the policy.
     keys : array of int, shape (B,)
@@ -98,11 +72,6 @@ def branch_games(
         Value of an outcome.
     count : int, optional
         Number of moves to try, from the first on; by default all.
-
-    Raises
-    ------
-    InputError
-        If the step is impossible.
     """
     if not 0 <= step < game.config.moves:
         raise InputError(f"step is {step}; it must lie in 0 to {game.config.moves - 1}")

@@ -1,14 +1,20 @@
-"""Networks that are trained as tasks of a job, and kept in its folder: a run that resumes does not train them again."""
+"""Networks that are trained as tasks of a job, and kept in its folder: a run that resumes does not train them again.
+
+The mean of several networks is a wider network with block-diagonal layers.
+"""
 
 import json
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcs_racing.base.dense import DenseLayers
+from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.fingerprint import fingerprint
@@ -17,20 +23,64 @@ from pcs_racing_agents.jobs.tasks import in_other_processes
 from pcs_racing_agents.networks import RegretNetwork, Rows, train_network
 from pcs_racing_agents.networks.settings import TrainSettings
 
-__all__ = ["train_kept"]
+
+def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwork:
+    """Return a network whose output is the mean of the outputs of several networks."""
+    if len(networks) == 0:
+        raise InputError("there is no network to merge; give at least one")
+    first = networks[0]
+    for network in networks:
+        for key in ("identity", "target", "clipped"):
+            if getattr(network, key) != getattr(first, key):
+                raise InputError(f"networks {first.name!r} and {network.name!r} differ in {key}; they can't be merged")
+        if len(network.layers.weights) != len(first.layers.weights):
+            raise InputError(f"networks {first.name!r} and {network.name!r} have different numbers of layers")
+    if first.clipped and len(networks) > 1:
+        raise InputError("the mean of clipped networks is no network; merge networks that are not clipped")
+    weights, biases = [], []
+    last = len(first.layers.weights) - 1
+    for layer in range(last + 1):
+        # Each member scales its inputs in its own way; the merged network has the scaling of the first.
+        blocks, shifts = zip(*(_layer(network, layer, first) for network in networks), strict=True)
+        if layer == last:
+            share = np.float64(1.0 / len(networks))
+            weights.append(np.concatenate(blocks, axis=1) * share)
+            biases.append(np.sum(shifts, axis=0) * share)
+        else:
+            weights.append(np.concatenate(blocks, axis=0) if layer == 0 else _diagonal(blocks))
+            biases.append(np.concatenate(shifts))
+    if last == 0:
+        weights = [np.mean([_layer(network, 0, first)[0] for network in networks], axis=0)]
+    return replace(
+        first,
+        name=name,
+        layers=DenseLayers(tuple(weights), tuple(biases)),
+        training={**first.training, "members": len(networks)},
+    )
 
 
-class NetworkTask(NamedTuple):
-    """One network to train, by what it depends on.
+def _layer(network: RegretNetwork, layer: int, like: RegretNetwork) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    weight, bias = network.layers.weights[layer].astype(np.float64), network.layers.biases[layer].astype(np.float64)
+    if layer > 0:
+        return weight, bias
+    ratio = like.scale.astype(np.float64) / network.scale
+    shift = (like.mean.astype(np.float64) - network.mean) / network.scale
+    return weight * ratio, bias + (weight * shift).sum(axis=1)
 
-    Attributes
-    ----------
-    rows : str
-        Digest of the rows that it learns from.
-    settings : TrainSettings
-    """
 
-    rows: str
+def _diagonal(blocks: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    out = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
+    row = column = 0
+    for block in blocks:
+        out[row : row + len(block), column : column + block.shape[1]] = block
+        row, column = row + len(block), column + block.shape[1]
+    return out
+
+
+class _NetworkTask(NamedTuple):
+    """One network to train, by what it depends on."""
+
+    rows: str  #: Digest of the rows that it learns from.
     settings: TrainSettings
 
 
@@ -49,23 +99,16 @@ def train_kept(
     ----------
     job : Job
         Keeps the networks.
-    part : str
-        Name of this part of the job's work.
-    rows : Rows
-    identity : GameIdentity
-    settings : sequence of TrainSettings
-    name : str
-        Of the networks.
     executor : Executor, optional
         Where they are trained, if its tasks run in other processes.
     """
     digest = fingerprint(rows.observations, rows.targets, rows.weights, rows.pair)
-    tasks = [NetworkTask(digest, one) for one in settings]
+    tasks = [_NetworkTask(digest, one) for one in settings]
     kept = job.run(part, partial(_learn, rows, identity, name), tasks, executor=in_other_processes(executor))
     return [_unpacked(arrays, identity, name) for arrays in kept]
 
 
-def _learn(rows: Rows, identity: GameIdentity, name: str, task: NetworkTask) -> Arrays:
+def _learn(rows: Rows, identity: GameIdentity, name: str, task: _NetworkTask) -> Arrays:
     network, _ = train_network(rows, identity, task.settings, name=name, target="advantage")
     layers = network.layers
     arrays = {f"weights_{i}": weights for i, weights in enumerate(layers.weights)}

@@ -17,24 +17,51 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.base.settings import setting, whole
+from pcs_racing.base.settings import Settings, choice, number, setting, whole, wholes
 from pcs_racing.game.identity import game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import ConstantStrategy
 from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.configuration import load_config
-from pcs_racing_agents.jobs.jobs import Arrays, Job, Progress
-from pcs_racing_agents.learning.responses.branches import branch_games
-from pcs_racing_agents.learning.responses.ensemble import merge_networks
-from pcs_racing_agents.learning.responses.kept_networks import train_kept
-from pcs_racing_agents.learning.responses.learner_settings import LearnerSettings
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.learning.responses.branches import WORTH, branch_games
+from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
 from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.tournament.games import game_between
 
-__all__ = ["ResponseSettings", "learn_response", "load_response_settings"]
+ROWS_PER_EPOCH = 50_000
+
+
+@dataclass(frozen=True)
+class LearnerSettings(Settings):
+    """What is learned from branched games, and how networks are fitted to it."""
+
+    worth: str = setting("win", choice(WORTH), "Value of an outcome: a race won, or the game's utility.")
+    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Units of each hidden layer of a network.")
+    learning_rate: float = setting(3e-3, number(1e-8, 10.0), "Initial learning rate of Adam.")
+    weight_decay: float = setting(1e-3, number(0.0, 10.0), "Weight decay of AdamW.")
+    batch_size: int = setting(512, whole(1, 1_000_000), "Rows in the batch of a gradient step.")
+    epochs: int = setting(60, whole(1, 100_000), "Maximum number of epochs.")
+    patience: int = setting(12, whole(1, 100_000), "Epochs without a lower validation loss after which training stops.")
+
+    def fit_settings(self, seed: int) -> TrainSettings:
+        """Return the settings of the training of a network."""
+        return TrainSettings(
+            hidden=self.hidden,
+            learning_rate=self.learning_rate,
+            weight_decay=self.weight_decay,
+            batch_size=self.batch_size,
+            epochs=self.epochs,
+            patience=self.patience,
+            rows_per_epoch=ROWS_PER_EPOCH,
+            seed=seed,
+        )
+
 
 BLOCK = 256  # games branched in one task: about a second of work
 
@@ -69,26 +96,15 @@ def load_response_settings(source: str | Path | ResponseSettings | None = None, 
 
 
 class BranchTask(NamedTuple):
-    """The games of one task.
+    """The games of one task."""
 
-    Attributes
-    ----------
-    game, opponent : int
-        Index of the circuit's game, and of the opponent in its pool.
-    step, round : int
-    first, last : int
-        Numbers of the games.
-    root : int
-        Seed of all games of this circuit, opponent, step and round.
-    """
-
-    game: int
+    game: int  #: ``game``, ``opponent``: Index of the circuit's game, and of the opponent in its pool.
     opponent: int
     step: int
     round: int
-    first: int
+    first: int  #: ``first``, ``last``: Numbers of the games.
     last: int
-    root: int
+    root: int  #: Seed of all games of this circuit, opponent, step and round.
 
 
 def learn_response(
@@ -110,32 +126,16 @@ def learn_response(
     ----------
     games : sequence of RaceGame
         One on each circuit, all of one archive and one set of rules.
-    pool : sequence of Competitor
-        Opponents.
-    setting : Setting
-        Archive and rules, as agents know them.
-    settings : ResponseSettings
-    job : Job
-        Stores branches and networks, so that a stopped run can be resumed.
     shares : sequence of float, optional
         How often each opponent is met, in any unit. By default each is met ``settings.starts`` times; with shares,
         all together are.
-    name : str
-        Of the network.
     part : str
         Beginning of the names of this work in the job, where the job learns several networks.
-    executor : Executor, optional
-    progress : callable, optional
 
     Returns
     -------
     RegretNetwork
         Its values are advantages over the mean of all moves, in shares of races won (or in units of utility).
-
-    Raises
-    ------
-    InputError
-        If the games differ in archive, moves or rules, or shares do not fit the pool.
     """
     if len(games) == 0 or len(pool) == 0:
         raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")

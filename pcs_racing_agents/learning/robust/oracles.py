@@ -13,13 +13,12 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.learner import learn_response
 from pcs_racing_agents.learning.robust.settings import PSROSettings
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork
 from pcs_racing_agents.tournament.fitting import MetaStrategy, TrainingRaces, fit_psro
-
-__all__ = ["learn_psro"]
 
 MIXING_SEED = 6_000_000
 """Added to the settings' seed: other races than those that responses learn from."""
@@ -44,23 +43,11 @@ def learn_psro(
         As for :func:`pcs_racing_agents.learning.responses.learn_response`.
     pool : sequence of Competitor
         Opponents of the first response.
-    settings : PSROSettings
-    job : Job
-        Stores branches, networks and races, so that a stopped run can be resumed.
-    name : str
-        Of the set of networks.
-    executor : Executor, optional
-    progress : callable, optional
 
     Returns
     -------
     NetworkSet
         The responses that the equilibrium plays, with their probabilities.
-
-    Raises
-    ------
-    InputError
-        If there is no game or no opponent, or the games differ in archive, moves or rules.
     """
     networks: list[RegretNetwork] = []
     members: list[Agent] = []

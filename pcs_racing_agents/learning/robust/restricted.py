@@ -7,7 +7,7 @@ all adversaries so far. The strategy to play is the mixture of the agents, in wh
 
 With p = 1 it is the response to the pool, which may lose much to an opponent that knows it; with p = 0 only the
 adversary counts, and the agent approaches an equilibrium. Between them lies the curve of gain against loss
-(:mod:`pcs_racing_agents.learning.robust.curve`).
+(``docs/reports/robust_curve.md``).
 """
 
 from collections.abc import Sequence
@@ -19,12 +19,11 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.from_network import NetworkStrategy
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job, Progress
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
 from pcs_racing_agents.learning.robust.settings import RobustSettings
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork
-
-__all__ = ["learn_robust"]
 
 
 def learn_robust(
@@ -47,27 +46,13 @@ def learn_robust(
         One on each circuit, all of one archive and one set of rules.
     pool : sequence of Competitor
         Opponents, all met equally often.
-    setting : Setting
-        Archive and rules, as agents know them.
-    settings : RobustSettings
-    job : Job
-        Stores branches and networks, so that a stopped run can be resumed.
-    name : str
-        Of the set of networks.
     part : str
         Beginning of the names of this work in the job.
-    executor : Executor, optional
-    progress : callable, optional
 
     Returns
     -------
     NetworkSet
         A network for each round after the first response, with its weight; with ``pool_share`` 1 the response alone.
-
-    Raises
-    ------
-    InputError
-        If there is no game or no opponent, or the games differ in archive, moves or rules.
     """
 
     def respond(

@@ -8,8 +8,6 @@ from pcs_racing.base.settings import Settings, number, setting, text, whole
 from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, load_response_settings
 
-__all__ = ["PSROSettings", "RobustSettings", "load_psro_settings", "load_robust_settings"]
-
 
 @dataclass(frozen=True)
 class _ResponsesSettings(Settings):

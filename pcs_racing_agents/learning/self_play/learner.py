@@ -13,23 +13,65 @@ weight t and its own probability of coming to the situation: one iteration's net
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.base.settings import choice, number, setting, whole
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Progress
-from pcs_racing_agents.learning.responses.ensemble import merge_networks
-from pcs_racing_agents.learning.responses.kept_networks import train_kept
-from pcs_racing_agents.learning.self_play.settings import SelfPlaySettings
+from pcs_racing_agents.jobs.configuration import load_config
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
+from pcs_racing_agents.learning.responses.learner import LearnerSettings
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork, Rows, join_rows
+from pcs_racing_agents.networks.settings import TrainSettings
 
-__all__ = ["Arena", "learn_self_play"]
+WEIGHTS = ("linear", "uniform")
+"""Weight of iteration t in regrets and in the average strategy: t (linear CFR), or 1 (vanilla CFR, as in the paper)."""
+
+
+@dataclass(frozen=True)
+class SelfPlaySettings(LearnerSettings):
+    """Settings of the training in self-play."""
+
+    iterations: int = setting(16, whole(1, 63), "Iterations of CFR; after each the network is fitted to all rows.")
+    starts: int = setting(
+        512, whole(4, 1_000_000), "Games branched in each iteration, at every step and on each circuit."
+    )
+    exploration: float = setting(
+        0.1,
+        number(0.0, 1.0),
+        "Probability of a uniformly random move in place of one by regret matching, for both cars.",
+    )
+    weights: str = setting(
+        "linear",
+        choice(WEIGHTS),
+        "Weight of iteration t in the regrets and in the average strategy: t (linear), or 1 (uniform).",
+    )
+    members: int = setting(1, whole(1, 32), "Networks fitted in each iteration; their mean is used.")
+    seed: int = setting(0, whole(0, 2**50), "Seed of the games and of the networks.")
+
+    def iteration_weight(self, iteration: int) -> float:
+        """Return the weight of an iteration, counted from 1."""
+        return float(iteration) if self.weights == "linear" else 1.0
+
+    def train_settings(self, iteration: int, member: int) -> TrainSettings:
+        """Return the settings of a network of an iteration, counted from 1."""
+        return self.fit_settings((self.seed * 64 + iteration) * 32 + member)
+
+
+def load_self_play_settings(source: str | Path | SelfPlaySettings | None = None, **changes: Any) -> SelfPlaySettings:
+    """Return settings from a name, a YAML file or settings, with some fields changed; see :func:`load_config`."""
+    return load_config("self-play", SelfPlaySettings(), source, **changes)
+
 
 BLOCK = 256
 """Games branched in one task: about a second of work."""
@@ -57,7 +99,6 @@ class Arena(Protocol):
             Advantages by which both players do regret matching; None for uniformly random moves.
         exploration : float
             Probability of a random move in place of one by regret matching.
-        step : int
         keys : ndarray, shape (B,)
             Of the games: everything that is drawn depends on them alone.
 
@@ -69,24 +110,15 @@ class Arena(Protocol):
         """
 
 
-class TraversalTask(NamedTuple):
-    """The games of one task.
-
-    Attributes
-    ----------
-    arena, step, iteration : int
-    first, last : int
-        Numbers of the games.
-    root : int
-        Seed of all games of this arena, step and iteration.
-    """
+class _TraversalTask(NamedTuple):
+    """The games of one task."""
 
     arena: int
     step: int
     iteration: int
-    first: int
+    first: int  #: ``first``, ``last``: Numbers of the games.
     last: int
-    root: int
+    root: int  #: Seed of all games of this arena, step and iteration.
 
 
 def learn_self_play(
@@ -105,24 +137,14 @@ def learn_self_play(
     arenas : sequence of Arena
         One for each circuit (:class:`pcs_racing_agents.learning.self_play.RaceArena`), all of one game; they share
         one network.
-    settings : SelfPlaySettings
     job : Job
         Stores rows and networks, so that a stopped run can be resumed.
-    name : str
-        Of the set of networks.
-    executor : Executor, optional
-    progress : callable, optional
 
     Returns
     -------
     NetworkSet
         A network of advantages for each iteration, to be played by regret matching, with the weights of the average
         strategy. The last one was fitted to the rows of all iterations: it predicts the mean counterfactual regrets.
-
-    Raises
-    ------
-    InputError
-        If there is no arena, or the arenas are different games.
     """
     if len(arenas) == 0:
         raise InputError("there is no arena to learn in; give at least one")
@@ -158,7 +180,7 @@ def learn_self_play(
     return NetworkSet(name, tuple(networks), np.array(weights), "regret-matching", facts)
 
 
-def _tasks(arenas: int, steps: int, settings: SelfPlaySettings, iteration: int) -> list[TraversalTask]:
+def _tasks(arenas: int, steps: int, settings: SelfPlaySettings, iteration: int) -> list[_TraversalTask]:
     tasks = []
     for arena in range(arenas):
         for step in range(steps):
@@ -166,18 +188,18 @@ def _tasks(arenas: int, steps: int, settings: SelfPlaySettings, iteration: int) 
             root = int(spawn.generate_state(1, np.uint64)[0] >> np.uint64(1))
             for first in range(0, settings.starts, BLOCK):
                 last = min(first + BLOCK, settings.starts)
-                tasks.append(TraversalTask(arena, step, iteration, first, last, root))
+                tasks.append(_TraversalTask(arena, step, iteration, first, last, root))
     return tasks
 
 
 def _traverse(
-    arenas: Sequence[Arena], network: RegretNetwork | None, exploration: float, task: TraversalTask
+    arenas: Sequence[Arena], network: RegretNetwork | None, exploration: float, task: _TraversalTask
 ) -> Arrays:
     keys = race_seeds(task.root, task.last)[task.first :]
     return arenas[task.arena].traverse(network, exploration, task.step, keys)
 
 
-def _rows(arrays: Arrays, task: TraversalTask, weight: float) -> Rows:
+def _rows(arrays: Arrays, task: _TraversalTask, weight: float) -> Rows:
     count = len(arrays["game"])
     # A number of its own for each game: its row is either learned from or validated on.
     offset = ((task.iteration * 100 + task.step) * 1000 + task.arena) * 1_000_000

@@ -9,7 +9,7 @@ from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.blind import ConstantStrategy
-from pcs_racing_agents.agents.decisions import regret_matching
+from pcs_racing_agents.agents.from_network import regret_matching
 from pcs_racing_agents.agents.observing import ObservationBatch
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
@@ -17,27 +17,16 @@ from pcs_racing_agents.learning.responses.branches import branch_games
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament.games import game_between
 
-__all__ = ["ExploringStrategy", "RaceArena"]
-
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class ExploringStrategy:
-    """Regret matching by a network of advantages, mixed with uniformly random moves.
-
-    Attributes
-    ----------
-    network : RegretNetwork
-    exploration : float
-        Probability of a random move.
-    count : int
-        Number of moves M that there are; those that the network does not value are never made.
-    """
+    """Regret matching by a network of advantages, mixed with uniformly random moves."""
 
     network: RegretNetwork
-    exploration: float
-    count: int
+    exploration: float  #: Probability of a random move.
+    count: int  #: Number of moves M that there are; those that the network does not value are never made.
 
     def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
@@ -51,20 +40,11 @@ class ExploringStrategy:
 
 @dataclass(frozen=True, eq=False)
 class RaceArena:
-    """The game on one circuit, as :func:`pcs_racing_agents.learning.self_play.learn_self_play` plays it.
-
-    Attributes
-    ----------
-    game : RaceGame
-    setting : Setting
-        Archive and rules, as agents know them.
-    worth : {"win", "utility"}
-        Value of an outcome.
-    """
+    """The game on one circuit, as :func:`pcs_racing_agents.learning.self_play.learn_self_play` plays it."""
 
     game: RaceGame
-    setting: Setting
-    worth: str = "win"
+    setting: Setting  #: Archive and rules, as agents know them.
+    worth: str = "win"  #: "win" or "utility": Value of an outcome.
 
     @property
     def identity(self) -> GameIdentity:

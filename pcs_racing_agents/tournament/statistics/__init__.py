@@ -1,7 +1,6 @@
 """Statistics of paired races: scores, cluster-robust means and comparisons, adjusted p-values."""
 
-from pcs_racing_agents.tournament.statistics.clusters import Estimate, clustered_mean
+from pcs_racing_agents.tournament.statistics.clusters import Estimate, clustered_mean, match_units, score
 from pcs_racing_agents.tournament.statistics.comparison import Comparison, compare, holm
-from pcs_racing_agents.tournament.statistics.units import match_units, score
 
 __all__ = ["Comparison", "Estimate", "clustered_mean", "compare", "holm", "match_units", "score"]

@@ -12,55 +12,37 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament.statistics.clusters import clustered_mean
-from pcs_racing_agents.tournament.statistics.student_t import ratio, t_interval
-from pcs_racing_agents.tournament.statistics.units import Floats, check_arms, check_values, cluster_codes
-
-__all__ = ["Comparison", "compare", "holm"]
+from pcs_racing_agents.tournament.statistics.clusters import (
+    Floats,
+    check_arms,
+    check_values,
+    cluster_codes,
+    clustered_mean,
+    ratio,
+    t_interval,
+)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Result of a comparison of arm a with arm b over the same races.
+    """Result of a comparison of arm a with arm b over the same races."""
 
-    Attributes
-    ----------
-    mean_a, mean_b : float
-        Mean scores.
-    difference : float
-        ``mean_a - mean_b``.
-    low, high : float
-        Interval of the difference, robust to ego and opponent clusters; the result to quote.
-    se : float
-        Standard error behind it.
-    df : int
-        Its degrees of freedom.
-    p_clustered : float
-        Two-sided p-value that belongs to it.
-    p_paired_t : float
-        p-value of the paper's test over ego variants. It takes the opponents as given: it is about these ones only.
-    cohen_d : float
-        Difference over the standard deviation of the ego variants' differences.
-    units, egos, opponents : int
-        Number of races of each arm, of ego variants and of opponents.
-    level : float
-        Level of the interval.
-    """
-
-    mean_a: float
+    mean_a: float  #: ``mean_a``, ``mean_b``: Mean scores.
     mean_b: float
-    difference: float
+    difference: float  #: ``mean_a - mean_b``.
+    #: ``low``, ``high``: Interval of the difference, robust to ego and opponent clusters; the result to quote.
     low: float
     high: float
-    se: float
-    df: int
-    p_clustered: float
+    se: float  #: Standard error behind it.
+    df: int  #: Its degrees of freedom.
+    p_clustered: float  #: Two-sided p-value that belongs to it.
+    #: p-value of the paper's test over ego variants. It takes the opponents as given: it is about these ones only.
     p_paired_t: float
-    cohen_d: float
-    units: int
+    cohen_d: float  #: Difference over the standard deviation of the ego variants' differences.
+    units: int  #: ``units``, ``egos``, ``opponents``: Number of races of each arm, of ego variants and of opponents.
     egos: int
     opponents: int
-    level: float
+    level: float  #: Level of the interval.
 
 
 def compare(
@@ -89,15 +71,6 @@ def compare(
         The same policies were egos and opponents, under the same labels (:func:`clustered_mean`).
     level : float
         Level of the interval, between 0 and 1.
-
-    Returns
-    -------
-    Comparison
-
-    Raises
-    ------
-    InputError
-        If a score is not finite, shapes differ, or there are fewer than two ego variants or start lines.
     """
     first, second = check_arms(a, b)
     single = len(np.unique(np.asarray(opponent))) == 1  # such as a driver with one policy: the interval is for this one
@@ -136,11 +109,6 @@ def holm(p_values: ArrayLike) -> Floats:
     -------
     ndarray, shape (T,)
         In the same order, from 0 to 1.
-
-    Raises
-    ------
-    InputError
-        If a value is not between 0 and 1.
     """
     p = check_values("p_values", p_values)
     wrong = (p < 0.0) | (p > 1.0)

@@ -6,9 +6,8 @@ import pytest
 
 from pcs_racing import InputError, get_planner
 from pcs_racing_agents.agents import Agent, Driver, as_competitor, make
-from pcs_racing_agents.agents.agent import competitor_hash
+from pcs_racing_agents.agents.agent import competitor_hash, draw, hash_rows
 from pcs_racing_agents.agents.blind import always, random_moves
-from pcs_racing_agents.agents.drawing import draw, hash_rows
 from pcs_racing_agents.agents.zoo import build
 
 

@@ -7,10 +7,9 @@ import pytest
 from repository import REPOSITORY, python_blocks, run_block
 
 from pcs_racing_agents import make, names
-from pcs_racing_agents.agents import make_setting, measured
+from pcs_racing_agents.agents import describe, make_setting
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.describe import facts_of, option_meanings
-from pcs_racing_agents.agents.measured import Measured, measurements
+from pcs_racing_agents.agents.describe import Measured, facts_of, measurements, option_meanings
 from pcs_racing_agents.agents.zoo import SHIPPED, entries, options
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.tournament import RaceRow
@@ -95,7 +94,7 @@ def test_every_column_of_the_results_is_explained():
 
 
 def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, tmp_path):
-    for module in (measured, zoo_page):
+    for module in (describe, zoo_page):
         monkeypatch.setattr(module, "measured_file", lambda: tmp_path / "measured.csv")
     measurements.cache_clear()
     try:
@@ -115,7 +114,7 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
         assert strength.startswith("Strength: score 0.500, rating -12 [-40, +20], on Tarnfjord, Saltmere in 300 races")
         assert "(0.625 against random-moves)" in strength
         assert cost == "Cost: 46 us for one observation, 0.53 us for each of 1,000 at once."
-        assert measured.measured("default", "paper", "never-switch", "0" * 64) is None
+        assert describe.measured("default", "paper", "never-switch", "0" * 64) is None
         assert np.isnan(measurements()["default", "paper", "lane-switcher"].many_us)
         page = zoo_page.table_page({}, [setting])
         assert "| [`never-switch`](zoo/never-switch.md) | 0.500 | -12 [-40, +20] | 2.0% | 46 | 0.53 |" in page

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from pcs_racing import UnknownNameError
-from pcs_racing_agents.agents.decisions import DECISIONS, argmax, get_decision, regret_matching, softmax
+from pcs_racing_agents.agents.from_network import DECISIONS, argmax, get_decision, regret_matching, softmax
 
 VALUES = arrays(np.float32, (5, 4), elements=st.floats(-100.0, 100.0, width=32))
 

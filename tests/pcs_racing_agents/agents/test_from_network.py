@@ -81,9 +81,9 @@ def test_a_network_of_another_game_is_refused(setting, network, archive):
         build("nash", wider, network=network)
     fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
     with pytest.raises(InputError, match="archive 'toy'"):
-        build("advantage", make_setting(fewer, setting.config), network=network)
-    with pytest.raises(UnknownNameError, match=r"network, .*'toy-paper-static-q'"):
-        build("static-q", setting)
+        build("nash", make_setting(fewer, setting.config), network=network)
+    with pytest.raises(UnknownNameError, match=r"network, .*'toy-paper-nash'"):
+        build("nash", setting)
     with pytest.raises(UnknownNameError, match="decision 'best' is unknown"):
         from_network(setting, name="mine", kind="regret", decision="best", network=network)
 

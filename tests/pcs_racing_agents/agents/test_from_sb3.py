@@ -6,7 +6,7 @@ from pcs_racing import InputError
 from pcs_racing.game.identity import game_identity
 from pcs_racing_agents.agents import as_competitor
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.from_sb3 import network_from_sb3
+from pcs_racing_agents.agents.from_torch import network_from_sb3
 from pcs_racing_agents.agents.zoo import build
 
 

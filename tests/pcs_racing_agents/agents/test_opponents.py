@@ -17,7 +17,7 @@ from pcs_racing.game.competitor_names import competitor_names, make_competitor
 from pcs_racing_agents.agents.drivers import planner_driver
 
 SHORT = {"step_seconds": 0.4}
-UNTRAINED = {"psro", "remember", "robust", "self-play"}
+UNTRAINED = {"psro", "robust", "self-play"}
 """Agents that are shipped for the contest alone; of these games they say so."""
 NAMES = [name for name in pcs_racing_agents.names() if name not in UNTRAINED]
 

@@ -22,9 +22,8 @@ def test_every_name_that_is_offered_races(archive, race, track):
         try:
             agent = pcs_racing_agents.make(name, archive=archive, race=race)
         except UnknownNameError:
-            assert name == "ppo" or entries()[name].needs in ("networks", "table"), (
-                name
-            )  # made by a study, and shipped when there is one
+            # Made by a study, and shipped when there is one.
+            assert name == "ppo" or entries()[name].needs == "networks", name
             continue
         policies = np.array([[3, 5], [5, 3]]) % variant_count(game, agent)
         played = play_games(game, agent, rival, policies=policies, starts=starts, seeds=seeds)

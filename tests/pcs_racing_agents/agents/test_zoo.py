@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 from repository import REPOSITORY
-from zoo_games import made_up_behaviours, untrained
+from zoo_games import untrained
 
 import pcs_racing_agents
-from pcs_racing import InputError, UnknownNameError, load_archive, make_game
+from pcs_racing import InputError, UnknownNameError, make_game
 from pcs_racing_agents.agents import Agent, Decider, Driver, make, make_setting, names, parse_agent, register_agent, zoo
 from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.describe import describe
@@ -19,7 +19,6 @@ def learned(name: str, setting) -> dict:
         "best-fixed": {"target": 3},
         "best-lead-plan": {"targets": {"behind": 3, "ahead": 5}},
         "adaptive": {"network": untrained(setting, "gain"), "blind": "never-switch"},
-        "remember": {"table": made_up_behaviours(setting)},
     }
     if name in SHIPPED and entries()[name].needs == "network" and name != "adaptive":
         return {"network": untrained(setting)}
@@ -37,9 +36,7 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
         created = build(name, setting, seed=3, **learned(name, setting))
         assert created.name == name
         if isinstance(created, Driver):
-            assert name in (
-                *("random-policy", "other-archive", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit"),
-            )
+            assert name in (*("random-policy", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit"),)
             continue
         if name == "receding-horizon":
             assert isinstance(created, Decider)
@@ -103,14 +100,10 @@ def test_agents_as_text(setting):
     assert len(parse_agent("lane-switcher", setting).policies) == 20
     (only,) = parse_agent("lane-switcher:4", setting).policies
     assert only.name == "lane-switcher:4"
-    other = parse_agent("other-archive:archive=contest", setting)
-    assert len(other.policies) == len(load_archive("contest"))
     adaptive = parse_agent(
         "adaptive:network=contest-contest-gain,blind=never-switch,margin=0.5", make_setting("contest", "contest")
     )
     assert (adaptive.facts["keeps to"], adaptive.facts["margin"]) == ("never-switch", "0.5")
-    with pytest.raises(InputError, match="archive 'contest' is that of the game"):
-        build("other-archive", make_setting("contest", "contest"), archive="contest")
     for text in ("best-fixed:3", "best-fixed:target=3,target=4", "best-fixed:name=x", "best-fixed:target=[1"):
         with pytest.raises(InputError, match="agent 'best-fixed"):
             parse_agent(text, setting)

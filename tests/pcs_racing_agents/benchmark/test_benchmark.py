@@ -11,10 +11,16 @@ from zoo_games import toy_archive
 
 from pcs_racing import InputError, save_archive
 from pcs_racing_agents.agents import make
-from pcs_racing_agents.agents.sb3_files import load_sb3_policy
-from pcs_racing_agents.benchmark.card import Card, read_card, write_card
-from pcs_racing_agents.benchmark.entrants import load_entrant
-from pcs_racing_agents.benchmark.leaderboard import BOARD_COLUMNS, board_page, board_rows, read_cards
+from pcs_racing_agents.benchmark.card import (
+    BOARD_COLUMNS,
+    Card,
+    board_page,
+    board_rows,
+    read_card,
+    read_cards,
+    write_card,
+)
+from pcs_racing_agents.benchmark.entrants import load_entrant, load_sb3_policy
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
 from pcs_racing_agents.benchmark.scoring import CardScore, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main

@@ -306,7 +306,7 @@ def test_what_stops_a_command_is_told_in_a_line(run, monkeypatch, stopped, code,
     def fails(_name):
         raise stopped
 
-    monkeypatch.setattr("pcs_racing_agents.cli.policies.get_planner", fails)
+    monkeypatch.setattr("pcs_racing_agents.cli.agents.get_planner", fails)
     result, _, err = run("policies", "lattice")
     assert result == code
     assert told in err
@@ -321,7 +321,7 @@ def test_a_folder_in_the_place_of_a_picture(run, tmp_path):
 
 
 def test_an_error_in_the_program_itself_is_not_hidden(run, monkeypatch):
-    monkeypatch.setattr("pcs_racing_agents.cli.policies.get_planner", lambda name: 1 / 0)
+    monkeypatch.setattr("pcs_racing_agents.cli.agents.get_planner", lambda name: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run("policies", "lattice")
 

@@ -18,8 +18,9 @@ from warm_start import kill, start_python
 from pcs_racing import InputError
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs import executors
-from pcs_racing_agents.jobs.executors import sent_once, tasks_in_flight, worker_identity
-from pcs_racing_agents.jobs.jobs import JobError, make_executor, open_job
+from pcs_racing_agents.jobs.executors import make_executor, sent_once, tasks_in_flight, worker_identity
+from pcs_racing_agents.jobs.folders import JobError
+from pcs_racing_agents.jobs.jobs import open_job
 
 Client = pytest.importorskip("dask.distributed").Client
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
@@ -196,7 +197,7 @@ def test_a_worker_killed_while_ppo_learns_costs_a_piece_at_most(cluster, long_co
             kill(victim)
         told.append((done, total))
 
-    monkeypatch.setattr("pcs_racing_agents.jobs.jobs.show_progress", lambda unit: kill_one)
+    monkeypatch.setattr("pcs_racing_agents.jobs.progress.show_progress", lambda unit: kill_one)
     cluster_options = ["--executor", "dask", "--scheduler", cluster.address]
     assert main([*command, "--out", str(tmp_path / "there"), *cluster_options]) == 0
     cluster.add_worker()

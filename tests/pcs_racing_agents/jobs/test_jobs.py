@@ -17,10 +17,12 @@ from repository import REPOSITORY
 from warm_start import call_python, kill, start_python
 
 from pcs_racing import InputError, load_race_config, load_track
-from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
-from pcs_racing_agents.jobs.executors import tasks_in_flight
+from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
+from pcs_racing_agents.jobs.executors import make_executor, tasks_in_flight
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.jobs.jobs import JobError, chunk_file, make_executor, open_job, show_progress
+from pcs_racing_agents.jobs.folders import JobError
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 
 CHECKOUT = os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests")])
 SETTINGS = {"seed": 3, "race": {"duration": 16.0, "tracks": ["Pipkin", "Saltmere"]}}
@@ -208,7 +210,8 @@ def test_half_written_files_of_a_killed_run_are_cleared_away(tmp_path):
 
 SCRIPT = """
 import sys, time
-from pcs_racing_agents.jobs.jobs import open_job, make_executor
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.executors import make_executor
 from tests.pcs_racing_agents.jobs.test_jobs import SETTINGS, slow_square
 
 if __name__ == "__main__":
@@ -265,7 +268,8 @@ def parents_alive(task: int) -> dict[str, int]:
 
 ORPHANS = """
 import sys
-from pcs_racing_agents.jobs.jobs import open_job, make_executor
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.executors import make_executor
 from tests.pcs_racing_agents.jobs.test_jobs import parents_alive
 
 if __name__ == "__main__":

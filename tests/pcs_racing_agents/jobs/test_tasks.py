@@ -6,8 +6,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from pcs_racing_agents.jobs.executors import tasks_in_flight
-from pcs_racing_agents.jobs.jobs import InputError, JobError, TaskGroup, make_executor, open_job, read_chunk, run_groups
+from pcs_racing_agents.jobs.chunks import read_chunk
+from pcs_racing_agents.jobs.executors import make_executor, tasks_in_flight
+from pcs_racing_agents.jobs.folders import JobError
+from pcs_racing_agents.jobs.jobs import InputError, TaskGroup, open_job, run_groups
 from pcs_racing_agents.jobs.tasks import Task, in_other_processes, numbered_tasks, run_task, run_tasks
 from pcs_racing_agents.networks.torch_layers import torch_alone
 

@@ -3,8 +3,8 @@
 import pytest
 from repository import python_blocks, read_page, run_block
 
-from pcs_racing_agents.agents.families import FAMILIES, family_of
 from pcs_racing_agents.agents.zoo import SHIPPED
+from pcs_racing_agents.study.family_gains import FAMILIES, family_of
 
 PAGE = read_page("self_play.md")
 BLOCKS = python_blocks(PAGE)

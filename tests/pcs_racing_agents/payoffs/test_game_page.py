@@ -9,4 +9,4 @@ BLOCKS = python_blocks(read_page("game.md"))
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
 def test_the_code_runs(number, capsys):
     run_block(BLOCKS[number])
-    assert "(16, 2, 4, 4)" in capsys.readouterr().out
+    assert "(16, 4, 4)" in capsys.readouterr().out

@@ -102,6 +102,15 @@ def test_openspiel_s_linear_and_discounted_cfr():
         assert judge(game, solver.average_policy()) == pytest.approx(ours, rel=1e-10)
 
 
+def test_openspiel_samples_the_same_game():
+    pyspiel = pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")
+    game = efg_game(TREES["two steps"])
+    solver = pyspiel.ExternalSamplingMCCFRSolver(game, seed=3)
+    for _ in range(1000):
+        solver.run_iteration()
+    assert pyspiel.exploitability(game, solver.average_policy()) < 0.1
+
+
 @pytest.mark.compare
 @pytest.mark.parametrize("name", ["kuhn", "blurred", "hidden seeds"])
 def test_gambit_finds_the_same_value(name, tmp_path):

@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from pcs_racing_agents.study import clock
-from pcs_racing_agents.study.clock import seconds_counted
+from pcs_racing_agents.study import run
+from pcs_racing_agents.study.run import seconds_counted
 
 
 def test_time_before_a_stop_is_counted(tmp_path):
@@ -22,7 +22,7 @@ def test_time_before_a_stop_is_counted(tmp_path):
 
 
 def test_a_kill_loses_little(tmp_path, monkeypatch):
-    monkeypatch.setattr(clock, "BEAT", 0.01)
+    monkeypatch.setattr(run, "BEAT", 0.01)
     file = tmp_path / "seconds.txt"
     with seconds_counted(file):
         deadline = time.monotonic() + 30.0

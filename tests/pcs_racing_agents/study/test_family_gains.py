@@ -14,7 +14,7 @@ from pcs_racing_agents.study.family_gains import family_gains, family_rows, writ
 def races():
     return toy_races(
         tracks=("Oval", "Hut"),
-        opponents=("never-switch", "random-policy", "other-archive", "somebody"),
+        opponents=("never-switch", "best-schedule", "ppo", "somebody"),
         strengths={"blind": 0.0, "clever": 0.2},
         egos=5,
         variants=5,
@@ -22,12 +22,12 @@ def races():
 
 
 def test_a_family_pools_its_opponents_on_all_circuits(races):
-    archive, lattice = family_gains(races, "clever", "blind")
+    archive, switching = family_gains(races, "clever", "blind")
     assert (archive.family.name, archive.family.use, archive.opponents) == ("archive", "training", ("never-switch",))
-    assert (lattice.family.name, lattice.family.use) == ("other lattice", "test")
-    assert lattice.opponents == ("random-policy", "other-archive")
-    assert lattice.tracks == archive.tracks == ("Oval", "Hut")
-    assert lattice.gain.units == 2 * archive.gain.units
+    assert (switching.family.name, switching.family.use) == ("switching agents", "test")
+    assert switching.opponents == ("best-schedule", "ppo")
+    assert switching.tracks == archive.tracks == ("Oval", "Hut")
+    assert switching.gain.units == 2 * archive.gain.units
 
 
 def test_the_gain_is_the_mean_difference_of_the_scores(races):

@@ -5,12 +5,13 @@ import pytest
 from toy_races import toy_races
 
 from pcs_racing import InputError
-from pcs_racing_agents.pictures.curves import Curve
+from pcs_racing_agents.pictures.curves import Curve, curves_picture
 from pcs_racing_agents.pictures.style import picture_bytes
 from pcs_racing_agents.study import figures
 from pcs_racing_agents.study.report_inputs import ScoreAndLoss
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.tournament.ratings import rate
+from pcs_racing_agents.tournament.table import payoffs_picture, ratings_picture
 
 
 @pytest.fixture(scope="module")
@@ -40,11 +41,11 @@ DRAWINGS = {
     "scores": lambda table: figures.scores_picture(table),
     "differences": lambda table: figures.differences_picture(table),
     "adaptivity": lambda table: figures.adaptivity_picture(table),
-    "curves": lambda table: figures.curves_picture({str(n): curves(n) for n in range(5)}),
-    "rewards": lambda table: figures.curves_picture({"ppo": curves()}, x_label="steps", y_label="reward", log=False),
+    "curves": lambda table: curves_picture({str(n): curves(n) for n in range(5)}),
+    "rewards": lambda table: curves_picture({"ppo": curves()}, x_label="steps", y_label="reward", log=False),
     "exploitability": lambda table: figures.exploitability_picture(POINTS),
-    "payoffs": lambda table: figures.payoffs_picture(["one", "two"], PAYOFFS),
-    "ratings": lambda table: figures.ratings_picture(ratings()),
+    "payoffs": lambda table: payoffs_picture(["one", "two"], PAYOFFS),
+    "ratings": lambda table: ratings_picture(ratings()),
 }
 
 
@@ -87,13 +88,13 @@ def test_what_can_not_be_drawn_is_named(table):
     with pytest.raises(InputError, match="no adaptivity gains"):
         figures.adaptivity_picture(make_table(toy_races(egos=3, variants=3)))
     with pytest.raises(InputError, match="no learning curves"):
-        figures.curves_picture({})
+        curves_picture({})
     with pytest.raises(InputError, match="no learning curves"):
-        figures.curves_picture({"regret": []})
+        curves_picture({"regret": []})
     with pytest.raises(InputError, match="no agent whose score"):
         figures.exploitability_picture([])
     with pytest.raises(InputError, match=r"shape \(2, 2\)"):
-        figures.payoffs_picture(["a", "b", "c"], PAYOFFS)
+        payoffs_picture(["a", "b", "c"], PAYOFFS)
 
 
 def test_drawing_leaves_the_readers_settings_alone(table):

@@ -16,7 +16,7 @@ from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
 from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.jobs import make_executor
+from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study

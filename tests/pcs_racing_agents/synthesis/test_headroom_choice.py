@@ -8,7 +8,7 @@ import pytest
 
 from pcs_racing import InputError, load_archive
 from pcs_racing.testing import check_archive
-from pcs_racing_agents.jobs.jobs import make_executor
+from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.payoffs.headroom import headroom
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.synthesis.archive_run import make_archive

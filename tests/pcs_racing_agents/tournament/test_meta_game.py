@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from pcs_racing import InputError
-from pcs_racing_agents.tournament.meta_game import alpha_rank, excess, zero_sum_equilibrium
+from pcs_racing_agents.tournament.round_robin import alpha_rank, excess, zero_sum_equilibrium
 
 CYCLE = np.array([[0.5, 0.6, 0.3], [0.4, 0.5, 0.7], [0.7, 0.3, 0.5]])
 LADDER = np.array([[0.5, 0.6, 0.7], [0.4, 0.5, 0.7], [0.3, 0.3, 0.5]])

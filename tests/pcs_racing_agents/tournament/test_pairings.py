@@ -4,7 +4,8 @@ import pytest
 from pcs_racing import CONTEST, InputError, make_game
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairing, play_pairings
 from pcs_racing_agents.tournament.statistics import compare, match_units

@@ -7,7 +7,9 @@ import pytest
 
 from pcs_racing import GameConfig, InputError, load_race_config, load_track, parse_policy
 from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.jobs.jobs import make_executor, open_job, show_progress
+from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.race_files import read_results
 from pcs_racing_agents.tournament import (
     game_rules,

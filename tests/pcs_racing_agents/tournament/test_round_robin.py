@@ -6,9 +6,8 @@ import pytest
 from pcs_racing import InputError
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
-from pcs_racing_agents.tournament.meta_game import excess
 from pcs_racing_agents.tournament.ratings import rate
-from pcs_racing_agents.tournament.round_robin import round_robin
+from pcs_racing_agents.tournament.round_robin import excess, round_robin
 
 NAMES = ("paper", "rock", "scissors")
 

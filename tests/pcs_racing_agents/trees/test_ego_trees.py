@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, UnknownNameError
-from pcs_racing_agents.jobs.chunks import write_chunk
-from pcs_racing_agents.jobs.jobs import chunk_file, make_executor, read_chunk
-from pcs_racing_agents.networks.ego_rows import ego_rows, ego_values
+from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
+from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.networks.from_ego import ego_rows, ego_values
 from pcs_racing_agents.trees import build_ego_trees, load_ego_trees, play_ego
 from pcs_racing_agents.trees import ego as _ego
 

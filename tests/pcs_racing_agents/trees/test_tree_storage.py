@@ -7,8 +7,7 @@ import pytest
 import yaml
 
 from pcs_racing import InputError, make_game
-from pcs_racing_agents.jobs.chunks import write_chunk
-from pcs_racing_agents.jobs.jobs import read_chunk
+from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
 from pcs_racing_agents.trees import build_tree, build_trees, choose_pairs, load_trees
 from pcs_racing_agents.trees.roots import default_seeds, draw_root
 

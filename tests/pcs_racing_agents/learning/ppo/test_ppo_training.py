@@ -10,7 +10,8 @@ import pytest
 from pcs_racing import InputError, load_archive, load_track, make_game, save_archive
 from pcs_racing.planners.trained import read_driver
 from pcs_racing_agents.agents import make
-from pcs_racing_agents.jobs.jobs import make_executor, read_chunk
+from pcs_racing_agents.jobs.chunks import read_chunk
+from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import (
     evaluation_curves,
     mean_score,

@@ -13,7 +13,8 @@ from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.responses import best_reply, load_response_settings
 from pcs_racing_agents.learning.responses.best_reply import excess_estimate
 

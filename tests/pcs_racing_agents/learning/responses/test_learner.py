@@ -6,7 +6,8 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.game.config import load_game_config
 from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.setting import make_setting
-from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.responses import learn_response, load_response_settings
 
 SMALL = load_response_settings(starts=24, rounds=2, members=2, hidden=(8,), epochs=3, patience=2)

@@ -14,7 +14,8 @@ from pcs_racing.game.identity import game_identity
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.jobs import make_executor, open_job
+from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.self_play import RaceArena, learn_self_play, load_self_play_settings
 from pcs_racing_agents.learning.self_play.race_arena import ExploringStrategy
 from pcs_racing_agents.networks import NetworkSet

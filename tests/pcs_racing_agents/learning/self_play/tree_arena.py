@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.agents.decisions import regret_matching
+from pcs_racing_agents.agents.from_network import regret_matching
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.solvers import GameTree, uniform_profile
 

@@ -1,0 +1,24 @@
+"""The command line of the experiments: ``python -m research NAME``, in the root of a checkout."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from pcs_racing_agents.cli.main import run_parsed
+from research.axes import command as axes
+from research.headroom import command as headroom
+from research.matches import command as matches
+from research.robust_curve import command as robust_curve
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run an experiment; errors and the exit status are those of ``pcs-racing``."""
+    parser = argparse.ArgumentParser(prog="python -m research", description=__doc__, allow_abbrev=False)
+    commands = parser.add_subparsers(title="experiments", metavar="NAME", required=True)
+    for command in (axes, headroom, matches, robust_curve):
+        command.add(commands)
+    return run_parsed(parser.parse_args(arguments))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
