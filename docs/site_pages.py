@@ -178,16 +178,25 @@ def _dotted(path: Path) -> str:
 
 
 def public_modules(package: str) -> list[str]:
-    """Modules of a package that say what of theirs is public."""
+    """Modules of a package that hold something public."""
     files = sorted((REPOSITORY / package.replace(".", "/")).glob("*.py"))
-    return [_dotted(file) for file in files if file.stem != "__init__" and _public_names(file)]
+    return [_dotted(file) for file in files if file.stem != "__init__" and public_names(file)]
 
 
-def _public_names(file: Path) -> list[str]:
+def public_names(file: Path) -> list[str]:
+    """Names that a module defines without a leading underscore; those that ``__all__`` lists, if there is one."""
+    names: list[str] = []
     for node in ast.parse(file.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.Assign) and any(isinstance(to, ast.Name) and to.id == "__all__" for to in node.targets):
-            return list(ast.literal_eval(node.value))
-    return []
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.append(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            parts = [part for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)]
+            assigned = [part.id for part in parts if isinstance(part.ctx, ast.Store)]
+            if assigned == ["__all__"]:
+                return list(ast.literal_eval(node.value))
+            names += assigned
+    return [name for name in names if not name.startswith("_")]
 
 
 def reference_page(package: str) -> str:
@@ -212,7 +221,7 @@ def _names_from_elsewhere(module: str) -> list[str]:
         if isinstance(node, ast.ImportFrom) and str(node.module).startswith("pcs_racing")
         for alias in node.names
     }
-    return sorted(imported & set(_public_names(file)))
+    return sorted(imported & set(public_names(file)))
 
 
 def names_page() -> str:
@@ -231,7 +240,7 @@ def names_page() -> str:
 
 def _where(name: str) -> str:
     files = sorted((REPOSITORY / "pcs_racing").rglob("*.py"))
-    return next(_dotted(file) for file in files if file.stem != "__init__" and name in _public_names(file))
+    return next(_dotted(file) for file in files if file.stem != "__init__" and name in public_names(file))
 
 
 # The list of pages

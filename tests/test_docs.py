@@ -197,7 +197,17 @@ def test_every_public_module_has_its_place_in_the_reference(site):
         for file in (REPOSITORY / root).rglob("*.py"):
             module = ".".join(file.relative_to(REPOSITORY).with_suffix("").parts)
             inner = file.stem == "__init__" or ".cli." in module or "__main__" in module
-            assert inner or not site._public_names(file) or module in known, f"{module} is not in site_pages.REFERENCE"
+            assert inner or not site.public_names(file) or module in known, f"{module} is not in site_pages.REFERENCE"
+
+
+def test_the_underscore_says_what_is_private(site, tmp_path):
+    module = tmp_path / "module.py"
+    module.write_text(
+        "import os\nA, _B = 1, 2\nC: int = 3\nd[0] = 4\ndef _e(): ...\ndef f(): ...\nclass G:\n    h = 1\n"
+    )
+    assert site.public_names(module) == ["A", "C", "f", "G"]
+    module.write_text('__all__ = ["f"]\ndef f(): ...\ndef g(): ...\n')
+    assert site.public_names(module) == ["f"]
 
 
 def test_every_page_of_the_reference_is_listed(site):

@@ -20,8 +20,6 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import MAX_YAML, parse_yaml, read_limited
 
-__all__ = ["MANIFEST", "ArtifactFormat", "ManifestFormat", "shipped_folder"]
-
 MANIFEST = "manifest.yaml"
 
 

@@ -12,28 +12,6 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = [
-    "all_finite",
-    "as_array",
-    "check_array",
-    "check_choice",
-    "check_facts",
-    "check_flag",
-    "check_names",
-    "check_number",
-    "check_path",
-    "check_seed",
-    "check_text",
-    "check_whole",
-    "check_whole_array",
-    "check_wholes",
-    "did_you_mean",
-    "is_flag",
-    "is_number",
-    "is_whole",
-    "within",
-]
-
 Error = type[InputError]
 
 FEW = 32

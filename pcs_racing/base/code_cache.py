@@ -21,8 +21,6 @@ from typing import Any
 
 from numba.core import caching
 
-__all__ = ["forget_stale_code"]
-
 _IMPORT = re.compile(r"^\s*(?:from|import)\s+(pcs_racing[\w.]*)([^\n(]*(?:\([^)]*\))?)", re.MULTILINE)
 _WORD = re.compile(r"\w+")
 

@@ -12,8 +12,6 @@ from numba.core.registry import CPUDispatcher
 from pcs_racing.base import shorter_compilation  # noqa: F401 - it listens to numba from its import on
 from pcs_racing.base.code_cache import forget_stale_code
 
-__all__ = ["compiled", "compiled_for", "first_call", "inner_kernel", "kernel"]
-
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function with numba: cached on disk if it has a file, without the GIL, with IEEE division.

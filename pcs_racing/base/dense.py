@@ -21,8 +21,6 @@ from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError
 
-__all__ = ["DenseLayers", "dense_forward", "dense_rows", "layers_from_bytes", "layers_to_bytes", "weight_count"]
-
 Floats = NDArray[np.float32]
 
 MOST_WEIGHTS = 4_000_000

@@ -3,17 +3,6 @@
 import difflib
 from collections.abc import Iterable
 
-__all__ = [
-    "ConfigError",
-    "InputError",
-    "MapError",
-    "UnknownArgumentError",
-    "UnknownNameError",
-    "choices",
-    "unknown_argument",
-]
-
-
 _LONGEST = 2000
 
 

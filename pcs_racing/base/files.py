@@ -8,8 +8,6 @@ from typing import IO
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["write_atomically"]
-
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write a file completely or not at all: ``write`` fills a temporary file, which then replaces ``path``.

@@ -2,8 +2,6 @@
 
 from importlib.util import find_spec
 
-__all__ = ["require"]
-
 
 def require(*modules: str, extra: str = "mapping") -> None:
     """Raise an error that names the extra to install if a module is not installed; import nothing.

@@ -15,20 +15,6 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 
-__all__ = [
-    "COARSE",
-    "FINE",
-    "join_segments",
-    "pack",
-    "pack_costs",
-    "pack_paths",
-    "pack_segments",
-    "unpack",
-    "unpack_costs",
-    "unpack_paths",
-    "unpack_segments",
-]
-
 # Steps per unit: millimetres and milliradians for what is interpolated, centimetres for what is only looked at.
 FINE = 1000
 COARSE = 100

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["MAX_YAML", "parse_yaml", "plain_yaml", "read_limited", "unpack_arrays"]
-
 MAX_YAML = 200_000
 """Maximum size of a YAML file in bytes; larger files would take seconds to parse."""
 

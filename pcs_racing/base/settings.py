@@ -35,27 +35,6 @@ from pcs_racing.base.checks import (
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
 from pcs_racing.base.reading import MAX_YAML, parse_yaml, read_limited
 
-__all__ = [
-    "Rule",
-    "Settings",
-    "add_setting_options",
-    "checked",
-    "choice",
-    "flag",
-    "load_settings",
-    "names",
-    "number",
-    "plain_settings",
-    "read_settings",
-    "setting",
-    "stated_options",
-    "tenths",
-    "text",
-    "weights",
-    "whole",
-    "wholes",
-]
-
 S = TypeVar("S", bound="Settings")
 
 

@@ -21,8 +21,6 @@ from typing import Any
 
 from numba.core import compiler, event, ir, types
 
-__all__ = ["ShorterCompilation"]
-
 _find_type = types.BaseFunction.get_call_type
 
 _types_found: dict[tuple[Any, ...], tuple[Any, Any]] = {}

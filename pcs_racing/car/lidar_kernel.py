@@ -18,8 +18,6 @@ from pcs_racing.car.collision import inside_wall
 from pcs_racing.track.frenet import wrap_s
 from pcs_racing.track.grid import cast
 
-__all__ = ["WORK_SHAPE", "Beams", "scan_into"]
-
 # Neighbouring beams lie on two sides of an edge if their ranges differ by this much in m and as a share of the nearer.
 JUMP = 1.0
 JUMP_SHARE = 0.2

@@ -27,22 +27,6 @@ from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Settings, checked, load_settings, number, setting
 
-__all__ = [
-    "F1TENTH",
-    "STATE_SIZE",
-    "ControlMode",
-    "Handling",
-    "VehicleParams",
-    "handling",
-    "load_vehicle",
-    "load_vehicles",
-    "runge_kutta",
-    "simulate",
-    "step",
-    "step_to_target",
-    "target_inputs",
-]
-
 # Columns of a vehicle state; X and Y share their numbers with a line of the track.
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
 STATE_SIZE = 7

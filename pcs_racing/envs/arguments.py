@@ -7,8 +7,6 @@ from typing import Any
 
 from pcs_racing.base.errors import unknown_argument
 
-__all__ = ["batch_arguments"]
-
 FRAME = (
     "self",
     "num_envs",

@@ -16,8 +16,6 @@ from pcs_racing.base.checks import check_choice, check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.race.rendering import MODES, VIEWS, Renderer
 
-__all__ = ["Batch", "BatchStep", "check_batch_size", "check_options", "check_rendering", "check_reset_seed"]
-
 MOST_EPISODES = 100_000
 
 

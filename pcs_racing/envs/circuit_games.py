@@ -10,8 +10,6 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
 
-__all__ = ["CircuitGames"]
-
 KEPT = 64  # games on circuits that no episode is on
 
 

@@ -13,8 +13,6 @@ from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 
-__all__ = ["Circuits", "is_circuits"]
-
 RANDOM = "random"
 
 

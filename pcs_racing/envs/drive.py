@@ -8,14 +8,12 @@ from gymnasium.vector import AutoresetMode
 
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.arguments import batch_arguments
-from pcs_racing.envs.drive_batch import EXTERNAL, DriveBatch
+from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.scalar import ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.config import RaceConfig
-
-__all__ = ["EXTERNAL", "DriveEnv", "DriveVectorEnv"]
 
 
 class DriveEnv(ScalarEnv):

@@ -37,8 +37,6 @@ from pcs_racing.race.start_grid import settle
 from pcs_racing.race.state import WALL_CRASH, RaceState, take
 from pcs_racing.track.track import Track
 
-__all__ = ["EXTERNAL", "DriveBatch"]
-
 EXTERNAL = Planner("external", (), leave_path, hold_command, memory_size=COMMAND_SLOTS)
 """The planner of a car that is driven from outside: its memory holds the target steering angle and speed."""
 

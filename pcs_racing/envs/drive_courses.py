@@ -14,8 +14,6 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.frenet import TrackArrays
 
-__all__ = ["Course", "Courses", "Scene"]
-
 KEPT = 64  # circuits that no race is on
 
 

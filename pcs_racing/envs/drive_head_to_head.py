@@ -12,12 +12,10 @@ from pettingzoo.utils import parallel_to_aec
 from pcs_racing.envs.arguments import batch_arguments
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.envs.parallel import AGENTS, ParallelBatchEnv, ParallelState
+from pcs_racing.envs.parallel import ParallelBatchEnv, ParallelState
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.rendering import MODES
-
-__all__ = ["AGENTS", "DriveHeadToHeadEnv", "DriveHeadToHeadVectorEnv", "env", "parallel_env"]
 
 
 class DriveHeadToHeadEnv(ParallelBatchEnv):

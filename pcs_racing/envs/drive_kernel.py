@@ -23,21 +23,6 @@ from pcs_racing.race.steering import delayed, steering_noise, steering_sd
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, project
 from pcs_racing.track.grid import cast
 
-__all__ = [
-    "ALWAYS",
-    "IN_SIGHT",
-    "NEVER",
-    "OPPONENT_ELEMENTS",
-    "OWN_ELEMENTS",
-    "STRETCH_ELEMENTS",
-    "Sight",
-    "advance_alone",
-    "observe_races",
-    "restart",
-    "set_commands",
-    "step_races",
-]
-
 OWN_ELEMENTS = 8  # numbers about the own car
 STRETCH_ELEMENTS = 4  # numbers about each look-ahead distance; those about the opponent follow
 OPPONENT_ELEMENTS = 9

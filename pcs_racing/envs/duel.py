@@ -18,8 +18,6 @@ from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 
-__all__ = ["DuelEnv", "DuelVectorEnv", "SelfPlayVectorEnv"]
-
 
 class DuelEnv(FilmedEnv):
     """Play the game of moves in Policy Characteristic Space against an opponent.

@@ -11,8 +11,6 @@ from pcs_racing.envs.over_batch import FILM
 from pcs_racing.envs.scalar import EnvState, ScalarEnv
 from pcs_racing.race.rendering import MODES
 
-__all__ = ["FilmedEnv"]
-
 
 class FilmedEnv(ScalarEnv):
     """Base class of the environments at the level of strategy.

@@ -36,8 +36,6 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, take
 from pcs_racing.track.track import Track
 
-__all__ = ["DrivenStep", "GameBatch"]
-
 NO_MOVE = -1  # before the first move, and for a driver
 FILM_TICKS = 4  # simulation steps between two frames of a film
 FILM_RATE = 25  # frames for each second of racing

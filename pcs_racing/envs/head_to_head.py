@@ -12,13 +12,11 @@ from pettingzoo.utils import parallel_to_aec
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.arguments import batch_arguments
 from pcs_racing.envs.game_batch import FILM_RATE, GameBatch
-from pcs_racing.envs.parallel import AGENTS, ParallelBatchEnv
+from pcs_racing.envs.parallel import ParallelBatchEnv
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
-
-__all__ = ["AGENTS", "HeadToHeadEnv", "env", "parallel_env"]
 
 
 class HeadToHeadEnv(ParallelBatchEnv):

@@ -18,8 +18,6 @@ from pcs_racing.game.config import GameConfig
 from pcs_racing.game.match import MatchGame
 from pcs_racing.race.config import RaceConfig
 
-__all__ = ["HeadToHeadMatchEnv", "env", "parallel_env"]
-
 
 class HeadToHeadMatchEnv(HeadToHeadEnv):
     """Two players race each other several times; before each race both choose the policy that their car drives with.

@@ -19,8 +19,6 @@ from pcs_racing.game.match import MatchGame
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 
-__all__ = ["MatchEnv", "MatchVectorEnv", "SelfPlayMatchVectorEnv"]
-
 
 class MatchEnv(FilmedEnv):
     """Play a match: several races against the same opponent, with a policy to choose before each of them.

@@ -26,8 +26,6 @@ from pcs_racing.race.races import start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
 
-__all__ = ["MatchBatch"]
-
 UNUSED = ("utility", "fault_penalty", "discount")
 """Rules of a single game's reward; a match pays races won."""
 

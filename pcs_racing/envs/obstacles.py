@@ -15,8 +15,6 @@ from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.obstacles import BOX
 from pcs_racing.track.track import Track
 
-__all__ = ["Obstacles", "load_obstacles", "obstacles_option"]
-
 MOST = 20
 SHAPES = ("box", "circle", "both")
 TRIES = 50  # places that are tried for an obstacle before it is left out

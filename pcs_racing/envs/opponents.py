@@ -15,8 +15,6 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy, planner_names
 
-__all__ = ["Opponent", "draw_opponent", "drive_opponents", "parse_opponents", "shared_planner"]
-
 
 @dataclass(frozen=True, eq=False)
 class Opponent:

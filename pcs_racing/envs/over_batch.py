@@ -10,8 +10,6 @@ from pcs_racing.envs.batch import Batch
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.track.track import Track
 
-__all__ = ["FILM", "REBUILDING", "OverBatch"]
-
 FILM = "rgb_array_list"
 """Render mode in which `render` returns all frames since it was last called, of steps that last many."""
 

@@ -15,8 +15,6 @@ from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_r
 from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import REBUILDING, OverBatch
 
-__all__ = ["AGENTS", "Infos", "Observations", "ParallelBatchEnv", "ParallelState"]
-
 AGENTS = ("car_0", "car_1")
 
 Observations = dict[str, NDArray[np.float32]]

@@ -14,8 +14,6 @@ from pcs_racing.race.start_grid import Starts, settle
 from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import X, Y
 
-__all__ = ["place_poses", "poses_option", "start_option"]
-
 
 def _numbers(options: Mapping[str, Any], name: str, shapes: tuple[tuple[int, ...], ...], meaning: str) -> Any:
     """An option as finite numbers of one of some shapes; None if it is not given."""

@@ -26,8 +26,6 @@ try:
 except ImportError as error:
     raise ImportError('pcs_racing.envs.sb3 needs Stable-Baselines3: pip install "pcs-racing[learning]"') from error
 
-__all__ = ["KINDS", "SB3VecEnv", "make_sb3_vec_env"]
-
 KINDS: dict[str, type[Any]] = {
     "duel": DuelVectorEnv,
     "drive": DriveVectorEnv,

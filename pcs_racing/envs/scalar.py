@@ -14,8 +14,6 @@ from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import REBUILDING, OverBatch
 from pcs_racing.race.rendering import MODES
 
-__all__ = ["EnvState", "ScalarEnv"]
-
 
 class EnvState(NamedTuple):
     """A moment of an environment: a value that can be kept, copied, pickled and restored.

@@ -16,8 +16,6 @@ from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.track.obstacles import BOX, with_obstacles
 from pcs_racing.track.track import Track
 
-__all__ = ["Variety"]
-
 
 class Variety:
     """The circuits, obstacles and cars of a batch of episodes, and what is drawn at random about them.

@@ -17,8 +17,6 @@ from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import REBUILDING, OverBatch
 from pcs_racing.race.rendering import MODES
 
-__all__ = ["BatchVectorEnv", "VectorState", "check_autoreset_mode"]
-
 Step = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
 
@@ -282,7 +280,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
     def _renewed_generators(
         self, seed: int | list[int | None] | None
     ) -> tuple[list[np.random.Generator], list[int | None]]:
-        seeds = split_seeds(seed, self.batch.episodes)
+        seeds = _split_seeds(seed, self.batch.episodes)
         generators = [
             seeding.np_random(one)[0] if not self._generators or one is not None else self._generators[i]
             for i, one in enumerate(seeds)
@@ -360,7 +358,7 @@ def check_autoreset_mode(mode: Any) -> AutoresetMode:
     raise InputError(f"autoreset_mode is {mode!r}; it must be one of {names}")
 
 
-def split_seeds(seed: Any, episodes: int) -> list[int | None]:
+def _split_seeds(seed: Any, episodes: int) -> list[int | None]:
     """One seed for each episode, as Gymnasium's own vector environments split them: i more for episode i.
 
     Raises

@@ -24,8 +24,6 @@ from pcs_racing.planners.registry import get_planner
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Explored", "PolicyArchive"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

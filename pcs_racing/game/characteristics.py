@@ -14,22 +14,6 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.race.rates import DT
 from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, LATERAL, PROFILE, STEERING, TIME, RaceState
 
-__all__ = [
-    "AGGRESSIVENESS",
-    "BLOCKING_SHARE",
-    "CORNERING",
-    "PACE",
-    "RESTRAINT",
-    "SMOOTHNESS",
-    "SPEED",
-    "Characteristic",
-    "Segment",
-    "characteristic_names",
-    "get_characteristics",
-    "measure",
-    "register_characteristic",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Segment:

@@ -26,20 +26,6 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing.planners.planner import Policy
 
-__all__ = [
-    "Chooser",
-    "Competitor",
-    "Decider",
-    "PolicySet",
-    "Predictor",
-    "RandomMoves",
-    "SameMove",
-    "ask_moves",
-    "check_competitor",
-    "competitor_name",
-    "driver_policies",
-]
-
 Observation = NDArray[np.float32]
 Function = Callable[[Observation, np.random.Generator], Any]
 

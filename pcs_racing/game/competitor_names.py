@@ -15,8 +15,6 @@ from pcs_racing.game.competitor import Competitor, PolicySet, RandomMoves, SameM
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.registry import parse_policy, planner_names
 
-__all__ = ["ENTRY_POINTS", "competitor_names", "make_competitor", "register_competitors"]
-
 ENTRY_POINTS = "pcs_racing.opponents"
 """Entry point group in which a distribution names its module of competitors."""
 

@@ -10,8 +10,6 @@ from pcs_racing.game.config import GameConfig
 from pcs_racing.game.moves import STAY, move_names
 from pcs_racing.game.observation import observation_elements
 
-__all__ = ["GameIdentity", "check_same_game", "game_identity"]
-
 
 class GameIdentity(NamedTuple):
     """The game that something was made for, as plain values that a manifest can hold; any circuit belongs to it.

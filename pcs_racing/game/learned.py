@@ -25,17 +25,6 @@ from pcs_racing.game.characteristics import (
     register_characteristic,
 )
 
-__all__ = [
-    "BOUND",
-    "TIMES",
-    "LearnedAxis",
-    "LearnedCharacteristics",
-    "LearnedInput",
-    "check_set_name",
-    "register_learned",
-    "term_factors",
-]
-
 Floats = NDArray[np.float64]
 
 BOUND = 4.0

@@ -7,8 +7,6 @@ from pcs_racing.base.artifacts import ManifestFormat
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.learned import LearnedCharacteristics, register_learned
 
-__all__ = ["LEARNED_FORMAT", "load_learned", "save_learned"]
-
 LEARNED_FORMAT = ManifestFormat(
     "set of characteristics", ("name", "inputs", "axes", "training", "sha256"), "save_learned"
 )

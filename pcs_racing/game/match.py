@@ -34,8 +34,6 @@ from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.race.races import start_races, winners
 from pcs_racing.race.start_grid import Starts
 
-__all__ = ["KEEP", "MatchConfig", "MatchGame", "MatchState", "put_matches"]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 

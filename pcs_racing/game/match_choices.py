@@ -10,8 +10,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import Chooser, competitor_name
 from pcs_racing.game.match import KEEP, MatchGame, MatchState
 
-__all__ = ["ask_choices"]
-
 
 def ask_choices(
     competitor: Any,

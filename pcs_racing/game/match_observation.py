@@ -10,8 +10,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.characteristics import Characteristic
 from pcs_racing.game.observation import HIGH, LEAD_BOUND, LEAD_SCALE, LOW, ObservationElement
 
-__all__ = ["RaceMemory", "decode_match", "encode_match", "match_elements", "seen_races"]
-
 Floats = NDArray[np.float64]
 
 AFTER_AXES = 3  # lead, score and share of the duration follow the coordinates of a race

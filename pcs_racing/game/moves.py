@@ -14,19 +14,6 @@ from pcs_racing.base.checks import as_array, check_whole_array, is_flag, is_numb
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 
-__all__ = [
-    "EPSILON",
-    "STAY",
-    "check_epsilon",
-    "check_moves",
-    "duplicate_moves",
-    "duplicate_share",
-    "move",
-    "move_names",
-    "move_table",
-    "no_op_share",
-]
-
 Indices = NDArray[np.int64]
 
 EPSILON = 0.5

@@ -8,16 +8,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.game.characteristics import Characteristic
 
-__all__ = [
-    "HIGH",
-    "LEAD_SCALE",
-    "LOW",
-    "ObservationElement",
-    "encode_observation",
-    "observation_elements",
-    "observation_table",
-]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 

@@ -48,8 +48,6 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track
 
-__all__ = ["GameState", "RaceGame"]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 

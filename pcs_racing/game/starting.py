@@ -12,8 +12,6 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 
-__all__ = ["DRAW", "check_policies", "driver_parameters", "game_keys", "random_bits"]
-
 DRAW = -1
 """In place of a policy's index: draw one."""
 

@@ -13,8 +13,6 @@ from pcs_racing.base.reading import read_limited, unpack_arrays
 from pcs_racing.race.state import MAX_BYTES, RaceState, empty_state
 from pcs_racing.race.state import take as take_races
 
-__all__ = ["GameState", "begun_game", "empty_game", "load_game", "put_games", "save_game", "take_games"]
-
 
 class GameState(NamedTuple):
     """A batch of B games at one moment: plain arrays, game axis first.

@@ -11,8 +11,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import PARAMS_SIZE, VehicleParams
 from pcs_racing.track.track import Track
 
-__all__ = ["RaceConditions", "runs_of", "vehicle_rows"]
-
 
 @dataclass(frozen=True, eq=False)
 class RaceConditions:

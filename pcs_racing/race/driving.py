@@ -24,8 +24,6 @@ from pcs_racing.track.track import Track
 
 Run = tuple[Track, int, int]  # a track, the first of the races on it, and the one after the last
 
-__all__ = ["default_threads", "drive", "kernel_settings", "pad_parameters"]
-
 # Counted in steps of 0.01 s of one race, of about 1 us each.
 PIECE = 3000  # that a thread drives at a time
 WORTH_A_THREAD = 500  # that are worth handing over

@@ -14,8 +14,6 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.replay import Replay
 
-__all__ = ["replay_frames", "write_gif"]
-
 _TRAIL = 2.0  # s
 
 

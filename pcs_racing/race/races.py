@@ -23,19 +23,6 @@ from pcs_racing.race.start_places import places_of, split_places
 from pcs_racing.race.state import RaceState, concatenate, empty_state, take
 from pcs_racing.track.track import Track
 
-__all__ = [
-    "TIE_WITHIN",
-    "RaceResult",
-    "RaceSetup",
-    "advance",
-    "draw_starts",
-    "run_races",
-    "start_lines",
-    "start_races",
-    "starts_of",
-    "winners",
-]
-
 TIE_WITHIN = 0.01  # m of lead
 
 

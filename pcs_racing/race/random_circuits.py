@@ -18,8 +18,6 @@ from pcs_racing.track.mapping.circuits import generate_circuit
 from pcs_racing.track.mapping.shapes import STYLES
 from pcs_racing.track.track import Calibration, Track, build_track
 
-__all__ = ["CircuitBuilder", "RandomCircuits", "random_circuit"]
-
 SPEED_RANGES = {"paper": (0.66, 0.86), "contest": (0.65, 0.97)}
 """Speed scales of pace 0 and 1: those of the shipped circuits with the least room to drive fast in."""
 BENDS = 0.12  # 1/m: start places are where the line bends less than this ...

@@ -28,8 +28,6 @@ from pcs_racing.race.state import ITTC, ITTC_SAMPLES, WALL_CRASH, RaceState
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.track import Track
 
-__all__ = ["LAST_INDEX", "record_drive", "record_race", "tell_apart"]
-
 LAST_INDEX = 2**32 - 1
 """Largest number of a race: it is one 32-bit word of the key of the race's noise."""
 

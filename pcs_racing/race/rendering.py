@@ -34,8 +34,6 @@ from pcs_racing.track.frenet import SPEED
 if TYPE_CHECKING:
     from pcs_racing.track.track import Track
 
-__all__ = ["MODES", "VIEWS", "Renderer", "half_sizes"]
-
 MODES = ("rgb_array", "human")
 VIEWS = ("track", "both", "car_0", "car_1")
 

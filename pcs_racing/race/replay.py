@@ -7,8 +7,6 @@ import numpy as np
 from pcs_racing.base.checks import check_number, check_whole
 from pcs_racing.base.errors import InputError
 
-__all__ = ["Replay", "ReplayEvent"]
-
 _LARGEST = 1e9
 _LONGEST_TEXT = 500
 

@@ -31,8 +31,6 @@ from pcs_racing.base.packing import (
 from pcs_racing.base.reading import read_limited
 from pcs_racing.race.replay import Replay, ReplayEvent
 
-__all__ = ["plain_parts", "read_replay", "replay_page", "safe_json", "save_replay", "write_html"]
-
 FORMAT = "pcs-racing replay 1"
 
 LONGEST_ITTC = 60.0

@@ -15,8 +15,6 @@ from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.track import Track
 
-__all__ = ["Starts", "place_on_grid", "settle"]
-
 
 @dataclass(frozen=True, eq=False)
 class Starts:

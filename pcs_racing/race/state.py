@@ -11,8 +11,6 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited, unpack_arrays
 from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS
 
-__all__ = ["SUMS", "RaceState", "concatenate", "empty_state", "load_state", "save_state", "take"]
-
 SUMS: dict[str, str] = {
     "ITTC": "sum of the minimum time to collision over its samples, s",
     "ITTC_SAMPLES": "number of those samples (20 per second)",

@@ -26,8 +26,6 @@ from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
 from pcs_racing.race.state import SUMS, RaceState, take
 from pcs_racing.track.track import Track
 
-__all__ = ["check_archive", "check_characteristic", "check_planner"]
-
 RACES = 6
 
 

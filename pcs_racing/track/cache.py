@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.reading import read_limited, unpack_arrays
 
-__all__ = ["CALIBRATION", "TRACK", "cache_folder", "cache_key", "load_cached", "store"]
-
 TRACK, CALIBRATION = "track", "calibration"  # kinds of results
 
 MAX_BYTES = 256_000_000

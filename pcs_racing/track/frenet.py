@@ -11,29 +11,6 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 
-__all__ = [
-    "COS",
-    "KAPPA",
-    "LEFT",
-    "LINE_COLUMNS",
-    "PSI",
-    "RIGHT",
-    "SIN",
-    "SPEED",
-    "TrackArrays",
-    "X",
-    "Y",
-    "angle_between",
-    "foot",
-    "interpolate",
-    "locate",
-    "offset",
-    "project",
-    "to_cartesian",
-    "wall_distance",
-    "wrap_s",
-]
-
 # Columns of ``TrackArrays.line``.
 X, Y, COS, SIN, PSI, KAPPA, SPEED, RIGHT, LEFT = range(9)
 LINE_COLUMNS = ("x", "y", "cos", "sin", "psi", "kappa", "speed", "right", "left")

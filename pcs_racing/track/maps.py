@@ -35,19 +35,6 @@ from pcs_racing.track.map_files import (
     parse_yaml,
 )
 
-__all__ = [
-    "MapFiles",
-    "MapFolder",
-    "find_map",
-    "find_shipped",
-    "list_tracks",
-    "parse_map",
-    "read_bytes",
-    "read_map",
-    "shipped_folder",
-    "write_map",
-]
-
 Floats = NDArray[np.float64]
 
 MAX_BYTES = 256_000_000  # of a picture

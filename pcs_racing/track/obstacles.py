@@ -12,8 +12,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.track.corners import corners_along
 from pcs_racing.track.track import Track
 
-__all__ = ["BOX", "MOST_BOXES", "with_obstacles"]
-
 BOX = ("x", "y", "heading", "length", "width")
 """The numbers of an obstacle: its centre in m, the direction of its length in rad, and its sides in m.
 

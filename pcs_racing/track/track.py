@@ -14,14 +14,6 @@ from pcs_racing.track import frenet
 from pcs_racing.track.building.build import build_arrays, check_centerline, check_grid, check_line
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
 
-__all__ = [
-    "Calibration",
-    "Track",
-    "build_track",
-    "calibration_from_values",
-    "calibration_values",
-]
-
 Floats = NDArray[np.float64]
 
 

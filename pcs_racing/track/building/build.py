@@ -15,8 +15,6 @@ from pcs_racing.track.corners import corner_lists
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, LINE_COLUMNS, PSI, RIGHT, SIN, SPEED, TrackArrays, X, Y
 from pcs_racing.track.grid import cast, distance_to_walls, flood, lookup_grid, way_out
 
-__all__ = ["build_arrays", "check_centerline", "check_grid", "check_line", "drivable_region"]
-
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 

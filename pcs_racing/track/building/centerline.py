@@ -13,8 +13,6 @@ from pcs_racing.track.building.clearance import checked_grid
 from pcs_racing.track.building.curves import curve_length, resample, signed_area, smooth
 from pcs_racing.track.grid import distance_to_walls
 
-__all__ = ["centerline_from_grid"]
-
 SPACING = 0.3  # of the result, m
 SMOOTHING = 1.0  # waves of this length are halved, m: far above a cell, below the tightest hairpin
 RIM = 3  # cells of wall around the track, so that the rim itself never counts as the nearer wall

@@ -7,8 +7,6 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.frenet import interpolate
 
-__all__ = ["checked_grid", "corridor", "room_at", "wall_clearance"]
-
 
 def checked_grid(
     occupied: np.ndarray, resolution: float, origin: np.ndarray | tuple[float, float]

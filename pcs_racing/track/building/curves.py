@@ -8,8 +8,6 @@ from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.fourier import transform
 from pcs_racing.track.building.splines import sample_closed
 
-__all__ = ["checked_curve", "curve_length", "first_crossing", "resample", "signed_area", "smooth"]
-
 
 def checked_curve(points: np.ndarray, label: str) -> np.ndarray:
     """Points of a closed curve as an (N, 2) array, without repeated neighbours and without a repeated first point.

@@ -9,8 +9,6 @@ import numpy as np
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 
-__all__ = ["transform"]
-
 
 @compiled
 def transform(real, imaginary):  # type: ignore[no-untyped-def]

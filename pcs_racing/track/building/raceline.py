@@ -14,8 +14,6 @@ from pcs_racing.track.building.speed import ACCELERATION, BRAKING, LATERAL, TOP_
 from pcs_racing.track.building.splines import sample_closed
 from pcs_racing.track.grid import distance_to_walls
 
-__all__ = ["CLEARANCE", "minimum_curvature_raceline", "raceline_rows"]
-
 CLEARANCE = 0.305
 """Default distance in m between line and wall: half the width of a car (0.155 m) and 0.15 m of air."""
 

@@ -6,8 +6,6 @@ from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import InputError
 
-__all__ = ["ACCELERATION", "BRAKING", "LATERAL", "TOP_SPEED", "lap_time", "speed_profile"]
-
 LATERAL = 5.0
 """Default limit of the lateral acceleration in m/s^2."""
 BRAKING = 4.5

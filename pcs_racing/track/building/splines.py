@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import headings, lengths
 
-__all__ = ["LineSamples", "clean_closed", "sample_closed", "solve_cyclic"]
-
 Floats = NDArray[np.float64]
 
 # Gauss and Legendre's rule of five points on [0, 1], to the last bit (numpy's function finds it by LAPACK): exact for

@@ -9,8 +9,6 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.track.grid import cast
 
-__all__ = ["Outlines", "seen_lists", "simplify", "trace_outlines"]
-
 
 class Outlines(NamedTuple):
     """The faces between drivable and other cells, ordered along closed outlines.

@@ -15,8 +15,6 @@ from pcs_racing.track.building.raceline import minimum_curvature_raceline, racel
 from pcs_racing.track.building.splines import sample_closed
 from pcs_racing.track.mapping.shapes import STYLES, rounded
 
-__all__ = ["Circuit", "braking_zones", "generate_circuit", "straights", "walls_to_grid"]
-
 WALL = 0.1  # thickness of the drawn walls, m
 RADIUS_RATIO = 1.2  # least radius of the centre line in half widths: below 1 the inner wall would fold
 STRAIGHT = 8.0  # a circuit needs one straight of this length, m

@@ -13,8 +13,6 @@ from pcs_racing.track.mapping.pictures import show_track
 from pcs_racing.track.maps import MapFolder, read_map, write_map
 from pcs_racing.track.track import Track, build_track
 
-__all__ = ["generate_map", "import_map"]
-
 
 def generate_map(
     folder: str | Path,

@@ -14,8 +14,6 @@ from pcs_racing.track.frenet import LEFT, PSI, RIGHT, SPEED, X, Y
 if TYPE_CHECKING:
     from pcs_racing.track.track import Track
 
-__all__ = ["show_track"]
-
 
 def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8.0, dpi: int = 90) -> None:
     """Draw a track to a file in the format of the file name (png, svg, pdf).

@@ -10,8 +10,6 @@ import numpy as np
 
 from pcs_racing.base.elementary import headings, lengths, sine_cosine, sines_cosines
 
-__all__ = ["STYLES", "hairpin_polygon", "hull_polygon", "rounded", "voronoi_polygon"]
-
 
 def hull_polygon(rng: np.random.Generator) -> np.ndarray:
     """Convex hull of random points with its long sides bent in or out in the middle: natural, flowing circuits.

@@ -14,10 +14,10 @@ from pcs_racing import InputError, Lidar, UnknownNameError
 from pcs_racing.base.errors import UnknownArgumentError
 from pcs_racing.envs import drive_batch, drive_head_to_head
 from pcs_racing.envs.drive import DriveEnv
-from pcs_racing.envs.drive_head_to_head import AGENTS, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
+from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.infos import Crash, Result
-from pcs_racing.envs.parallel import ParallelState
+from pcs_racing.envs.parallel import AGENTS, ParallelState
 from pcs_racing.envs.registration import PETTINGZOO_IDS
 from pcs_racing.game.reward import win_sign
 from pcs_racing.race.config import load_race_config
