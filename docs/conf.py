@@ -36,7 +36,8 @@ nb_output_stderr = "remove"  # notes on compilation and progress
 
 autodoc_member_order = "bysource"
 autodoc_mock_imports = [name for name in ("stable_baselines3", "torch") if find_spec(name) is None]
-autodoc_typehints = "none"  # the docstrings say them, with shapes and units
+autodoc_typehints = "signature"  # docstrings say what types don't: shapes and units
+autodoc_typehints_format = "short"
 napoleon_google_docstring = False
 napoleon_use_param = False
 napoleon_use_rtype = False
@@ -59,4 +60,4 @@ def setup(app):
     """Join what Sphinx does while it reads pages and docstrings."""
     app.connect("source-read", site_pages.mend_page)
     app.connect("autodoc-process-docstring", site_pages.mend_docstring, priority=400)  # napoleon: 500
-    app.connect("autodoc-skip-member", site_pages.skip_member)
+    app.connect("autodoc-process-signature", site_pages.shorten_signature)

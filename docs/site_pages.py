@@ -268,6 +268,8 @@ def mend_page(app, name, source) -> None:
 
 SOURCE = re.compile(r"^\.\. (\[\d+\])")
 CITED = re.compile(r"(\[\d+\])_")
+ARRAY = re.compile(r"~?[\w.]*ndarray\[tuple\[~?[\w.]*Any, \.\.\.\], ~?[\w.]*dtype\[[^\[\]]*(\[[^\[\]]*\])?\]\]")
+ARRAY_LIKE = re.compile(r"~?[\w.]*_Buffer \| .*?\| ~?[\w.]*_NestedSequence\[complex \| bytes \| str\]")
 
 
 def mend_docstring(app, what, name, thing, options, lines) -> None:
@@ -277,8 +279,10 @@ def mend_docstring(app, what, name, thing, options, lines) -> None:
     absolute values, not for substitutions; the numbers of sources count within their module, not on the whole page.
     """
     del app, thing, options
-    if what in ("data", "attribute"):
-        lines.insert(0, "")  # or napoleon takes what stands before a colon for its type
+    if lines and lines[0].startswith("Alias for field number"):
+        lines.clear()  # a field of a named tuple without a comment of ours
+    if what in ("data", "attribute", "property") and lines and not lines[0].startswith("shape"):
+        lines[:0] = ["..", ""]  # or napoleon takes what stands before a colon for its type
     for page, (module, class_name, _) in ENVIRONMENTS.items():
         if name == f"{module}.{class_name}":
             lines[:] = [lines[0], "", f"Its page is :doc:`/generated/{page}`.", ""]
@@ -292,7 +296,7 @@ def mend_docstring(app, what, name, thing, options, lines) -> None:
         lines[number] = "".join(part if part.startswith("``") else part.replace("|", r"\|") for part in literals)
 
 
-def skip_member(app, what, name, thing, skip, options) -> bool | None:
-    """Skip the fields of named tuples, of which Python says nothing but their number; the class explains them."""
-    del app, what, name, options
-    return True if str(getattr(thing, "__doc__", "")).startswith("Alias for field number") else skip or None
+def shorten_signature(app, what, name, thing, options, signature, returned):
+    """Say ``ndarray`` and ``ArrayLike`` in signatures, not what these types are made of; docstrings give the shapes."""
+    del app, what, name, thing, options
+    return tuple(part and ARRAY_LIKE.sub("ArrayLike", ARRAY.sub("ndarray", part)) for part in (signature, returned))

@@ -163,7 +163,6 @@ def check_array(
 
     Parameters
     ----------
-    name : str
     value : array_like
     shape : sequence of int or None
         Its shape; None stands for any length.
@@ -173,11 +172,6 @@ def check_array(
         Of the result.
     error : type
         What is raised.
-
-    Raises
-    ------
-    InputError
-        If it has another shape, holds something that is no number, or a number is infinite, NaN or out of the range.
     """
     try:
         array = np.array(value, dtype)
@@ -234,7 +228,6 @@ def check_whole_array(
 
     Parameters
     ----------
-    name : str
     value : array_like
     *shapes : tuple of int or None
         Shapes that are allowed, all of them if none is named; None stands for any length.
@@ -242,11 +235,6 @@ def check_whole_array(
         Limits of all numbers, which belong to the range.
     error : type
         What is raised.
-
-    Raises
-    ------
-    InputError
-        If it has another shape or type, or a number is out of the range.
     """
     array = as_array(value)
     fits = not shapes or any(_fits(array, shape) for shape in shapes)

@@ -14,8 +14,6 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 
     Raises
     ------
-    InputError
-        If the folder does not exist or ``path`` is a folder.
     OSError
         If the file can't be written, for example because the disk is full. The error names ``path``; an existing file
         stays unchanged.

@@ -41,8 +41,6 @@ def read_limited(path: str | os.PathLike[str], limit: int, kind: str) -> bytes:
 
     Raises
     ------
-    InputError
-        If it is too large or not a regular file.
     OSError
         If it can't be read.
     """
@@ -63,14 +61,7 @@ def _ordinary(path: str, flags: int) -> int:
 
 
 def plain_yaml(data: bytes | str) -> Any:
-    """Parse a YAML text of mappings, lists, texts and numbers.
-
-    Raises
-    ------
-    InputError
-        If the text is not valid YAML, is nested too deeply, or is much longer when its aliases are expanded. The
-        message does not name the file.
-    """
+    """Parse a YAML text of mappings, lists, texts and numbers."""
     try:
         loader = yaml.SafeLoader(data.decode("utf-8") if isinstance(data, bytes) else data)
         node = loader.get_single_node()
@@ -88,13 +79,7 @@ def plain_yaml(data: bytes | str) -> Any:
 
 
 def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputError] = InputError) -> Any:
-    """Parse the content of a YAML file like :func:`plain_yaml`; the error names the file.
-
-    Raises
-    ------
-    InputError
-        Of the kind ``error``.
-    """
+    """Parse the content of a YAML file like :func:`plain_yaml`; the error names the file."""
     try:
         return plain_yaml(content)
     except InputError as problem:
@@ -127,11 +112,6 @@ def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArr
         Of the file.
     limit : int
         Most bytes of all arrays together.
-
-    Raises
-    ------
-    InputError
-        If it is no such file, damaged, or unpacks to more; the message does not name the file.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as file:

@@ -36,11 +36,6 @@ def batch_arguments(
         Dataclass of which every field may be given, too.
     more : Mapping
         The other keyword arguments.
-
-    Raises
-    ------
-    UnknownArgumentError
-        If one is unknown.
     """
     named = [
         name

@@ -20,8 +20,6 @@ class CircuitGames:
     ----------
     variety : Variety
         Circuits and cars of the batch.
-    archive : PolicyArchive
-    rules : GameConfig
     opponent : see :func:`pcs_racing.envs.opponents.parse_opponents`
         None where players move both cars.
     threads : int, optional

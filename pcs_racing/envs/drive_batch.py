@@ -60,17 +60,6 @@ class DriveBatch:
         2 where both cars are driven by agents; `opponent` is None then.
     **arguments
         Of :class:`DriveOptions`.
-
-    Attributes
-    ----------
-    state : RaceState
-        All races; written to by `restart` and `step`.
-    elements : list of Element
-    opponents : list of Opponent
-    drawn : ndarray of int, shape (episodes,)
-        Index of each race's opponent.
-    threads : int
-        Threads that share a step: no more than have enough to do.
     """
 
     reset_options: tuple[str, ...] = ("start", "poses", "obstacles")
@@ -170,8 +159,9 @@ class DriveBatch:
         )
         course = self._courses.on(0)
         self._scenes = [course.scene] * races  # of each race: what it is driven on, and what its players observe
+        #: All races; written to by `restart` and `step`.
         self.state = take(course.grid, np.zeros(races, np.intp))
-        self.drawn = np.zeros(races, np.int64)
+        self.drawn = np.zeros(races, np.int64)  #: Index of each race's opponent.
         weights = np.array([opponent.weight for opponent in self.opponents] or [1.0])
         self._edges = None if (weights == weights[0]).all() else np.cumsum(weights) / weights.sum()
         self.theta = np.zeros((races, 2, setup.theta_size))
@@ -190,6 +180,7 @@ class DriveBatch:
         self._in_python = setup.planners[1].drive is not None
         scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
         enough_for = int(races * (TICK_US * self._ticks + scans) / WORTH_A_THREAD)
+        #: Threads that share a step: no more than have enough to do.
         self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
         size = max(1, setup.planners[1].scratch_size)
         self._buffers = [

@@ -26,20 +26,11 @@ class Scene(NamedTuple):
 
 
 class Course(NamedTuple):
-    """A circuit with what is needed to race on it.
-
-    Attributes
-    ----------
-    setup : RaceSetup
-    grid : RaceState
-        Races at all places that episodes begin at.
-    scene : Scene
-        Of races without obstacles.
-    """
+    """A circuit with what is needed to race on it."""
 
     setup: RaceSetup
-    grid: RaceState
-    scene: Scene
+    grid: RaceState  #: Races at all places that episodes begin at.
+    scene: Scene  #: Of races without obstacles.
 
 
 class Courses:
@@ -47,7 +38,6 @@ class Courses:
 
     Parameters
     ----------
-    circuits : Circuits
     setup : RaceSetup
         On any of the circuits.
     sight : Sight

@@ -200,13 +200,6 @@ class DriveHeadToHeadVectorEnv(BatchVectorEnv):
     render_mode, view, render_size
         As for :class:`DriveHeadToHeadEnv`; `render` returns a frame for each environment.
 
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
-
     Examples
     --------
     >>> envs = DriveHeadToHeadVectorEnv(16)

@@ -56,11 +56,6 @@ class FilmedEnv(ScalarEnv):
 
         The list holds all frames since it was last asked for, or since the reset, 25 for each second of racing; it is
         empty if nothing was driven since.
-
-        Raises
-        ------
-        InputError
-            Before the first reset, or if the environment was made without a render mode.
         """
         if self.render_mode != FILM:
             return super().render()

@@ -43,18 +43,11 @@ TRAIL = 50  # frames of trail behind each car: two seconds
 
 
 class DrivenStep(NamedTuple):
-    """A step of one game as it can be driven again, for films.
+    """A step of one game as it can be driven again, for films."""
 
-    Attributes
-    ----------
-    pieces : list of (RaceState, ndarray)
-        What each piece of driving began with, as a batch of one race, and the parameters of its drivers.
-    moves : ndarray of int, shape (2,)
-        Moves that began it.
-    """
-
+    #: What each piece of driving began with, as a batch of one race, and the parameters of its drivers.
     pieces: list[tuple[RaceState, NDArray[np.float64]]]
-    moves: NDArray[np.int64]
+    moves: NDArray[np.int64]  #: shape (2,): Moves that began it.
 
 
 class GameBatch:
@@ -78,17 +71,6 @@ class GameBatch:
         Threads that share a step.
     players : int
         2 where there is no opponent.
-
-    Attributes
-    ----------
-    game : RaceGame
-        On the first circuit; the rules are the same on the others.
-    state : GameState or None
-        None before the first `restart`.
-    seen : ndarray, shape (episodes, 2, D)
-        What both players observe.
-    moves : ndarray, shape (episodes, 2)
-        Last move of each car; -1 before the first.
     """
 
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
@@ -123,6 +105,7 @@ class GameBatch:
             raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
         rules = load_game_config(race, **settings)
         self._games = CircuitGames(self.variety, load_archive(archive), rules, opponent, threads)
+        # The game on the first circuit; the rules are the same on the others.
         self.game, self.opponents = self._games.on(0)
         weights = np.array([each.weight for each in self.opponents] or [1.0])
         self._edges = np.cumsum(weights) / weights.sum()
@@ -141,10 +124,12 @@ class GameBatch:
             "opponent": {-1: "none", **{i: each.name for i, each in enumerate(self.opponents)}},
             **self.variety.codes,
         }
-        self.state: GameState | None = None
+        self.state: GameState | None = None  #: None before the first `restart`.
         self.before: GameState | None = None  # what the last step began with: films are driven again from it
+        #: shape (episodes, 2, D): What both players observe.
         self.seen = np.zeros((self.episodes, 2, len(low)), np.float32)
         self.drawn = np.zeros(self.episodes, np.int64)  # index of each game's opponent
+        #: shape (episodes, 2): Last move of each car; -1 before the first.
         self.moves = np.full((self.episodes, 2), NO_MOVE, np.int64)
         self.memories: list[Any] = [None] * self.episodes
         self._begun: list[tuple[NDArray[np.uint64], Starts | None] | None] = [None] * self.episodes  # and not moved yet
@@ -219,13 +204,7 @@ class GameBatch:
         self.seen = self.game.observation(self.state)
 
     def started(self) -> GameState:
-        """Return the state.
-
-        Raises
-        ------
-        InputError
-            Before the first restart.
-        """
+        """Return the state."""
         if self.state is None:
             raise InputError("the episode has not begun; call reset() first")
         return self.state

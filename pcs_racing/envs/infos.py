@@ -122,7 +122,6 @@ def words(info: Mapping[str, Any], names: Mapping[str, Mapping[int, str]]) -> di
 
     Parameters
     ----------
-    info : Mapping
     names : Mapping of str to Mapping
         Words by number, for each entry that is a code: ``env.metadata["codes"]``.
     """

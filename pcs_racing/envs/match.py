@@ -291,11 +291,6 @@ class SelfPlayMatchVectorEnv(MatchVectorEnv):
     **arguments
         As for :class:`MatchVectorEnv`, without ``opponent``.
 
-    Raises
-    ------
-    InputError
-        If ``num_envs`` is odd, an opponent is given, or another argument is impossible.
-
     Examples
     --------
     >>> envs = SelfPlayMatchVectorEnv(4)

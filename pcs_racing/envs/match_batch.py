@@ -44,14 +44,6 @@ class MatchBatch(GameBatch):
         See :class:`pcs_racing.game.match.MatchConfig`.
     **arguments
         As for :class:`pcs_racing.envs.game_batch.GameBatch`.
-
-    Attributes
-    ----------
-    match : MatchGame
-    played : MatchState or None
-        None before the first `restart`; ``state`` is its game.
-    driven : list of (RaceState, ndarray)
-        In a batch of one match, what the pieces of driving of the last step began with, and their parameters.
     """
 
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
@@ -72,7 +64,8 @@ class MatchBatch(GameBatch):
         self.action_space = spaces.Discrete(len(self.actions))
         self.codes = {**self.codes, "race_result": codes(Result)}
         self.seen = np.zeros((self.episodes, 2, len(low)), np.float32)
-        self.played: MatchState | None = None
+        self.played: MatchState | None = None  #: None before the first `restart`; ``state`` is its game.
+        #: In a batch of one match, what the pieces of driving of the last step began with, and their parameters.
         self.driven: list[tuple[RaceState, NDArray[np.float64]]] = []
 
     @property

@@ -23,7 +23,6 @@ class MovingOpponents:
 
     Parameters
     ----------
-    episodes : int
     game : RaceGame
         With the external planner in car 0 and the archive's in car 1.
     """

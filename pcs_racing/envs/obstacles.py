@@ -61,10 +61,8 @@ class Obstacles(Settings):
 
         Parameters
         ----------
-        track : Track
         starts : sequence of float
             Arc lengths at which the cars stand, m: from 3 m before them to 8 m after them nothing is put.
-        generator : Generator
         """
         line, length = track.arrays.line, track.length
         boxes: list[list[float]] = []
@@ -97,11 +95,6 @@ def _around(s: float, length: float) -> float:
 def load_obstacles(source: Obstacles | Mapping[str, Any] | int | str | Path | None) -> Obstacles | None:
     """Return settings of obstacles: themselves, a mapping or a YAML file of them, or their number; None for none.
 
-    Raises
-    ------
-    ConfigError
-        If a setting is unknown or impossible.
-
     Examples
     --------
     >>> load_obstacles(3).count
@@ -122,11 +115,6 @@ def obstacles_option(options: Mapping[str, Any], episodes: int) -> Sequence[NDAr
     """Read the option "obstacles" of a reset: boxes (x, y, heading, length, width), for all episodes or for each.
 
     A width of 0 makes one a circle (:data:`pcs_racing.track.obstacles.BOX`).
-
-    Raises
-    ------
-    InputError
-        If it is anything else.
     """
     given = options.get("obstacles")
     if given is None:

@@ -21,23 +21,13 @@ REBUILDING = ("track", "opponent")
 
 
 class OverBatch:
-    """What an environment over a batch knows of it, how it was made, and its frames.
-
-    Attributes
-    ----------
-    batch : Batch
-    metadata : dict
-    render_mode : str or None
-    view : str
-    render_size : tuple of int
-        Width and height of a frame in pixels.
-    """
+    """What an environment over a batch knows of it, how it was made, and its frames."""
 
     batch: Batch
     metadata: dict[str, Any]
     render_mode: str | None
     view: str
-    render_size: tuple[int, int]
+    render_size: tuple[int, int]  #: Width and height of a frame in pixels.
     _spec: EnvSpec | None = None
     _renderer: Renderer | None = None
 

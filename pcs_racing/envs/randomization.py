@@ -102,11 +102,6 @@ class Randomization(Settings):
 def load_randomization(source: Randomization | Mapping[str, Any] | str | Path | None) -> Randomization:
     """Return ranges, a mapping of them or those of a YAML file as settings; None for none.
 
-    Raises
-    ------
-    ConfigError
-        If a range is unknown or impossible.
-
     Examples
     --------
     >>> load_randomization({"friction": [0.8, 1.1]}).names

@@ -58,13 +58,6 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
     **arguments
         Of the environment.
 
-    Raises
-    ------
-    UnknownNameError
-        If there is no such kind.
-    InputError
-        If an argument is impossible.
-
     Examples
     --------
     >>> env = make_sb3_vec_env("duel", 4, opponent="never-switch")
@@ -93,11 +86,6 @@ class SB3VecEnv(VecEnv):
     threads : int
         Batches that are stepped at the same time; the results do not depend on it. By default one after the other,
         each on its own threads.
-
-    Raises
-    ------
-    InputError
-        If there is anything else among the environments.
     """
 
     def __init__(

@@ -21,24 +21,12 @@ Step = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArra
 
 
 class VectorState(NamedTuple):
-    """A moment of a :class:`BatchVectorEnv`: a value that can be kept, copied, pickled and restored.
+    """A moment of a :class:`BatchVectorEnv`: a value that can be kept, copied, pickled and restored."""
 
-    Attributes
-    ----------
-    batch : tuple
-        State of the batch.
-    generators : list of dict
-        State of each episode's random generator.
-    over : ndarray of bool, shape (episodes,)
-        Episodes that are to begin anew.
-    steps : ndarray of int, shape (episodes,)
-        Steps since each began.
-    """
-
-    batch: tuple[Any, ...]
-    generators: list[dict[str, Any]]
-    over: NDArray[np.bool_]
-    steps: NDArray[np.int64]
+    batch: tuple[Any, ...]  #: State of the batch.
+    generators: list[dict[str, Any]]  #: State of each episode's random generator.
+    over: NDArray[np.bool_]  #: shape (episodes,): Episodes that are to begin anew.
+    steps: NDArray[np.int64]  #: shape (episodes,): Steps since each began.
 
 
 class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
@@ -58,13 +46,8 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         Number of environments.
     arguments : dict
         Of the batch.
-    autoreset_mode : AutoresetMode or str
     max_episode_steps : int, optional
         Steps after which an episode is truncated.
-    threads : int, optional
-    render_mode : str, optional
-    view : str
-    render_size : tuple of int
     players : int
         Environments that belong to the same episode: 1, or 2 for both cars of a race.
     """
@@ -132,11 +115,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         options : dict, optional
             "reset_mask" (bool, shape (num_envs,)) begins new episodes only where it is true; "track" and "opponent"
             replace the environment's arguments from now on; the class lists the others.
-
-        Raises
-        ------
-        InputError
-            If a seed or an option is impossible or unknown.
         """
         given = check_options(options, ("reset_mask", *REBUILDING, *self.batch.reset_options))
         rows = self._masked(given.pop("reset_mask", None))
@@ -172,11 +150,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         rewards : ndarray of float64, shape (num_envs,)
         terminations, truncations : ndarray of bool, shape (num_envs,)
         info : dict
-
-        Raises
-        ------
-        InputError
-            If an action is impossible, or an episode has not begun or has ended.
         """
         checked = self.batch.check_actions(actions, (self.num_envs,))
         self._check_started()
@@ -214,13 +187,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         return [words(self.batch.info(i), self.batch.codes) for i in range(self.num_envs)]
 
     def render(self) -> Any:
-        """Return a frame of each environment (``"rgb_array"``), or show that of the first one (``"human"``).
-
-        Raises
-        ------
-        InputError
-            Before the first reset, or if the environment was made without a render mode.
-        """
+        """Return a frame of each environment (``"rgb_array"``), or show that of the first one (``"human"``)."""
         renderer = self._open_renderer()
         if self.render_mode == "human":
             return self.batch.draw(renderer, 0)
@@ -245,11 +212,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         -------
         ndarray of float32, shape (num_envs, D)
             The observations at that moment.
-
-        Raises
-        ------
-        InputError
-            If the state does not fit this environment.
         """
         if not isinstance(state, VectorState):
             raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
@@ -344,13 +306,7 @@ def _with_masks(infos: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict
 
 
 def check_autoreset_mode(mode: Any) -> AutoresetMode:
-    """Return one of Gymnasium's autoreset modes.
-
-    Raises
-    ------
-    InputError
-        If there is no such mode.
-    """
+    """Return one of Gymnasium's autoreset modes."""
     for known in AutoresetMode:
         if mode is known or (isinstance(mode, str) and mode in (known.name, known.value)):
             return known
@@ -359,13 +315,7 @@ def check_autoreset_mode(mode: Any) -> AutoresetMode:
 
 
 def _split_seeds(seed: Any, episodes: int) -> list[int | None]:
-    """One seed for each episode, as Gymnasium's own vector environments split them: i more for episode i.
-
-    Raises
-    ------
-    InputError
-        If there are too few or too many, or one is no whole number from 0; its index is named.
-    """
+    """One seed for each episode, as Gymnasium's own vector environments split them: i more for episode i."""
     if seed is None:
         return [None] * episodes
     if is_whole(seed):

@@ -77,8 +77,6 @@ def drive(
 
     Parameters
     ----------
-    track : Track
-    settings : KernelSettings
     planners : tuple of two Planner
         Of car 0 and car 1.
     vehicles : tuple of two VehicleParams
@@ -93,11 +91,6 @@ def drive(
         Threads to share the races; all cores by default, one where a driver is plain Python.
     conditions : RaceConditions
         Cars and tracks of single races.
-
-    Raises
-    ------
-    InputError
-        If ``ticks`` is odd or negative, or ``theta`` or the conditions do not fit the batch.
     """
     cars, runs = conditions.rows(vehicles, state.races), conditions.runs(track, state.races)
     if ticks < 0 or ticks % CONTROL_EVERY:

@@ -53,11 +53,6 @@ def random_circuit(settings: RandomCircuits, index: int) -> Track:
 
     Its speed ranges are fixed, and its start places lie where the race line is nearly straight; ``pcs-racing track
     generate`` makes circuits for which both are found by driving.
-
-    Raises
-    ------
-    MapError
-        If the settings allow no circuit.
     """
     refusal: MapError | None = None
     for attempt in range(TRIES):
@@ -110,7 +105,6 @@ class CircuitBuilder:
 
     Parameters
     ----------
-    settings : RandomCircuits
     room : int
         Circuits in use at the same time.
     """
@@ -140,13 +134,7 @@ class CircuitBuilder:
             return found
 
     def get(self, index: int) -> Track:
-        """Return a circuit; waits until it is built.
-
-        Raises
-        ------
-        MapError
-            If the settings allow no circuit.
-        """
+        """Return a circuit; waits until it is built."""
         return self.ahead(index).result()
 
     def close(self) -> None:

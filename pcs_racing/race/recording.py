@@ -50,7 +50,6 @@ def record_race(
 
     Parameters
     ----------
-    track : Track
     ego, opponent : Policy
         Drivers of car 0 and car 1.
     config : RaceConfig
@@ -95,7 +94,6 @@ def record_drive(
 
     Parameters
     ----------
-    setup : RaceSetup
     start : Starts
         Of one race.
     noise : uint64
@@ -108,15 +106,6 @@ def record_drive(
         Length of a step in ticks of 0.01 s; a multiple of 10, as plans are made. Not needed for a single step.
     candidates : bool
         Whether to keep the paths that each planner chose from (if it can tell).
-
-    Returns
-    -------
-    Replay
-
-    Raises
-    ------
-    InputError
-        If there is more than one race, the steps have no length, or the start is impossible.
     """
     if len(start) != 1:
         raise InputError(f"there are {len(start)} starts; a recording is of one race")

@@ -47,13 +47,8 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
 
     Parameters
     ----------
-    replay : Replay
     path : path
         Where to write; an existing file is replaced in one step.
-
-    Returns
-    -------
-    Path
 
     Raises
     ------
@@ -77,18 +72,8 @@ def write_html(replay: Replay, path: str | os.PathLike[str]) -> Path:
 
     Parameters
     ----------
-    replay : Replay
     path : path
         Where to write; an existing file is replaced in one step.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist.
     """
     path = Path(path)
     page = replay_page(replay)
@@ -111,10 +96,6 @@ def read_replay(path: str | os.PathLike[str]) -> Replay:
     ----------
     path : path
         A file that `save_replay` wrote.
-
-    Returns
-    -------
-    Replay
 
     Raises
     ------

@@ -54,11 +54,6 @@ def centerline_from_grid(
     ndarray, shape (M, 4)
         x, y and the widths to the right and to the left wall, all in m, evenly spaced about 0.3 m apart; the last point
         lies one step before the first. A width is the distance to the nearest point of the wall on that side.
-
-    Raises
-    ------
-    MapError
-        If the seed point is off the map or in a wall, if there is no closed loop, or if there are several.
     """
     require("skimage")
     from scipy import ndimage

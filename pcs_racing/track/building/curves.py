@@ -18,12 +18,6 @@ def checked_curve(points: np.ndarray, label: str) -> np.ndarray:
         Further columns are ignored.
     label : str
         Name of the curve in error messages, for instance "centre line".
-
-    Raises
-    ------
-    MapError
-        If there are fewer than four different points, if one is not finite, or if the gap between the last and the
-        first shows that the curve is open (more than ten times the median step and a tenth of the length).
     """
     xy = np.asarray(points, dtype=np.float64)
     if xy.ndim != 2 or xy.shape[1] < 2:

@@ -33,7 +33,6 @@ def generate_map(
     ----------
     folder : path-like
         The map folder to write.
-    seed : int
     style : {"hull", "voronoi", "hairpin"}
     name : str, optional
         Name of the circuit and of its files. Default: the folder's own name.
@@ -43,17 +42,6 @@ def generate_map(
         See ``generate_circuit``.
     picture : bool
         Also draw ``NAME.png`` (needs matplotlib).
-
-    Returns
-    -------
-    Track
-
-    Raises
-    ------
-    InputError
-        If a parameter is out of its range, before anything is written.
-    MapError
-        If the seed gives no circuit, or the folder can't be written.
     """
     settings: dict[str, Any] = {
         "seed": seed,
@@ -100,15 +88,6 @@ def import_map(
         Distance in m that the race line keeps from the walls.
     picture : bool
         Also draw ``NAME.png`` (needs matplotlib).
-
-    Returns
-    -------
-    Track
-
-    Raises
-    ------
-    MapError
-        If the source can't be read, holds no closed loop, or is too narrow; nothing is written then.
     """
     target = Path(destination)
     if target.resolve() == Path(source).resolve():

@@ -20,7 +20,6 @@ def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8
 
     Parameters
     ----------
-    track : Track
     path : path-like
         File to write; an existing file is replaced, completely or not at all.
     width : float
@@ -30,8 +29,6 @@ def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8
 
     Raises
     ------
-    ModuleNotFoundError
-        If matplotlib is not installed.
     OSError
         If the file can't be written.
     """
