@@ -1,5 +1,6 @@
 """Compilation with numba: decorators for compiled functions, and a message when compilation takes a while."""
 
+import gc
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
@@ -9,7 +10,6 @@ from typing import Any
 from numba import njit
 from numba.core.registry import CPUDispatcher
 
-from pcs_racing.base import shorter_compilation  # noqa: F401 - it listens to numba from its import on
 from pcs_racing.base.code_cache import forget_stale_code
 
 
@@ -157,7 +157,20 @@ def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
             _wait_for_turn(turn, dispatcher, what)
         if not _on_disk(dispatcher):
             _say(f"compiling {what} (about {seconds} s, once; it is cached on disk)")
+        turn.enter_context(_without_collecting_garbage())
         yield True
+
+
+@contextmanager
+def _without_collecting_garbage() -> Iterator[None]:
+    """Numba makes millions of objects that all stay in use: looking through them takes a tenth of a compilation."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def _wait_for_turn(turn: ExitStack, dispatcher: Any, what: str) -> None:

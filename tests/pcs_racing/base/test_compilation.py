@@ -1,3 +1,4 @@
+import gc
 import os
 import subprocess
 import sys
@@ -54,6 +55,24 @@ def test_the_first_compilation_says_what_it_does(tmp_path, capsys):
     assert capsys.readouterr().err == (
         "pcs-racing: compiling the test itself (about 7 s, once; it is cached on disk)\n"
     )
+
+
+def failing_call(cache: Path, what: str) -> None:
+    with first_call(dispatcher(cache), what, 7):
+        assert not gc.isenabled()
+        raise ZeroDivisionError
+
+
+@pytest.mark.parametrize("collects", [True, False])
+def test_no_garbage_is_collected_during_a_compilation(tmp_path, collects):
+    was = gc.isenabled()
+    (gc.enable if collects else gc.disable)()
+    try:
+        with pytest.raises(ZeroDivisionError):
+            failing_call(tmp_path, f"what fails {collects}")
+        assert gc.isenabled() is collects
+    finally:
+        (gc.enable if was else gc.disable)()
 
 
 def test_what_is_compiled_already_is_not_announced(tmp_path, capsys):
