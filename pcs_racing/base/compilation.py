@@ -10,7 +10,7 @@ from typing import Any
 from numba import njit
 from numba.core.registry import CPUDispatcher
 
-from pcs_racing.base.code_cache import forget_stale_code
+from pcs_racing.base.code_cache import CodeCache
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -36,16 +36,11 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
         if not hasattr(dispatcher, "enable_caching"):  # without compilation it is the function itself
             return dispatcher
-        source = Path(function.__code__.co_filename)
         try:
-            dispatcher.enable_caching()
+            dispatcher._cache = CodeCache(function)  # what `enable_caching` does, with a cache of ours
         except RuntimeError:  # numba finds no place for the code of a function that was typed at a prompt
-            if source.is_file():
+            if Path(function.__code__.co_filename).is_file():
                 raise
-            return dispatcher
-        if source not in _sources:
-            _sources.add(source)
-            forget_stale_code(source, Path(dispatcher.stats.cache_path))
         return dispatcher
 
     return decorate if function is None else decorate(function)
@@ -108,9 +103,6 @@ def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Non
         return function
     return function.compile(tuple(function.typeof_pyval(argument) for argument in arguments))
 
-
-_sources: set[Path] = set()
-"""Files with compiled functions whose cached code was looked at in this process."""
 
 _begun: set[str] = set()
 """What this process has looked for: compiled, loaded or waited for."""
