@@ -126,20 +126,12 @@ def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArr
 
 
 def _array(content: bytes) -> NDArray[Any]:
-    """Return the array of an ``.npy`` file, after a check that its header matches its size."""
+    """Return the array of an ``.npy`` file, of numbers or texts and nothing behind it."""
     stream = io.BytesIO(content)
-    version = np.lib.format.read_magic(stream)
-    if version == (1, 0):
-        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    elif version == (2, 0):
-        shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
-    else:
-        raise InputError(f"an array is in version {version} of the format; 1 and 2 are known")
-    if dtype.kind not in _KINDS or dtype.itemsize == 0:
-        raise InputError(f"an array is of type {dtype}; there may be numbers and texts")
-    count = math.prod(shape)
-    fits = min(shape, default=0) >= 0 and max(shape, default=0) <= 2**40
-    if not fits or count * dtype.itemsize != len(content) - stream.tell():
-        raise InputError(f"an array of shape {shape!s:.80} and type {dtype} is announced; something else is there")
-    flat = np.frombuffer(content, dtype, count, stream.tell())
-    return flat.reshape(shape, order="F" if fortran else "C").copy()
+    # Numpy reserves the memory that a header announces, but touches no more of it than there is content.
+    array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+    if array.dtype.kind not in _KINDS or array.dtype.itemsize == 0 or max(array.shape, default=0) > 2**40:
+        raise InputError(f"an array is of type {array.dtype} and shape {array.shape}; there may be numbers and texts")
+    if stream.read(1):
+        raise InputError(f"more follows an array of type {array.dtype} and shape {array.shape}")
+    return array
