@@ -1,19 +1,12 @@
 """The environment at the level of steering and speed: one car for an agent, an opponent in the other."""
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
 
-from gymnasium.vector import AutoresetMode
-
-from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.arguments import Declared
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.scalar import ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.race.config import RaceConfig
 
 
 class DriveEnv(ScalarEnv):
@@ -197,41 +190,7 @@ class DriveEnv(ScalarEnv):
     """
 
     batch_type = DriveBatch
-
-    def __init__(
-        self,
-        track: Any = "Tarnfjord",
-        opponent: Any = "lattice",
-        race: str | Path | RaceConfig = "paper",
-        *,
-        duration: float | None = None,
-        time_step: float = 0.1,
-        top_speed: float = 8.0,
-        beams: int = 0,
-        fov: float = 4.7,
-        max_range: float = 30.0,
-        lidar_noise: float = 0.0,
-        look_ahead: Sequence[float] = (0.0, 1.0, 2.0, 4.0, 6.0, 9.0),
-        own_state: bool = True,
-        see_opponent: str = "always",
-        time_left: bool = False,
-        normalize: bool = False,
-        progress_reward: float = 1.0,
-        rivalry: float = 0.0,
-        crash_penalty: float = 10.0,
-        win_reward: float = 0.0,
-        start_lines: int = 100,
-        archive: str | Path | PolicyArchive = "default",
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        **unknown: Any,
-    ) -> None:
-        arguments = batch_arguments(DriveEnv, locals(), DriveOptions, unknown)
-        super().__init__(arguments, render_mode, view, render_size)
+    declared = Declared(DriveOptions, positional=("track", "opponent", "race"))
 
 
 class DriveVectorEnv(BatchVectorEnv):
@@ -267,27 +226,4 @@ class DriveVectorEnv(BatchVectorEnv):
     """
 
     batch_type = DriveBatch
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        max_episode_steps: int | None = None,
-        threads: int | None = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        **options: Any,
-    ) -> None:
-        arguments = batch_arguments(DriveVectorEnv, {}, DriveOptions, options)
-        super().__init__(
-            num_envs,
-            arguments,
-            autoreset_mode=autoreset_mode,
-            max_episode_steps=max_episode_steps,
-            threads=threads,
-            render_mode=render_mode,
-            view=view,
-            render_size=render_size,
-        )
+    declared = replace(DriveEnv.declared, positional=())

@@ -1,20 +1,18 @@
 """The environment at the level of steering and speed for two agents, in PettingZoo's two interfaces and as a batch."""
 
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.arguments import Declared
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.parallel import ParallelBatchEnv, ParallelState
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.rendering import MODES
 
 
@@ -122,23 +120,12 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     }
     batch_type = DriveBatch
     batch: DriveBatch
-
-    def __init__(
-        self,
-        track: Any = "Tarnfjord",
-        race: str | Path | RaceConfig = "paper",
-        *,
-        opponent: Any = None,
-        time_step: float = 0.02,
-        rivalry: float = 1.0,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        max_cycles: int | None = None,
-        **settings: Any,
-    ) -> None:
-        arguments = batch_arguments(DriveHeadToHeadEnv, locals(), DriveOptions, settings)
-        super().__init__(arguments, render_mode, view, render_size, max_cycles)
+    declared = Declared(
+        DriveOptions,
+        positional=("track", "race"),
+        named=("opponent", "time_step", "rivalry"),
+        changed={"opponent": None, "time_step": 0.02, "rivalry": 1.0},
+    )
 
     def _use(self, batch: Any) -> None:
         super()._use(batch)
@@ -209,33 +196,8 @@ class DriveHeadToHeadVectorEnv(BatchVectorEnv):
     """
 
     batch_type = DriveBatch
-
-    def __init__(
-        self,
-        num_envs: int = 2,
-        *,
-        time_step: float = 0.02,
-        rivalry: float = 1.0,
-        opponent: None = None,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        max_episode_steps: int | None = None,
-        threads: int | None = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        **settings: Any,
-    ) -> None:
-        super().__init__(
-            num_envs,
-            batch_arguments(DriveHeadToHeadVectorEnv, locals(), DriveOptions, settings),
-            autoreset_mode=autoreset_mode,
-            max_episode_steps=max_episode_steps,
-            threads=threads,
-            render_mode=render_mode,
-            view=view,
-            render_size=render_size,
-            players=2,
-        )
+    declared = replace(DriveHeadToHeadEnv.declared, positional=())
+    players = 2
 
 
 def parallel_env(**arguments: Any) -> DriveHeadToHeadEnv:

@@ -1,22 +1,17 @@
 """The environment at the level of strategy: the moves of one car for an agent, an opponent in the other."""
 
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.arguments import Declared
 from pcs_racing.envs.filmed import FilmedEnv
-from pcs_racing.envs.game_batch import GameBatch
+from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.opponents import Opponent
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.race.config import RaceConfig
 
 
 class DuelEnv(FilmedEnv):
@@ -152,25 +147,7 @@ class DuelEnv(FilmedEnv):
 
     batch_type = GameBatch
     batch: GameBatch
-
-    def __init__(
-        self,
-        track: Any = "Tarnfjord",
-        archive: PolicyArchive | str | Path = "default",
-        opponent: Any = "random-moves",
-        race: GameConfig | RaceConfig | str | Path = "paper",
-        *,
-        deterministic_opponent: bool = True,
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        **settings: Any,
-    ) -> None:
-        arguments = batch_arguments(DuelEnv, locals(), GameConfig, settings)
-        super().__init__(arguments, render_mode, view, render_size)
+    declared = Declared(GameOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig)
 
     @property
     def game(self) -> RaceGame:
@@ -222,40 +199,7 @@ class DuelVectorEnv(BatchVectorEnv):
 
     batch_type = GameBatch
     batch: GameBatch
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        *,
-        track: Any = "Tarnfjord",
-        archive: PolicyArchive | str | Path = "default",
-        opponent: Any = "random-moves",
-        race: GameConfig | RaceConfig | str | Path = "paper",
-        deterministic_opponent: bool = True,
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        max_episode_steps: int | None = None,
-        threads: int | None = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        **settings: Any,
-    ) -> None:
-        super().__init__(
-            num_envs,
-            batch_arguments(DuelVectorEnv, locals(), GameConfig, settings),
-            autoreset_mode=autoreset_mode,
-            max_episode_steps=max_episode_steps,
-            threads=threads,
-            render_mode=render_mode,
-            view=view,
-            render_size=render_size,
-            players=self._players,
-        )
-
-    _players = 1
+    declared = replace(DuelEnv.declared, positional=())
 
     @property
     def game(self) -> RaceGame:
@@ -281,7 +225,5 @@ class SelfPlayVectorEnv(DuelVectorEnv):
         As for :class:`DuelVectorEnv`, without ``opponent``.
     """
 
-    _players = 2
-
-    def __init__(self, num_envs: int = 2, *, opponent: None = None, **arguments: Any) -> None:
-        super().__init__(num_envs, opponent=opponent, **arguments)
+    declared = replace(DuelVectorEnv.declared, changed={"opponent": None})
+    players = 2

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -48,6 +49,20 @@ class DrivenStep(NamedTuple):
     #: What each piece of driving began with, as a batch of one race, and the parameters of its drivers.
     pieces: list[tuple[RaceState, NDArray[np.float64]]]
     moves: NDArray[np.int64]  #: shape (2,): Moves that began it.
+
+
+@dataclass(frozen=True)
+class GameOptions:
+    """Arguments of the environments at the level of strategy; :class:`pcs_racing.envs.duel.DuelEnv` describes them."""
+
+    track: Any = "Tarnfjord"
+    archive: PolicyArchive | str | Path = "default"
+    opponent: Any = "random-moves"
+    race: GameConfig | RaceConfig | str | Path = "paper"
+    deterministic_opponent: bool = True
+    vehicle: Any = F1TENTH
+    randomize: Any = None
+    obstacles: Any = None
 
 
 class GameBatch:

@@ -1,7 +1,6 @@
 """The environment at the level of strategy for two agents, in PettingZoo's parallel and turn-by-turn interfaces."""
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,14 +8,11 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.envs.arguments import batch_arguments
-from pcs_racing.envs.game_batch import FILM_RATE, GameBatch
+from pcs_racing.envs.arguments import Declared
+from pcs_racing.envs.game_batch import FILM_RATE, GameBatch, GameOptions
 from pcs_racing.envs.parallel import ParallelBatchEnv
-from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.race.config import RaceConfig
 
 
 class HeadToHeadEnv(ParallelBatchEnv):
@@ -129,26 +125,9 @@ class HeadToHeadEnv(ParallelBatchEnv):
     }
     batch_type = GameBatch
     batch: GameBatch
-
-    def __init__(
-        self,
-        track: Any = "Tarnfjord",
-        archive: PolicyArchive | str | Path = "default",
-        race: GameConfig | RaceConfig | str | Path = "paper",
-        *,
-        opponent: Any = None,
-        deterministic_opponent: bool = True,
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        max_cycles: int | None = None,
-        **settings: Any,
-    ) -> None:
-        arguments = batch_arguments(HeadToHeadEnv, locals(), GameConfig, settings)
-        super().__init__(arguments, render_mode, view, render_size, max_cycles)
+    declared = Declared(
+        GameOptions, positional=("track", "archive", "race"), more=GameConfig, changed={"opponent": None}
+    )
 
     @property
     def game(self) -> RaceGame:

@@ -1,6 +1,6 @@
 """The environment of a series of races for two agents, in PettingZoo's parallel and turn-by-turn interfaces."""
 
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,15 +8,9 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.envs.arguments import batch_arguments
 from pcs_racing.envs.head_to_head import HeadToHeadEnv
-from pcs_racing.envs.match_batch import MatchBatch
-from pcs_racing.envs.parallel import ParallelBatchEnv
-from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.config import GameConfig
+from pcs_racing.envs.match_batch import MatchBatch, MatchOptions
 from pcs_racing.game.match import MatchGame
-from pcs_racing.race.config import RaceConfig
 
 
 class HeadToHeadMatchEnv(HeadToHeadEnv):
@@ -87,28 +81,7 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
     metadata: dict[str, Any] = {**HeadToHeadEnv.metadata, "name": "head_to_head_match_v0"}  # noqa: RUF012
     batch_type = MatchBatch
     batch: MatchBatch
-
-    def __init__(
-        self,
-        track: Any = "Tarnfjord",
-        archive: PolicyArchive | str | Path = "default",
-        race: GameConfig | RaceConfig | str | Path = "paper",
-        *,
-        races: int = 3,
-        race_moves: bool = False,
-        opponent: Any = None,
-        deterministic_opponent: bool = True,
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        max_cycles: int | None = None,
-        **settings: Any,
-    ) -> None:
-        arguments = batch_arguments(HeadToHeadMatchEnv, locals(), GameConfig, settings)
-        ParallelBatchEnv.__init__(self, arguments, render_mode, view, render_size, max_cycles)
+    declared = replace(HeadToHeadEnv.declared, options=MatchOptions)
 
     @property
     def match(self) -> MatchGame:

@@ -1,23 +1,18 @@
 """The environment of a series of races against the same opponent: a policy for each race, and what was seen before."""
 
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.arguments import Declared
 from pcs_racing.envs.filmed import FilmedEnv
-from pcs_racing.envs.match_batch import MatchBatch
+from pcs_racing.envs.match_batch import MatchBatch, MatchOptions
 from pcs_racing.envs.opponents import Opponent
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.match import MatchGame
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.race.config import RaceConfig
 
 
 class MatchEnv(FilmedEnv):
@@ -149,27 +144,7 @@ class MatchEnv(FilmedEnv):
 
     batch_type = MatchBatch
     batch: MatchBatch
-
-    def __init__(
-        self,
-        track: Any = "Tarnfjord",
-        archive: PolicyArchive | str | Path = "default",
-        opponent: Any = "never-switch",
-        race: GameConfig | RaceConfig | str | Path = "paper",
-        *,
-        races: int = 3,
-        race_moves: bool = False,
-        deterministic_opponent: bool = True,
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        **settings: Any,
-    ) -> None:
-        arguments = batch_arguments(MatchEnv, locals(), GameConfig, settings)
-        super().__init__(arguments, render_mode, view, render_size)
+    declared = Declared(MatchOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig)
 
     @property
     def game(self) -> RaceGame:
@@ -226,42 +201,7 @@ class MatchVectorEnv(BatchVectorEnv):
 
     batch_type = MatchBatch
     batch: MatchBatch
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        *,
-        track: Any = "Tarnfjord",
-        archive: PolicyArchive | str | Path = "default",
-        opponent: Any = "never-switch",
-        race: GameConfig | RaceConfig | str | Path = "paper",
-        races: int = 3,
-        race_moves: bool = False,
-        deterministic_opponent: bool = True,
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        max_episode_steps: int | None = None,
-        threads: int | None = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        **settings: Any,
-    ) -> None:
-        super().__init__(
-            num_envs,
-            batch_arguments(MatchVectorEnv, locals(), GameConfig, settings),
-            autoreset_mode=autoreset_mode,
-            max_episode_steps=max_episode_steps,
-            threads=threads,
-            render_mode=render_mode,
-            view=view,
-            render_size=render_size,
-            players=self._players,
-        )
-
-    _players = 1
+    declared = replace(MatchEnv.declared, positional=())
 
     @property
     def game(self) -> RaceGame:
@@ -299,7 +239,5 @@ class SelfPlayMatchVectorEnv(MatchVectorEnv):
     (4, 23)
     """
 
-    _players = 2
-
-    def __init__(self, num_envs: int = 2, *, opponent: None = None, **arguments: Any) -> None:
-        super().__init__(num_envs, opponent=opponent, **arguments)
+    declared = replace(MatchVectorEnv.declared, changed={"opponent": None})
+    players = 2

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import BatchStep
-from pcs_racing.envs.game_batch import GameBatch
+from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.infos import Result, codes, of_players, one_info
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent
@@ -28,6 +29,15 @@ from pcs_racing.race.state import RaceState
 
 UNUSED = ("utility", "fault_penalty", "discount")
 """Rules of a single game's reward; a match pays races won."""
+
+
+@dataclass(frozen=True)
+class MatchOptions(GameOptions):
+    """Arguments of the environments of matches; :class:`pcs_racing.envs.match.MatchEnv` describes them."""
+
+    opponent: Any = "never-switch"
+    races: int = 3
+    race_moves: bool = False
 
 
 class MatchBatch(GameBatch):

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -35,26 +35,17 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
     """Base class of the environments for two agents; subclasses name the batch and document themselves.
 
     Both agents act in every step, and both end with the episode: from then on `agents` is empty.
-
-    Parameters
-    ----------
-    arguments : dict
-        Of the batch. Where `opponent` is not None it drives car 1, and ``car_0`` is the only agent.
-    render_size : tuple of int
-        Width and height of a frame in pixels.
-    max_cycles : int, optional
-        Steps after which an episode is truncated.
+    Where the argument `opponent` is not None it drives car 1, and ``car_0`` is the only agent.
     """
 
-    batch_type: ClassVar[type[Any]]
-
-    def __init__(
+    def _begin(
         self,
+        *,
         arguments: dict[str, Any],
-        render_mode: str | None,
-        view: str,
-        render_size: tuple[int, int],
-        max_cycles: int | None,
+        render_mode: str | None = None,
+        view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
+        max_cycles: int | None = None,
     ) -> None:
         check_rendering(render_mode, view)
         if max_cycles is not None:

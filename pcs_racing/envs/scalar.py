@@ -1,7 +1,7 @@
 """One environment of Gymnasium over a batch of one episode."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -25,21 +25,17 @@ class EnvState(NamedTuple):
 
 
 class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
-    """Base class of the environments for one agent; subclasses name the batch and document themselves.
-
-    Parameters
-    ----------
-    arguments : dict
-        Of the batch.
-    render_size : tuple of int
-        Width and height of a frame in pixels.
-    """
+    """Base class of the environments for one agent; subclasses name the batch and document themselves."""
 
     metadata: dict[str, Any] = {"render_modes": list(MODES), "render_fps": 1}  # noqa: RUF012
-    batch_type: ClassVar[type[Any]]
 
-    def __init__(
-        self, arguments: dict[str, Any], render_mode: str | None, view: str, render_size: tuple[int, int]
+    def _begin(
+        self,
+        *,
+        arguments: dict[str, Any],
+        render_mode: str | None = None,
+        view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
     ) -> None:
         check_rendering(render_mode, view, self.metadata["render_modes"])
         self.render_mode, self.view, self.render_size = render_mode, view, render_size

@@ -1,7 +1,7 @@
 """A vector environment of Gymnasium over a batch of episodes, with its three ways to begin anew."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
@@ -39,17 +39,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
     - ``SAME_STEP``: a new one begins at once; the step returns its first observation, and ``info["final_obs"]`` and
       ``info["final_info"]`` hold what the old one ended with;
     - ``DISABLED``: nothing, until ``reset(options={"reset_mask": mask})`` begins new ones where the mask is true.
-
-    Parameters
-    ----------
-    num_envs : int
-        Number of environments.
-    arguments : dict
-        Of the batch.
-    max_episode_steps : int, optional
-        Steps after which an episode is truncated.
-    players : int
-        Environments that belong to the same episode: 1, or 2 for both cars of a race.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -57,22 +46,21 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         "render_fps": 1,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-    batch_type: ClassVar[type[Any]]
 
-    def __init__(
+    def _begin(
         self,
-        num_envs: int,
-        arguments: dict[str, Any],
         *,
+        arguments: dict[str, Any],
+        num_envs: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
         view: str = "both",
         render_size: tuple[int, int] = (960, 640),
-        players: int = 1,
     ) -> None:
         check_rendering(render_mode, view)
+        num_envs, players = self.players if num_envs is None else num_envs, self.players
         if max_episode_steps is not None:
             check_whole("max_episode_steps", max_episode_steps, 1)
         episodes, rest = divmod(num_envs, players) if is_whole(num_envs) else (num_envs, 0)
@@ -81,7 +69,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         self.autoreset_mode = check_autoreset_mode(autoreset_mode)
         self.max_episode_steps = max_episode_steps
         self.render_mode, self.view, self.render_size = render_mode, view, render_size
-        self.players = players
         self._arguments, self._threads = arguments, threads
         self._use(self._make_batch(arguments, episodes))
         self.num_envs = self.batch.episodes * players

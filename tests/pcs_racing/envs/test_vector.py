@@ -209,8 +209,7 @@ def test_the_specification_says_how_long_an_episode_is(name, steps, changes):
 def test_an_unknown_argument_is_a_type_error_as_pythons(kind):
     with pytest.raises(TypeError, match=r"'trak'; did you mean 'track'\?"):
         kind(trak="Pipkin") if kind is not SelfPlayVectorEnv else kind(2, trak="Pipkin")
-    name = "DuelVectorEnv" if kind is SelfPlayVectorEnv else kind.__name__
-    with pytest.raises(InputError, match=re.escape(f"{name}()")):
+    with pytest.raises(InputError, match=re.escape(f"{kind.__name__}()")):
         kind(viw="both")
 
 
