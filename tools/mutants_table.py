@@ -107,18 +107,16 @@ MODULES = {
         drive_kernel: drive_kernel; drive
         drive_batch: drive_kernel; drive variety
         drive_courses: drive_kernel; moving_opponents drive
-        drive: ; drive defaults
+        drive: ; drive drive_head_to_head defaults
         moving_opponents: ; moving_opponents drive
-        game_batch circuit_games: game_batch; duel variety
+        game_batch: game_batch; duel variety
         opponents: game_batch; duel drive /pcs_racing_agents/agents/opponents
-        duel: ; duel defaults
+        duel: ; duel head_to_head defaults
         scalar vector: ; vector
         over_batch: ; vector drive duel
         reset_options: ; reset_options
-        head_to_head: ; head_to_head defaults
-        match head_to_head_match: ; match defaults
+        match: ; match defaults
         match_batch: ; match variety
-        drive_head_to_head: ; drive_head_to_head defaults
         parallel: ; head_to_head drive_head_to_head
         """,
     ),

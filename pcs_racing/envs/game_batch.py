@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,12 +11,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.batch import BatchStep, check_batch_size
-from pcs_racing.envs.circuit_games import CircuitGames
 from pcs_racing.envs.infos import Crash, Result, codes, of_players, race_info, race_infos, race_results
 from pcs_racing.envs.obstacles import obstacles_option
-from pcs_racing.envs.opponents import draw_opponent
+from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
 from pcs_racing.envs.reset_options import start_option
 from pcs_racing.envs.variety import Variety
 from pcs_racing.game.archive import PolicyArchive
@@ -63,6 +63,49 @@ class GameOptions:
     vehicle: Any = F1TENTH
     randomize: Any = None
     obstacles: Any = None
+
+
+KEPT = 64  # games on circuits that no episode is on
+
+
+class CircuitGames:
+    """Games by the number of their circuit, made when they are first asked for; the last ones used are kept.
+
+    Parameters
+    ----------
+    variety : Variety
+        Circuits and cars of the batch.
+    opponent : see :func:`pcs_racing.envs.opponents.parse_opponents`
+        None where players move both cars.
+    threads : int, optional
+        Threads that share a step of a game.
+    """
+
+    def __init__(
+        self, variety: Variety, archive: PolicyArchive, rules: GameConfig, opponent: Any, threads: int | None
+    ) -> None:
+        self._variety, self._archive, self._rules = variety, archive, rules
+        self._opponent, self._threads = opponent, threads
+        self._games: RecentlyUsed[int, tuple[RaceGame, list[Opponent]]] = RecentlyUsed(KEPT + variety.episodes)
+
+    def on(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
+        """Return the game on a circuit, by its number, and the opponents in it."""
+        return self._games.get(circuit, lambda: self._make(circuit))
+
+    def _make(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
+        game = RaceGame(
+            self._variety.circuits.track(circuit),
+            self._archive,
+            self._rules,
+            threads=self._threads,
+            vehicles=self._variety.cars,
+            most_delay=self._variety.randomization.most_delay,
+        )
+        opponents = [] if self._opponent is None else parse_opponents(self._opponent, game)
+        planner = shared_planner(opponents, game)
+        if planner is not game.setup.planners[1]:
+            game = replace(game, opponent_planner=planner)
+        return game, opponents
 
 
 class GameBatch:

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.envs.drive import DriveVectorEnv
-from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
+from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.match import MatchVectorEnv, SelfPlayMatchVectorEnv
 from pcs_racing.envs.vector import BatchVectorEnv

@@ -37,7 +37,6 @@ _TRACK_CODE = (
     "track/building/centerline.py",
     "track/building/clearance.py",
     "track/building/curves.py",
-    "track/building/fourier.py",
     "track/building/raceline.py",
     "track/building/speed.py",
 )

@@ -5,12 +5,9 @@ from collections import defaultdict
 
 import pytest
 
-from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
-from pcs_racing.envs.head_to_head import HeadToHeadEnv
-from pcs_racing.envs.head_to_head_match import HeadToHeadMatchEnv
-from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
+from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv
 
 SCALAR = (DriveEnv, DuelEnv, MatchEnv, HeadToHeadEnv, HeadToHeadMatchEnv, DriveHeadToHeadEnv)
 BATCHES = {

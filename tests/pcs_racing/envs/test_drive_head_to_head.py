@@ -12,9 +12,8 @@ import pytest
 
 from pcs_racing import InputError, Lidar, UnknownNameError
 from pcs_racing.base.errors import UnknownArgumentError
-from pcs_racing.envs import drive_batch, drive_head_to_head
-from pcs_racing.envs.drive import DriveEnv
-from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
+from pcs_racing.envs import drive, drive_batch
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.infos import Crash, Result
 from pcs_racing.envs.parallel import AGENTS, ParallelState
@@ -83,17 +82,17 @@ def episode(env, seed, steps=25):
 )
 def test_the_checkers_of_pettingzoo_are_content(coarse_oval, options):
     arguments = {"track": coarse_oval, "time_step": 0.1, "duration": 3.0, **options}
-    parallel_api_test(drive_head_to_head.parallel_env(**arguments), num_cycles=60)
-    api_test(drive_head_to_head.env(**arguments), num_cycles=60)
-    parallel_seed_test(lambda: drive_head_to_head.parallel_env(**arguments), num_cycles=30)
-    seed_test(lambda: drive_head_to_head.env(**arguments), num_cycles=30)
+    parallel_api_test(drive.parallel_env(**arguments), num_cycles=60)
+    api_test(drive.env(**arguments), num_cycles=60)
+    parallel_seed_test(lambda: drive.parallel_env(**arguments), num_cycles=30)
+    seed_test(lambda: drive.env(**arguments), num_cycles=30)
 
 
 def test_rendering(coarse_oval, monkeypatch):
     pytest.importorskip("pygame", reason="the extra 'window' is not installed")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     options = {"track": coarse_oval, "duration": 0.3, "time_step": 0.1, "render_size": (160, 120)}
-    render_test(lambda **more: drive_head_to_head.env(**options, **more))
+    render_test(lambda **more: drive.env(**options, **more))
     assert make(coarse_oval).render() is None
 
 
@@ -401,7 +400,7 @@ def test_after_the_end_no_agent_is_left(coarse_oval):
     with pytest.raises(InputError, match="the episode is over"):
         env.step(SLOW)
     # Turn by turn, dead agents step with None, once each.
-    turns = drive_head_to_head.env(track=coarse_oval, duration=0.3, time_step=0.1)
+    turns = drive.env(track=coarse_oval, duration=0.3, time_step=0.1)
     turns.reset(seed=0)
     last = []
     for agent in turns.agent_iter():

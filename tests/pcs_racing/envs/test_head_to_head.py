@@ -15,7 +15,7 @@ from repository import REPOSITORY
 import pcs_racing
 from pcs_racing import GameConfig, InputError, PolicyArchive, UnknownNameError, load_archive, load_track, make_game
 from pcs_racing.envs import registration
-from pcs_racing.envs.head_to_head import HeadToHeadEnv
+from pcs_racing.envs.duel import HeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
 from pcs_racing.envs.parallel import AGENTS, ParallelState
 from pcs_racing.game.observation import observation_table

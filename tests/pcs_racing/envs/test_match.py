@@ -15,9 +15,15 @@ from gymnasium.vector import AutoresetMode
 from repository import REPOSITORY
 
 from pcs_racing import ConfigError, InputError, PolicyArchive, get_planner
-from pcs_racing.envs.head_to_head_match import HeadToHeadMatchEnv, env, parallel_env
 from pcs_racing.envs.infos import Result
-from pcs_racing.envs.match import MatchEnv, MatchVectorEnv, SelfPlayMatchVectorEnv
+from pcs_racing.envs.match import (
+    HeadToHeadMatchEnv,
+    MatchEnv,
+    MatchVectorEnv,
+    SelfPlayMatchVectorEnv,
+    env,
+    parallel_env,
+)
 from pcs_racing.game.match_observation import decode_match
 
 with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn

@@ -12,13 +12,10 @@ from gymnasium.wrappers import vector as vector_wrappers
 import pcs_racing  # noqa: F401
 from pcs_racing import InputError, UnknownNameError
 from pcs_racing.envs import infos
-from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadEnv
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, SelfPlayVectorEnv
-from pcs_racing.envs.head_to_head import HeadToHeadEnv
-from pcs_racing.envs.head_to_head_match import HeadToHeadMatchEnv
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
 from pcs_racing.envs.infos import Crash, Result
-from pcs_racing.envs.match import MatchEnv
+from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 
 DUEL = {"step_seconds": 0.2, "moves": 2}
