@@ -140,7 +140,7 @@ def _drive_compiled(
             np.empty(WORK_SIZE),
         )
 
-    with first_call(advance_races, "the planners and the race kernel", 10) as compiling:
+    with first_call(advance_races, "the planners and the race kernel", 14) as compiling:
         plan0, control0 = planners[0].pointers()
         plan1, control1 = planners[1].pointers()
         if compiling and runs:
