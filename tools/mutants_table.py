@@ -107,17 +107,18 @@ MODULES = {
         drive_kernel: drive_kernel; drive
         drive_batch: drive_kernel; drive variety
         drive_courses: drive_kernel; moving_opponents drive
-        drive: ; drive drive_head_to_head defaults
+        drive: ; contract drive drive_head_to_head defaults
         moving_opponents: ; moving_opponents drive
         game_batch: game_batch; duel variety
         opponents: game_batch; duel drive /pcs_racing_agents/agents/opponents
-        duel: ; duel head_to_head defaults
-        scalar vector: ; vector
-        over_batch: ; vector drive duel
+        duel: ; contract duel head_to_head defaults
+        scalar vector: ; contract vector
+        arguments: ; defaults vector
+        over_batch: ; contract vector drive duel
         reset_options: ; reset_options
-        match: ; match defaults
+        match: ; contract match defaults
         match_batch: ; match variety
-        parallel: ; head_to_head drive_head_to_head
+        parallel: ; contract head_to_head drive_head_to_head
         """,
     ),
     **_modules(
