@@ -99,6 +99,7 @@ MODULES = {
         moves: archive; game
         """,
     ),
+    **_modules("base", "pcs_racing/base", "code_cache: ; code_cache\nreading: reading"),
     **_modules("characteristics", "pcs_racing/game", "characteristics: characteristics"),
     **_modules(
         "environments",

@@ -7,10 +7,12 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+import pcs_racing
 from pcs_racing.base import code_cache
 from pcs_racing.base.code_cache import SIMULATOR, CodeCache, digest_of
 
@@ -64,6 +66,24 @@ def test_another_name_is_a_change(packages):
     (packages / "user" / "module.py").rename(packages / "user" / "other.py")
     code_cache._digest.cache_clear()
     assert digest_of(packages / "user") != digest
+
+
+def test_the_order_in_which_a_system_lists_files_does_not_matter(packages, monkeypatch):
+    (packages / "user" / "other.py").touch()
+    digest, glob = digest_of(packages / "user"), Path.glob
+
+    def backwards(folder):
+        return sorted(os.scandir(folder), key=lambda entry: entry.name)[::-1]
+
+    monkeypatch.setattr(code_cache, "os", SimpleNamespace(scandir=backwards))
+    monkeypatch.setattr(Path, "glob", lambda self, pattern: sorted(glob(self, pattern))[::-1])
+    code_cache._digest.cache_clear()
+    assert digest_of(packages / "user") == digest
+
+
+def test_the_simulator_is_where_the_package_is():
+    assert Path(pcs_racing.__file__).resolve().parent == code_cache._PACKAGE
+    assert [floor for floor in SIMULATOR if not (code_cache._PACKAGE / floor / "__init__.py").is_file()] == []
 
 
 @pytest.fixture
