@@ -28,9 +28,10 @@ def rooms(page: str) -> list[Room]:
 
 
 def size(room: Room, root: Path) -> int:
-    """Return the lines of all Python files in a room's folders, or the words of its pages."""
+    """Return the lines of all Python files in a room, without tests of its own, or the words of its pages."""
     if room.counted == "lines":
-        files = [file for place in room.places for file in (root / place).rglob("*.py")]
+        found = [(root / place, file) for place in room.places for file in (root / place).rglob("*.py")]
+        files = [file for folder, file in found if "tests" not in file.relative_to(folder).parts]
         return sum(len(file.read_text(encoding="utf-8").splitlines()) for file in files)
     pages = [page for place in room.places for page in root.glob(place)]
     return sum(len(page.read_text(encoding="utf-8").split()) for page in pages)
@@ -59,7 +60,7 @@ def test_what_is_counted(tmp_path):
     python, pages = rooms(table)
     assert python == (("a", "b"), "lines", 2, 3)
     assert pages == (("*.md",), "words", 1000, 2000)
-    for name, text in {"a/x.py": "x = 1\n\n", "b/c/y.py": "y = 2", "a/z.txt": "\n\n"}.items():
+    for name, text in {"a/x.py": "x = 1\n\n", "b/c/y.py": "y = 2", "a/z.txt": "\n\n", "a/tests/x.py": "\n"}.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
     assert size(python, tmp_path) == 3
