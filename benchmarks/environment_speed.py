@@ -19,8 +19,7 @@ from pathlib import Path
 import numpy as np
 from race_speed import side_by_side
 
-from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 
@@ -164,7 +163,7 @@ def supersuit_games(track: str) -> Work:
     """Moves of both players by way of PettingZoo and SuperSuit, counted per game."""
     import supersuit
 
-    from pcs_racing.envs.head_to_head import parallel_env
+    from pcs_racing.envs.duel import parallel_env
 
     env = supersuit.concat_vec_envs_v1(
         supersuit.pettingzoo_env_to_vec_env_v1(parallel_env(track=track)), 8, base_class="gymnasium"

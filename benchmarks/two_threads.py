@@ -20,8 +20,7 @@ from threading import Barrier
 import numpy as np
 
 from pcs_racing import load_race_config, load_track, make_game, parse_policy, run_races
-from pcs_racing.envs.drive import DriveVectorEnv
-from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
+from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing_agents.trees import build_tree, choose_pairs

@@ -15,10 +15,10 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 ENVIRONMENTS = {
-    "head_to_head": ("pcs_racing.envs.head_to_head", "HeadToHeadEnv", "Head to head: two agents"),
-    "head_to_head_match": ("pcs_racing.envs.head_to_head_match", "HeadToHeadMatchEnv", "Match of two agents"),
+    "head_to_head": ("pcs_racing.envs.duel", "HeadToHeadEnv", "Head to head: two agents"),
+    "head_to_head_match": ("pcs_racing.envs.match", "HeadToHeadMatchEnv", "Match of two agents"),
     "drive_head_to_head": (
-        "pcs_racing.envs.drive_head_to_head",
+        "pcs_racing.envs.drive",
         "DriveHeadToHeadEnv",
         "Drive head to head: two agents steer",
     ),

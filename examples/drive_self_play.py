@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 
 from pcs_racing import load_archive
-from pcs_racing.envs.drive import DriveVectorEnv
-from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
+from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.infos import Result
 
 try:

@@ -92,7 +92,7 @@ register_environments()
 def __getattr__(name: str) -> Any:
     """Import the makers of environments when they are asked for, as the registries do."""
     if name in ("env", "parallel_env"):
-        from pcs_racing.envs import head_to_head
+        from pcs_racing.envs import duel
 
-        return getattr(head_to_head, name)
+        return getattr(duel, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -82,6 +82,13 @@ def test_no_file_imports_from_a_higher_floor(graph):
     assert not upward
 
 
+def test_the_simulator_is_the_lowest_floors():
+    """Its compiled code has a digest of its own, which is enough because it imports nothing from above."""
+    from pcs_racing.base.code_cache import SIMULATOR
+
+    assert [FLOOR_OF[f"pcs_racing.{floor}"] for floor in SIMULATOR] == list(range(len(SIMULATOR)))
+
+
 def test_no_floor_imports_its_packages_front_door(graph):
     """``import pcs_racing`` offers what the floors hold; a floor that asked there would go round in a circle."""
     assert not [

@@ -9,8 +9,7 @@ import numpy as np
 from pcs_racing import RaceGame, load_game_config, load_race_config, load_track
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
-from pcs_racing.envs.head_to_head import HeadToHeadEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.envs.opponents import parse_opponents
 from pcs_racing.game.archive_files import load_archive
 

@@ -140,9 +140,6 @@ class Workplace:
             if (found := pytest(self.pristine, tests, mode, 7200.0)) != PASSED:
                 raise BaselineError(f"{found} fails without any fault ({mode})")
             self.limits[mode, *tests] = 90.0 + 5.0 * (time.monotonic() - begun)
-            # Code of compiled functions in tests is not renewed when the package changes.
-            for stale in self.pristine.glob("tests/**/__pycache__/*.nb[ic]"):
-                stale.unlink()
         if mode == COMPILED or not self.tree.exists():  # compiled code of the last fault must not be found
             shutil.rmtree(self.tree, ignore_errors=True)
             shutil.copytree(self.pristine, self.tree)

@@ -97,6 +97,7 @@ MODULES = {
         moves: archive; game
         """,
     ),
+    **_modules("base", "pcs_racing/base", "code_cache: ; code_cache\nreading: reading"),
     **_modules("characteristics", "pcs_racing/game", "characteristics: characteristics"),
     **_modules(
         "environments",
@@ -105,19 +106,18 @@ MODULES = {
         drive_kernel: drive_kernel; drive
         drive_batch: drive_kernel; drive variety
         drive_courses: drive_kernel; moving_opponents drive
-        drive: ; drive defaults
+        drive: ; contract drive drive_head_to_head defaults
         moving_opponents: ; moving_opponents drive
-        game_batch circuit_games: game_batch; duel variety
+        game_batch: game_batch; duel variety
         opponents: game_batch; duel drive /pcs_racing_agents/agents/opponents
-        duel: ; duel defaults
-        scalar vector: ; vector
-        over_batch: ; vector drive duel
+        duel: ; contract duel head_to_head defaults
+        scalar vector: ; contract vector
+        arguments: ; defaults vector
+        over_batch: ; contract vector drive duel
         reset_options: ; reset_options
-        head_to_head: ; head_to_head defaults
-        match head_to_head_match: ; match defaults
+        match: ; contract match defaults
         match_batch: ; match variety
-        drive_head_to_head: ; drive_head_to_head defaults
-        parallel: ; head_to_head drive_head_to_head
+        parallel: ; contract head_to_head drive_head_to_head
         """,
     ),
     **_modules(

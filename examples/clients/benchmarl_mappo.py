@@ -20,7 +20,7 @@ from torchrl.data import Composite
 from torchrl.envs import EnvBase, PettingZooWrapper
 
 import pcs_racing
-from pcs_racing.envs import drive_head_to_head
+from pcs_racing.envs import drive
 
 
 class BothCars(TaskClass):
@@ -35,7 +35,7 @@ class BothCars(TaskClass):
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], EnvBase]:
         """Return the function that makes an environment."""
-        make = drive_head_to_head.parallel_env if self.steered else pcs_racing.parallel_env
+        make = drive.parallel_env if self.steered else pcs_racing.parallel_env
         return lambda: PettingZooWrapper(make(**self.config), categorical_actions=True, seed=seed)
 
     def supports_continuous_actions(self) -> bool:

@@ -34,7 +34,7 @@ def head_to_head(config: dict[str, Any]) -> ParallelPettingZooEnv:
 
 def drive_head_to_head(config: dict[str, Any]) -> ParallelPettingZooEnv:
     """Make the race in which both cars are steered."""
-    from pcs_racing.envs.drive_head_to_head import parallel_env
+    from pcs_racing.envs.drive import parallel_env
 
     return ParallelPettingZooEnv(parallel_env(**config))
 

@@ -13,11 +13,11 @@ import supersuit
 from stable_baselines3 import PPO
 
 import pcs_racing
-from pcs_racing.envs import drive_head_to_head
+from pcs_racing.envs import drive
 
 
 def main() -> None:
-    for both in (pcs_racing.parallel_env(), drive_head_to_head.parallel_env(duration=1.0)):
+    for both in (pcs_racing.parallel_env(), drive.parallel_env(duration=1.0)):
         cars = supersuit.frame_stack_v1(both, 2)
         pairs = supersuit.pettingzoo_env_to_vec_env_v1(cars)
         env = supersuit.concat_vec_envs_v1(pairs, 4, base_class="stable_baselines3")

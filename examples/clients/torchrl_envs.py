@@ -15,7 +15,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import GymEnv, GymWrapper, ParallelEnv, PettingZooWrapper, check_env_specs
 
 import pcs_racing
-from pcs_racing.envs import drive_head_to_head
+from pcs_racing.envs import drive
 
 
 def main() -> None:
@@ -34,7 +34,7 @@ def main() -> None:
     print("two processes:", processes.rollout(2, break_when_any_done=False)["next", "reward"].shape)
     processes.close()
 
-    for both in (pcs_racing.parallel_env(), drive_head_to_head.parallel_env(duration=1.0)):
+    for both in (pcs_racing.parallel_env(), drive.parallel_env(duration=1.0)):
         cars = PettingZooWrapper(both, return_state=True)
         check_env_specs(cars)
         print(f"both cars of {both.metadata['name']}:", cars.rollout(4)["car", "observation"].shape)

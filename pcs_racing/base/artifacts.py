@@ -20,8 +20,6 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import MAX_YAML, parse_yaml, read_limited
 
-__all__ = ["MANIFEST", "ArtifactFormat", "ManifestFormat", "shipped_folder"]
-
 MANIFEST = "manifest.yaml"
 
 
@@ -33,7 +31,6 @@ def shipped_folder(package: Path, name: str) -> Path:
     package : Path
         Folder of the package. Once installed, the files lie in its folder ``shipped_NAME``; in a checkout they lie
         beside the package, in the folder ``NAME``.
-    name : str
     """
     inside = package / f"shipped_{name}"
     return inside if inside.is_dir() else package.parent / name
@@ -41,26 +38,13 @@ def shipped_folder(package: Path, name: str) -> Path:
 
 @dataclass(frozen=True)
 class ManifestFormat:
-    """What a YAML manifest must hold, and how to write and read it.
+    """What a YAML manifest must hold, and how to write and read it."""
 
-    Attributes
-    ----------
-    noun : str
-        What it describes, for messages: "archive".
-    keys : tuple of str
-        All fields, beside ``format`` ("pcs-racing NOUN") and ``version``.
-    writer : str
-        The function that writes it, for messages.
-    version : int
-        Manifests of other versions are refused.
-    optional : tuple of str
-        Fields that a manifest may lack; they are read as None then, and not written if they are None.
-    """
-
-    noun: str
-    keys: tuple[str, ...]
-    writer: str
-    version: int = 1
+    noun: str  #: What it describes, for messages: "archive".
+    keys: tuple[str, ...]  #: All fields, beside ``format`` ("pcs-racing NOUN") and ``version``.
+    writer: str  #: The function that writes it, for messages.
+    version: int = 1  #: Manifests of other versions are refused.
+    #: Fields that a manifest may lack; they are read as None then, and not written if they are None.
     optional: tuple[str, ...] = ()
 
     @property
@@ -74,14 +58,7 @@ class ManifestFormat:
         write_atomically(file, lambda stream: stream.write(content))
 
     def read(self, file: str | os.PathLike[str]) -> dict[str, Any]:
-        """Return the fields of a manifest.
-
-        Raises
-        ------
-        InputError
-            If the file can't be read, is no manifest of this kind and version, or has other keys. The values are not
-            checked.
-        """
+        """Return the fields of a manifest."""
         manifest = parse_yaml(file, self._content(file, MAX_YAML))
         form = f"pcs-racing {self.noun}"
         if not isinstance(manifest, dict) or manifest.get("format") != form:
@@ -116,24 +93,12 @@ class ManifestFormat:
 
 @dataclass(frozen=True)
 class ArtifactFormat(ManifestFormat):
-    """A kind of folder: what its manifest holds, which file of data is beside it, and where the shipped ones lie.
+    """A kind of folder: what its manifest holds, which file of data is beside it, and where the shipped ones lie."""
 
-    Attributes
-    ----------
-    data_file : str
-        Name of the file of data.
-    digest_key : str
-        Field of the manifest that holds the SHA-256 of the data; one of ``keys``.
-    max_bytes : int
-        Largest size of the data.
-    shipped : Path
-        Folder of those that come with the package, a folder for each name.
-    """
-
-    data_file: str = "data"
-    digest_key: str = "sha256"
-    max_bytes: int = 32_000_000
-    shipped: Path = Path()
+    data_file: str = "data"  #: Name of the file of data.
+    digest_key: str = "sha256"  #: Field of the manifest that holds the SHA-256 of the data; one of ``keys``.
+    max_bytes: int = 32_000_000  #: Largest size of the data.
+    shipped: Path = Path()  #: Folder of those that come with the package, a folder for each name.
 
     def save(self, folder: str | Path, fields: Mapping[str, Any], data: bytes) -> Path:
         """Write data and manifest into a folder, which is made if need be.
@@ -143,10 +108,8 @@ class ArtifactFormat(ManifestFormat):
 
         Parameters
         ----------
-        folder : str or Path
         fields : Mapping
             Of the manifest, beside the digest.
-        data : bytes
 
         Returns
         -------
@@ -174,14 +137,7 @@ class ArtifactFormat(ManifestFormat):
         return folder
 
     def load(self, folder: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:
-        """Return the fields of the manifest and the data, whose digest has been compared with the manifest's.
-
-        Raises
-        ------
-        InputError
-            If a file is missing, damaged or too large, the manifest is of another kind or version, or the data are not
-            those that it describes.
-        """
+        """Return the fields of the manifest and the data, whose digest has been compared with the manifest's."""
         folder = Path(folder)
         fields = self.read(folder / MANIFEST)
         file = folder / self.data_file
@@ -195,15 +151,7 @@ class ArtifactFormat(ManifestFormat):
         return sorted(path.parent.name for path in self.shipped.glob(f"*/{MANIFEST}"))
 
     def find(self, source: str | os.PathLike[str]) -> Path:
-        """Return the folder of a shipped one, by its name, or a folder as it is.
-
-        Raises
-        ------
-        InputError
-            If the source is neither a name nor a path.
-        UnknownNameError
-            If there is none of that name and no such folder.
-        """
+        """Return the folder of a shipped one, by its name, or a folder as it is."""
         if not isinstance(source, str | os.PathLike):
             raise InputError(f"{self.noun} {source!r} must be a name or a folder")
         names = self.shipped_names()

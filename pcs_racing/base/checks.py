@@ -12,28 +12,6 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = [
-    "all_finite",
-    "as_array",
-    "check_array",
-    "check_choice",
-    "check_facts",
-    "check_flag",
-    "check_names",
-    "check_number",
-    "check_path",
-    "check_seed",
-    "check_text",
-    "check_whole",
-    "check_whole_array",
-    "check_wholes",
-    "did_you_mean",
-    "is_flag",
-    "is_number",
-    "is_whole",
-    "within",
-]
-
 Error = type[InputError]
 
 FEW = 32
@@ -185,7 +163,6 @@ def check_array(
 
     Parameters
     ----------
-    name : str
     value : array_like
     shape : sequence of int or None
         Its shape; None stands for any length.
@@ -195,11 +172,6 @@ def check_array(
         Of the result.
     error : type
         What is raised.
-
-    Raises
-    ------
-    InputError
-        If it has another shape, holds something that is no number, or a number is infinite, NaN or out of the range.
     """
     try:
         array = np.array(value, dtype)
@@ -256,7 +228,6 @@ def check_whole_array(
 
     Parameters
     ----------
-    name : str
     value : array_like
     *shapes : tuple of int or None
         Shapes that are allowed, all of them if none is named; None stands for any length.
@@ -264,11 +235,6 @@ def check_whole_array(
         Limits of all numbers, which belong to the range.
     error : type
         What is raised.
-
-    Raises
-    ------
-    InputError
-        If it has another shape or type, or a number is out of the range.
     """
     array = as_array(value)
     fits = not shapes or any(_fits(array, shape) for shape in shapes)

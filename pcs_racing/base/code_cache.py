@@ -1,128 +1,115 @@
-"""Numba's cache on disk: deleted when a source file changes, and written by one process at a time.
+"""Numba's cache on disk: deleted when sources change or a file is broken, and written by one process at a time.
 
 Numba looks at the file of the function that it loads, but not at the files of the functions which that one calls: after
-an edit or an update it would go on running parts of the old code. Here the file of every module with compiled functions
-is known together with the files that it imports.
+an edit or an update it would go on running parts of the old code. Here the cached code of a folder has a digest of all
+sources that it may be made of beside it, and is deleted when that digest is another one.
+
+Numba ends with an error if it can't read a cached file (after a full disk or a power cut), in every later run. Here the
+files of that function are deleted, and it is compiled again.
 
 Numba reads the index of a function's code, adds a line and writes it back. Two processes that do so at the same time
-may end with a line of one that points to the code of the other. Here they take turns; numba offers no setting for that,
-so this module wraps the method that writes.
+may end with a line of one that points to the code of the other. Here they take turns.
 """
 
+import glob
 import hashlib
-import json
 import os
-import re
-from collections.abc import Callable
+import sys
 from contextlib import ExitStack, suppress
-from functools import cache, wraps
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numba.core import caching
+from numba.core.caching import FunctionCache
 
-__all__ = ["forget_stale_code"]
+SIMULATOR = ("base", "track", "car", "planners", "race")
+"""The lowest floors of ``pcs_racing``, which import nothing from the others: they have a digest of their own, so that
+an edit of an environment does not compile the race kernel again."""
 
-_IMPORT = re.compile(r"^\s*(?:from|import)\s+(pcs_racing[\w.]*)([^\n(]*(?:\([^)]*\))?)", re.MULTILINE)
-_WORD = re.compile(r"\w+")
+NOTE = "sources.sha256"
+"""Name of the file beside cached code that says which sources it is made of."""
 
-
-def forget_stale_code(source: Path, cache: Path) -> None:
-    """Delete the cached code of a module if its source, or that of a module that it imports, has changed.
-
-    Parameters
-    ----------
-    source : Path
-        File of the module.
-    cache : Path
-        Folder where numba keeps its code.
-    """
-    note = cache / f"{source.stem}.sources.json"
-    try:
-        noted = _read(note)
-        stamps = noted.get("stamps", {})
-        if stamps and all(_stamp(Path(file)) == stamp for file, stamp in stamps.items()):
-            return  # reading and searching the files would take a third of a second at every start
-        files = _imported_files(source)
-        digest = hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-        if noted.get("digest") != digest:
-            for cached in cache.glob(f"{source.stem}.*.nb[ci]"):
-                cached.unlink(missing_ok=True)
-        cache.mkdir(parents=True, exist_ok=True)
-        temporary = note.with_suffix(f".{os.getpid()}.tmp")
-        temporary.write_text(json.dumps({"digest": digest, "stamps": {str(file): _stamp(file) for file in files}}))
-        os.replace(temporary, note)
-    except OSError:
-        return  # nowhere to write to: then numba keeps nothing either
+_PACKAGE = Path(__file__).resolve().parents[1]
 
 
-def _read(note: Path) -> dict[str, Any]:
-    """Return the stored digest and stamps; empty if they can't be read."""
-    try:
-        noted = json.loads(note.read_text())
-    except (OSError, ValueError):
-        return {}
-    return noted if isinstance(noted, dict) and isinstance(noted.get("stamps"), dict) else {}
+class CodeCache(FunctionCache):
+    """Numba's cache of one function's compiled code."""
 
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        forget_stale_code(os.path.dirname(function.__code__.co_filename), self.cache_path)
 
-@cache
-def _stamp(file: Path) -> list[int] | None:
-    try:
-        status = file.stat()
-    except OSError:
-        return None
-    return [status.st_size, status.st_mtime_ns]
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the code for a signature; None if there is none that can be read."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # damaged pickles raise a dozen kinds
+            _say_once("cached code can't be read; it is compiled again")
+            for file in Path(self.cache_path).glob(f"{glob.escape(self._impl.filename_base)}.*"):
+                with suppress(OSError):
+                    file.unlink()
+            return None
 
-
-def _imported_files(source: Path) -> list[Path]:
-    """Return the files of a module and of all modules of these packages that it imports, also indirectly."""
-    roots = {source.parents[len(_packages(source))], Path(__file__).parents[2]}
-    reached, new = {source}, [source]
-    while new:
-        names = {name for file in new for name in _imported_names(file)}
-        files = {file for name in names for root in roots if (file := _file_of(root, name)) is not None}
-        new = sorted(files - reached)
-        reached.update(new)
-    return sorted(reached)
-
-
-def _packages(source: Path) -> list[Path]:
-    """The folders above a file that are packages."""
-    return [folder for folder in source.parents if (folder / "__init__.py").is_file()]
-
-
-@cache
-def _imported_names(file: Path) -> frozenset[str]:
-    """Return the dotted names of all modules and members that a source imports."""
-    names = set()
-    for module, members in _IMPORT.findall(file.read_text(encoding="utf-8")):
-        names.add(module)
-        names.update(f"{module}.{member}" for member in _WORD.findall(members))
-    return frozenset(names)
-
-
-@cache
-def _file_of(root: Path, name: str) -> Path | None:
-    place = root.joinpath(*name.split("."))
-    for file in (place.with_name(f"{place.name}.py"), place / "__init__.py"):
-        if file.is_file():
-            return file
-    return None
-
-
-def _locked(save: Callable[..., None]) -> Callable[..., None]:
-    """Decorate numba's method so that one process at a time writes to a folder of cached code."""
-
-    @wraps(save)
-    def save_alone(cache: Any, key: Any, data: Any) -> None:
-        from filelock import FileLock
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Store the code for a signature, one process at a time in each folder."""
+        from filelock import FileLock  # only where something is compiled
 
         with ExitStack() as turn:
             with suppress(OSError):  # a file system without locks
-                turn.enter_context(FileLock(Path(cache._cache_path) / ".lock"))
-            save(cache, key, data)
-
-    return save_alone
+                turn.enter_context(FileLock(Path(self.cache_path) / ".lock"))
+            super().save_overload(sig, data)
 
 
-caching.IndexDataCacheFile.save = _locked(caching.IndexDataCacheFile.save)
+@cache
+def forget_stale_code(sources: str, code: str) -> None:
+    """Delete the cached code of a folder of modules if something that it may be made of has changed.
+
+    Parameters
+    ----------
+    sources : str
+        Folder of the modules.
+    code : str
+        Folder where numba keeps their code.
+    """
+    note, digest = Path(code, NOTE), digest_of(Path(sources).resolve())
+    with suppress(OSError):  # nowhere to write to: then numba keeps nothing either
+        if note.is_file() and note.read_bytes() == digest:
+            return
+        for file in Path(code).glob("*.nb[ci]"):
+            file.unlink(missing_ok=True)
+        temporary = note.with_suffix(f".{os.getpid()}.tmp")
+        temporary.write_bytes(digest)
+        os.replace(temporary, note)
+
+
+def digest_of(folder: Path) -> bytes:
+    """Digest, in hexadecimal, of all sources that compiled code of the modules in a folder may be made of.
+
+    Those are the simulator for modules of the simulator, and the whole of ``pcs_racing`` for its other modules. For all
+    others they are the files beside them, and both packages.
+    """
+    if any(folder.is_relative_to(_PACKAGE / floor) for floor in SIMULATOR):
+        parts = [_digest(_PACKAGE / floor) for floor in SIMULATOR]
+    elif folder.is_relative_to(_PACKAGE):
+        parts = [_digest(_PACKAGE)]
+    else:
+        parts = [_digest(folder, deep=False), *map(_digest, sorted(_PACKAGE.parent.glob("pcs_racing*/")))]
+    return hashlib.sha256(b"".join(parts)).hexdigest().encode()
+
+
+@cache
+def _digest(folder: Path, deep: bool = True) -> bytes:
+    """Digest of the Python files in a folder, and in those below it."""
+    found = hashlib.sha256()
+    for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+        if entry.name.endswith(".py"):
+            content = Path(entry.path).read_bytes()
+            found.update(f"{entry.name} {len(content)}\n".encode() + content)
+        elif deep and entry.is_dir() and entry.name != "__pycache__":
+            found.update(_digest(Path(entry.path)))
+    return found.digest()
+
+
+@cache
+def _say_once(line: str) -> None:
+    print(f"pcs-racing: {line}", file=sys.stderr, flush=True)

@@ -1,5 +1,6 @@
 """Compilation with numba: decorators for compiled functions, and a message when compilation takes a while."""
 
+import gc
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
@@ -9,10 +10,7 @@ from typing import Any
 from numba import njit
 from numba.core.registry import CPUDispatcher
 
-from pcs_racing.base import shorter_compilation  # noqa: F401 - it listens to numba from its import on
-from pcs_racing.base.code_cache import forget_stale_code
-
-__all__ = ["compiled", "compiled_for", "first_call", "inner_kernel", "kernel"]
+from pcs_racing.base.code_cache import CodeCache
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -38,16 +36,11 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
         if not hasattr(dispatcher, "enable_caching"):  # without compilation it is the function itself
             return dispatcher
-        source = Path(function.__code__.co_filename)
         try:
-            dispatcher.enable_caching()
+            dispatcher._cache = CodeCache(function)  # what `enable_caching` does, with a cache of ours
         except RuntimeError:  # numba finds no place for the code of a function that was typed at a prompt
-            if source.is_file():
+            if Path(function.__code__.co_filename).is_file():
                 raise
-            return dispatcher
-        if source not in _sources:
-            _sources.add(source)
-            forget_stale_code(source, Path(dispatcher.stats.cache_path))
         return dispatcher
 
     return decorate if function is None else decorate(function)
@@ -111,9 +104,6 @@ def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Non
     return function.compile(tuple(function.typeof_pyval(argument) for argument in arguments))
 
 
-_sources: set[Path] = set()
-"""Files with compiled functions whose cached code was looked at in this process."""
-
 _begun: set[str] = set()
 """What this process has looked for: compiled, loaded or waited for."""
 
@@ -159,7 +149,20 @@ def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
             _wait_for_turn(turn, dispatcher, what)
         if not _on_disk(dispatcher):
             _say(f"compiling {what} (about {seconds} s, once; it is cached on disk)")
+        turn.enter_context(_without_collecting_garbage())
         yield True
+
+
+@contextmanager
+def _without_collecting_garbage() -> Iterator[None]:
+    """Numba makes millions of objects that all stay in use: looking through them takes a tenth of a compilation."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def _wait_for_turn(turn: ExitStack, dispatcher: Any, what: str) -> None:

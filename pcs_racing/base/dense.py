@@ -21,8 +21,6 @@ from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError
 
-__all__ = ["DenseLayers", "dense_forward", "dense_rows", "layers_from_bytes", "layers_to_bytes", "weight_count"]
-
 Floats = NDArray[np.float32]
 
 MOST_WEIGHTS = 4_000_000
@@ -31,22 +29,11 @@ MOST_LAYERS = 16
 
 @dataclass(frozen=True, eq=False)
 class DenseLayers:
-    """Weights and biases of fully connected layers.
+    """Weights and biases of fully connected layers."""
 
-    Attributes
-    ----------
-    weights : tuple of ndarray, shape (out, in), float32
-        Of each layer; read-only.
-    biases : tuple of ndarray, shape (out,), float32
-
-    Raises
-    ------
-    InputError
-        If sizes do not fit each other, are too large, or a number is not finite.
-    """
-
+    #: shape (out, in), float32, of each layer; read-only.
     weights: tuple[NDArray[np.floating[Any]], ...]  # float32; other numbers are converted
-    biases: tuple[NDArray[np.floating[Any]], ...]
+    biases: tuple[NDArray[np.floating[Any]], ...]  #: shape (out,), float32
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.weights) <= MOST_LAYERS or len(self.biases) != len(self.weights):
@@ -204,11 +191,6 @@ def layers_from_bytes(
     -------
     layers : DenseLayers
     others : dict of str to ndarray
-
-    Raises
-    ------
-    InputError
-        If the file is damaged, or holds something else than float32 tensors of these names and sizes.
     """
     if not isinstance(hidden, list) or not all(type(width) is int for width in hidden):
         raise InputError(f"{file.parent}: hidden is {hidden!r:.80}; it must be a list of whole numbers")

@@ -17,20 +17,6 @@ import numpy as np
 
 from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 
-__all__ = [
-    "arcsine",
-    "arctangent",
-    "arctangent2",
-    "exponential",
-    "headings",
-    "hyperbolic_tangent",
-    "lengths",
-    "rough_sine_cosine",
-    "sine_cosine",
-    "sines_cosines",
-    "tangent",
-]
-
 _ROUNDER = 6755399441055744.0  # 1.5 * 2**52: added to a number it leaves the nearest integer in the last bits
 
 

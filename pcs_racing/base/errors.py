@@ -1,18 +1,28 @@
-"""Errors for bad input. A message is one line that names the value and the correct form."""
+"""Errors for bad input, and the rule which of them is raised where.
+
+A message is one line that names the value and the correct form, and it comes before any long work. All functions of
+both packages follow one rule; only those of the public face (what ``import pcs_racing`` offers, and
+:mod:`pcs_racing.testing`) repeat it under "Raises" in their docstrings.
+
+=============================  =========================================================================================
+what is wrong                  error
+=============================  =========================================================================================
+an argument, an array or a     :class:`InputError`. It names the argument, and the index of the first wrong race, game
+file                           or car; or the file that is missing, too large, damaged or of another kind.
+a setting or its value         :class:`ConfigError`
+a map or a circuit             :class:`MapError`
+a name in a registry           :class:`UnknownNameError`, with the names that there are
+a keyword argument             :class:`UnknownArgumentError`, with the nearest known one
+an optional library            ``ModuleNotFoundError``, with the extra that installs it
+a disk that is full, a file    ``OSError``, with the path; a file that was there stays as it was
+without permission to write
+=============================  =========================================================================================
+
+A function that raises anything else says so in its docstring.
+"""
 
 import difflib
 from collections.abc import Iterable
-
-__all__ = [
-    "ConfigError",
-    "InputError",
-    "MapError",
-    "UnknownArgumentError",
-    "UnknownNameError",
-    "choices",
-    "unknown_argument",
-]
-
 
 _LONGEST = 2000
 

@@ -8,16 +8,12 @@ from typing import IO
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["write_atomically"]
-
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write a file completely or not at all: ``write`` fills a temporary file, which then replaces ``path``.
 
     Raises
     ------
-    InputError
-        If the folder does not exist or ``path`` is a folder.
     OSError
         If the file can't be written, for example because the disk is full. The error names ``path``; an existing file
         stays unchanged.

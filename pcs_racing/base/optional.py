@@ -2,8 +2,6 @@
 
 from importlib.util import find_spec
 
-__all__ = ["require"]
-
 
 def require(*modules: str, extra: str = "mapping") -> None:
     """Raise an error that names the extra to install if a module is not installed; import nothing.
@@ -14,11 +12,6 @@ def require(*modules: str, extra: str = "mapping") -> None:
         Names of top-level modules.
     extra : str
         The extra of this distribution that installs the modules.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If one of them is not installed.
     """
     for name in modules:
         if find_spec(name) is None:

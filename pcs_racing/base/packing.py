@@ -15,20 +15,6 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 
-__all__ = [
-    "COARSE",
-    "FINE",
-    "join_segments",
-    "pack",
-    "pack_costs",
-    "pack_paths",
-    "pack_segments",
-    "unpack",
-    "unpack_costs",
-    "unpack_paths",
-    "unpack_segments",
-]
-
 # Steps per unit: millimetres and milliradians for what is interpolated, centimetres for what is only looked at.
 FINE = 1000
 COARSE = 100
@@ -60,11 +46,6 @@ def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -
     -------
     dict
         ``shape``, ``per_unit``, ``differences`` and ``data``, ready for JSON.
-
-    Raises
-    ------
-    InputError
-        If a number is not finite or too large.
     """
     values = np.asarray(values, float)
     if not np.all(np.abs(values * per_unit) < _LARGEST):  # also false for NaN
@@ -100,11 +81,6 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
     -------
     ndarray, float64
         Finite numbers below 1e15 in absolute value.
-
-    Raises
-    ------
-    InputError
-        If the value is not a packed array, or has more than 10 million numbers.
     """
     fields = _parts(packed, name, ("shape", "per_unit", "differences", "data"))
     shape, per_unit, differences, data = fields

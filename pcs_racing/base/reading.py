@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 
-__all__ = ["MAX_YAML", "parse_yaml", "plain_yaml", "read_limited", "unpack_arrays"]
-
 MAX_YAML = 200_000
 """Maximum size of a YAML file in bytes; larger files would take seconds to parse."""
 
@@ -43,8 +41,6 @@ def read_limited(path: str | os.PathLike[str], limit: int, kind: str) -> bytes:
 
     Raises
     ------
-    InputError
-        If it is too large or not a regular file.
     OSError
         If it can't be read.
     """
@@ -65,14 +61,7 @@ def _ordinary(path: str, flags: int) -> int:
 
 
 def plain_yaml(data: bytes | str) -> Any:
-    """Parse a YAML text of mappings, lists, texts and numbers.
-
-    Raises
-    ------
-    InputError
-        If the text is not valid YAML, is nested too deeply, or is much longer when its aliases are expanded. The
-        message does not name the file.
-    """
+    """Parse a YAML text of mappings, lists, texts and numbers."""
     try:
         loader = yaml.SafeLoader(data.decode("utf-8") if isinstance(data, bytes) else data)
         node = loader.get_single_node()
@@ -90,13 +79,7 @@ def plain_yaml(data: bytes | str) -> Any:
 
 
 def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputError] = InputError) -> Any:
-    """Parse the content of a YAML file like :func:`plain_yaml`; the error names the file.
-
-    Raises
-    ------
-    InputError
-        Of the kind ``error``.
-    """
+    """Parse the content of a YAML file like :func:`plain_yaml`; the error names the file."""
     try:
         return plain_yaml(content)
     except InputError as problem:
@@ -129,11 +112,6 @@ def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArr
         Of the file.
     limit : int
         Most bytes of all arrays together.
-
-    Raises
-    ------
-    InputError
-        If it is no such file, damaged, or unpacks to more; the message does not name the file.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as file:
@@ -148,20 +126,12 @@ def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArr
 
 
 def _array(content: bytes) -> NDArray[Any]:
-    """Return the array of an ``.npy`` file, after a check that its header matches its size."""
+    """Return the array of an ``.npy`` file, of numbers or texts and nothing behind it."""
     stream = io.BytesIO(content)
-    version = np.lib.format.read_magic(stream)
-    if version == (1, 0):
-        shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
-    elif version == (2, 0):
-        shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
-    else:
-        raise InputError(f"an array is in version {version} of the format; 1 and 2 are known")
-    if dtype.kind not in _KINDS or dtype.itemsize == 0:
-        raise InputError(f"an array is of type {dtype}; there may be numbers and texts")
-    count = math.prod(shape)
-    fits = min(shape, default=0) >= 0 and max(shape, default=0) <= 2**40
-    if not fits or count * dtype.itemsize != len(content) - stream.tell():
-        raise InputError(f"an array of shape {shape!s:.80} and type {dtype} is announced; something else is there")
-    flat = np.frombuffer(content, dtype, count, stream.tell())
-    return flat.reshape(shape, order="F" if fortran else "C").copy()
+    # Numpy reserves the memory that a header announces, but touches no more of it than there is content.
+    array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+    if array.dtype.kind not in _KINDS or array.dtype.itemsize == 0 or max(array.shape, default=0) > 2**40:
+        raise InputError(f"an array is of type {array.dtype} and shape {array.shape}; there may be numbers and texts")
+    if stream.read(1):
+        raise InputError(f"more follows an array of type {array.dtype} and shape {array.shape}")
+    return array

@@ -5,8 +5,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_seed
 
-__all__ = ["race_seed", "race_seeds"]
-
 
 def race_seed(seed: int, index: int) -> np.uint64:
     """Noise key of one race: a function of the root seed and the race's index alone."""

@@ -35,50 +35,18 @@ from pcs_racing.base.checks import (
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
 from pcs_racing.base.reading import MAX_YAML, parse_yaml, read_limited
 
-__all__ = [
-    "Rule",
-    "Settings",
-    "add_setting_options",
-    "checked",
-    "choice",
-    "flag",
-    "load_settings",
-    "names",
-    "number",
-    "plain_settings",
-    "read_settings",
-    "setting",
-    "stated_options",
-    "tenths",
-    "text",
-    "weights",
-    "whole",
-    "wholes",
-]
-
 S = TypeVar("S", bound="Settings")
 
 
 @dataclass(frozen=True)
 class Rule:
-    """What a setting may be.
+    """What a setting may be."""
 
-    Attributes
-    ----------
-    check : callable
-        ``check(name, value)`` returns the value as it is kept, or raises a :class:`ConfigError` that names it.
-    words : str
-        The range, for docstrings and help texts: ``from 0 to 1``; empty where the type says all.
-    read : callable
-        Turns a word of a command line into a value.
-    several : bool
-        Whether the value is a list.
-    """
-
+    #: ``check(name, value)`` returns the value as it is kept, or raises a :class:`ConfigError` that names it.
     check: Callable[[str, Any], Any]
-    words: str = ""
-    read: Callable[[str], Any] = str
-    several: bool = False
+    words: str = ""  #: The range, for docstrings and help texts: ``from 0 to 1``; empty where the type says all.
+    read: Callable[[str], Any] = str  #: Turns a word of a command line into a value.
+    several: bool = False  #: Whether the value is a list.
 
 
 def whole(least: int, most: int) -> Rule:
@@ -168,7 +136,6 @@ def setting(default: Any, rule: Rule, meaning: str) -> Any:
     ----------
     default
         Must obey the rule, or be None where the setting may be None; ``dataclasses.MISSING`` where there is none.
-    rule : Rule
     meaning : str
         One sentence, with the unit.
     """
@@ -222,13 +189,6 @@ def load_settings(
         Key of a file that names the settings, out of ``named``, that take the default's place.
     **changes
         Fields that are to be others.
-
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value is out of its range.
-    UnknownNameError
-        If the source is neither a known name nor a file.
     """
     known = dict(named or {})
     if source is None or isinstance(source, type(default)):
@@ -257,13 +217,7 @@ def load_settings(
 
 
 def read_settings(path: str | os.PathLike[str]) -> dict[Any, Any]:
-    """Read a YAML file that holds a mapping; no code in it is run.
-
-    Raises
-    ------
-    ConfigError
-        If it can't be read, is too large, no YAML, or no mapping.
-    """
+    """Read a YAML file that holds a mapping; no code in it is run."""
     try:
         content = read_limited(path, MAX_YAML, "a file of settings")
     except OSError as error:

@@ -11,16 +11,6 @@ from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.track.frenet import interpolate, wrap_s
 
-__all__ = [
-    "EQUAL_SHARES",
-    "EQUAL_SPEEDS",
-    "car_hits_wall",
-    "contact_fault",
-    "hits_wall",
-    "inside_wall",
-    "rectangles_overlap",
-]
-
 # Two closing speeds this close to each other (as a share of the larger, or in m/s) put both cars at fault.
 EQUAL_SHARES = 0.05
 EQUAL_SPEEDS = 1e-3

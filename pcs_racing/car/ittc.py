@@ -13,8 +13,6 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.track.frenet import wrap_s
 
-__all__ = ["minimum_ittc", "segment_ittc"]
-
 # A segment may end this far, in m, before the point that was computed on it.
 _ROUNDING = 1e-9
 
@@ -75,7 +73,7 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
 
 
 @inner_kernel(forceinline=True)
-def outside_circle(ax, ay, bx, by, cx, cy, square):  # type: ignore[no-untyped-def]
+def _outside_circle(ax, ay, bx, by, cx, cy, square):  # type: ignore[no-untyped-def]
     """Whether the segment from a to b lies outside the circle about c; ``square`` is that of its radius."""
     wx = cx - ax
     wy = cy - ay
@@ -116,7 +114,7 @@ def walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy,
             bx = walls[i, 2] - x
             by = walls[i, 3] - y
             # Most segments lie outside: seen here without a root or a quotient.
-            if not outside_circle(ax, ay, bx, by, cx, cy, radius * radius):
+            if not _outside_circle(ax, ay, bx, by, cx, cy, radius * radius):
                 best = segment_ittc(ax, ay, bx, by, vx, vy, speed, best)
     return best
 

@@ -9,8 +9,6 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import Handling, handling, runge_kutta, step_to_target, target_inputs
 
-__all__ = ["LANES", "LANES_SIZE", "load_car", "set_target", "step_lanes", "step_slow_car", "store_car"]
-
 LANES = 8
 
 VECTOR = 4

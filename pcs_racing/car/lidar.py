@@ -16,8 +16,6 @@ from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_into
 from pcs_racing.track.frenet import locate
 from pcs_racing.track.track import Track
 
-__all__ = ["WORK_SHAPE", "Beams", "Lidar", "scan_into"]
-
 MOST_BEAMS = 100_000
 
 

@@ -18,8 +18,6 @@ from pcs_racing.car.collision import inside_wall
 from pcs_racing.track.frenet import wrap_s
 from pcs_racing.track.grid import cast
 
-__all__ = ["WORK_SHAPE", "Beams", "scan_into"]
-
 # Neighbouring beams lie on two sides of an edge if their ranges differ by this much in m and as a share of the nearer.
 JUMP = 1.0
 JUMP_SHARE = 0.2
@@ -39,23 +37,13 @@ WORK_SHAPE = (4, 512)
 
 
 class Beams(NamedTuple):
-    """The beams of a lidar, in the form that compiled kernels read.
+    """The beams of a lidar, in the form that compiled kernels read."""
 
-    Attributes
-    ----------
-    first, step : float
-        Angle of the first beam relative to the car's heading, and from each beam to the next, counter-clockwise, rad.
-    max_range : float
-        Longest range that is reported, m.
-    cos, sin : ndarray, shape (beams,)
-        Of the beams' angles.
-    """
-
-    first: float
-    step: float
-    max_range: float
-    cos: NDArray[np.float64]
-    sin: NDArray[np.float64]
+    first: float  #: Angle of the first beam relative to the car's heading, counter-clockwise, rad.
+    step: float  #: Angle from each beam to the next, rad.
+    max_range: float  #: Longest range that is reported, m.
+    cos: NDArray[np.float64]  #: shape (beams,): Of the beams' angles.
+    sin: NDArray[np.float64]  #: shape (beams,)
 
 
 @inner_kernel(forceinline=True)

@@ -27,22 +27,6 @@ from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Settings, checked, load_settings, number, setting
 
-__all__ = [
-    "F1TENTH",
-    "STATE_SIZE",
-    "ControlMode",
-    "Handling",
-    "VehicleParams",
-    "handling",
-    "load_vehicle",
-    "load_vehicles",
-    "runge_kutta",
-    "simulate",
-    "step",
-    "step_to_target",
-    "target_inputs",
-]
-
 # Columns of a vehicle state; X and Y share their numbers with a line of the track.
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
 STATE_SIZE = 7
@@ -120,13 +104,6 @@ F1TENTH = VehicleParams()
 def load_vehicle(source: VehicleParams | Mapping[str, Any] | str | os.PathLike[str]) -> VehicleParams:
     """Return a car: its parameters, a mapping of those that differ from F1TENTH's, "f1tenth", or a YAML file of them.
 
-    Raises
-    ------
-    ConfigError
-        If a parameter is unknown or out of its range, or the source is none of these.
-    UnknownNameError
-        If the name is neither "f1tenth" nor a file.
-
     Examples
     --------
     >>> load_vehicle({"mu": 0.8}).mu
@@ -140,13 +117,7 @@ def load_vehicle(source: VehicleParams | Mapping[str, Any] | str | os.PathLike[s
 
 
 def load_vehicles(source: Any) -> tuple[VehicleParams, VehicleParams]:
-    """Return the cars of a race: one source of :func:`load_vehicle` for both, or a list of two, car 0's first.
-
-    Raises
-    ------
-    ConfigError
-        If there are not one or two, or one is wrong.
-    """
+    """Return the cars of a race: one source of :func:`load_vehicle` for both, or a list of two, car 0's first."""
     if not isinstance(source, list | tuple):
         return (load_vehicle(source),) * 2
     if len(source) != 2:

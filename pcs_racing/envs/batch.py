@@ -16,51 +16,28 @@ from pcs_racing.base.checks import check_choice, check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.race.rendering import MODES, VIEWS, Renderer
 
-__all__ = ["Batch", "BatchStep", "check_batch_size", "check_options", "check_rendering", "check_reset_seed"]
-
 MOST_EPISODES = 100_000
 
 
 class BatchStep(NamedTuple):
-    """What a step of n environments returns, in fresh arrays.
+    """What a step of n environments returns, in fresh arrays."""
 
-    Attributes
-    ----------
-    observations : ndarray of float32, shape (n, D)
-    rewards : ndarray of float64, shape (n,)
-    terminated, truncated : ndarray of bool, shape (n,)
-    """
-
-    observations: NDArray[np.float32]
-    rewards: NDArray[np.float64]
-    terminated: NDArray[np.bool_]
-    truncated: NDArray[np.bool_]
+    observations: NDArray[np.float32]  #: shape (n, D)
+    rewards: NDArray[np.float64]  #: shape (n,)
+    terminated: NDArray[np.bool_]  #: shape (n,)
+    truncated: NDArray[np.bool_]  #: shape (n,)
 
 
 class Batch(Protocol):
-    """Many episodes side by side.
-
-    Attributes
-    ----------
-    episodes, players : int
-    codes : mapping of str to (mapping of int to str)
-        Words of those infos that are codes.
-    reset_options : tuple of str
-        Options that :meth:`restart` takes.
-    horizon : int
-        Steps of an episode that does not end early.
-    frame_rate : int
-        Steps in a second of racing, or 1 if a step is longer.
-    film_rate : int or None
-        Frames for each second of racing in :meth:`film`; None where a step is short enough to be a single frame.
-    """
+    """Many episodes side by side."""
 
     episodes: int
-    players: int
-    codes: Mapping[str, Mapping[int, str]]
-    reset_options: tuple[str, ...]
-    horizon: int
-    frame_rate: int
+    players: int  #: Of each episode.
+    codes: Mapping[str, Mapping[int, str]]  #: Words of those infos that are codes.
+    reset_options: tuple[str, ...]  #: Options that :meth:`restart` takes.
+    horizon: int  #: Steps of an episode that does not end early.
+    frame_rate: int  #: Steps in a second of racing, or 1 if a step is longer.
+    #: Frames for each second of racing in :meth:`film`; None where a step is short enough to be a single frame.
     film_rate: int | None
 
     @property
@@ -121,26 +98,14 @@ class Batch(Protocol):
 
 
 def check_batch_size(episodes: int, threads: int | None) -> None:
-    """Check the number of environments of a batch, and of threads.
-
-    Raises
-    ------
-    InputError
-        If there are none or too many.
-    """
+    """Check the number of environments of a batch, and of threads."""
     check_whole("num_envs", episodes, 1, MOST_EPISODES)
     if threads is not None:
         check_whole("threads", threads, 1)
 
 
 def check_reset_seed(seed: Any, name: str = "seed") -> int | None:
-    """Return a seed as Gymnasium wants it.
-
-    Raises
-    ------
-    InputError
-        If it is neither None nor a whole number from 0.
-    """
+    """Return a seed as Gymnasium wants it."""
     return None if seed is None else check_seed(name=name, seed=seed)
 
 
@@ -152,15 +117,7 @@ def check_rendering(render_mode: str | None, view: str, modes: Sequence[str] = M
 
 
 def check_options(options: Any, known: Iterable[str]) -> dict[str, Any]:
-    """Return the options of a reset, those that are None left out.
-
-    Raises
-    ------
-    InputError
-        If they are no mapping.
-    UnknownNameError
-        If one is unknown.
-    """
+    """Return the options of a reset, those that are None left out."""
     if options is None:
         return {}
     if not isinstance(options, Mapping):

@@ -13,8 +13,6 @@ from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 
-__all__ = ["Circuits", "is_circuits"]
-
 RANDOM = "random"
 
 
@@ -35,17 +33,6 @@ class Circuits:
         gets a newly generated circuit after so many episodes; the next one is built while this one is driven. It
         follows from the number that the environment's generator draws when it begins, and from how many episodes it has
         had since.
-    episodes : int
-
-    Attributes
-    ----------
-    number : ndarray of int, shape (episodes,)
-        Number of each episode's circuit: its index in the list, or that of the random circuit.
-
-    Raises
-    ------
-    InputError
-        If it is none of these, or a circuit can't be loaded or generated.
     """
 
     def __init__(self, source: Any, episodes: int) -> None:
@@ -54,6 +41,8 @@ class Circuits:
                 f"track is {source!r:.200}; it must be a circuit's name, its folder, a Track, a list of these, "
                 f"{RANDOM!r} or RandomCircuits"
             )
+        #: shape (episodes,), int: Number of each episode's circuit: its index in the list, or that of the random
+        #: circuit.
         self.number = np.zeros(episodes, np.int64)
         self._keys = np.zeros(episodes, np.uint64)
         self._past = np.full(episodes, -1)  # episodes since the key was drawn
@@ -106,13 +95,7 @@ class Circuits:
         return self.number.copy(), self._keys.copy(), self._past.copy()
 
     def set_state(self, state: tuple[NDArray[Any], ...]) -> None:
-        """Continue from what `get_state` returned.
-
-        Raises
-        ------
-        InputError
-            If it is of other circuits.
-        """
+        """Continue from what `get_state` returned."""
         number, keys, past = state
         least, most = 0, len(self._listed) - 1 if self._builder is None else self._builder.settings.count - 1
         if np.shape(number) != self.number.shape or not ((number >= least) & (number <= most)).all():

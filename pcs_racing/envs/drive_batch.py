@@ -37,8 +37,6 @@ from pcs_racing.race.start_grid import settle
 from pcs_racing.race.state import WALL_CRASH, RaceState, take
 from pcs_racing.track.track import Track
 
-__all__ = ["EXTERNAL", "DriveBatch"]
-
 EXTERNAL = Planner("external", (), leave_path, hold_command, memory_size=COMMAND_SLOTS)
 """The planner of a car that is driven from outside: its memory holds the target steering angle and speed."""
 
@@ -62,17 +60,6 @@ class DriveBatch:
         2 where both cars are driven by agents; `opponent` is None then.
     **arguments
         Of :class:`DriveOptions`.
-
-    Attributes
-    ----------
-    state : RaceState
-        All races; written to by `restart` and `step`.
-    elements : list of Element
-    opponents : list of Opponent
-    drawn : ndarray of int, shape (episodes,)
-        Index of each race's opponent.
-    threads : int
-        Threads that share a step: no more than have enough to do.
     """
 
     reset_options: tuple[str, ...] = ("start", "poses", "obstacles")
@@ -172,8 +159,9 @@ class DriveBatch:
         )
         course = self._courses.on(0)
         self._scenes = [course.scene] * races  # of each race: what it is driven on, and what its players observe
+        #: All races; written to by `restart` and `step`.
         self.state = take(course.grid, np.zeros(races, np.intp))
-        self.drawn = np.zeros(races, np.int64)
+        self.drawn = np.zeros(races, np.int64)  #: Index of each race's opponent.
         weights = np.array([opponent.weight for opponent in self.opponents] or [1.0])
         self._edges = None if (weights == weights[0]).all() else np.cumsum(weights) / weights.sum()
         self.theta = np.zeros((races, 2, setup.theta_size))
@@ -192,6 +180,7 @@ class DriveBatch:
         self._in_python = setup.planners[1].drive is not None
         scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
         enough_for = int(races * (TICK_US * self._ticks + scans) / WORTH_A_THREAD)
+        #: Threads that share a step: no more than have enough to do.
         self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
         size = max(1, setup.planners[1].scratch_size)
         self._buffers = [

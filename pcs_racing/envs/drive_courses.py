@@ -14,8 +14,6 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.frenet import TrackArrays
 
-__all__ = ["Course", "Courses", "Scene"]
-
 KEPT = 64  # circuits that no race is on
 
 
@@ -28,20 +26,11 @@ class Scene(NamedTuple):
 
 
 class Course(NamedTuple):
-    """A circuit with what is needed to race on it.
-
-    Attributes
-    ----------
-    setup : RaceSetup
-    grid : RaceState
-        Races at all places that episodes begin at.
-    scene : Scene
-        Of races without obstacles.
-    """
+    """A circuit with what is needed to race on it."""
 
     setup: RaceSetup
-    grid: RaceState
-    scene: Scene
+    grid: RaceState  #: Races at all places that episodes begin at.
+    scene: Scene  #: Of races without obstacles.
 
 
 class Courses:
@@ -49,7 +38,6 @@ class Courses:
 
     Parameters
     ----------
-    circuits : Circuits
     setup : RaceSetup
         On any of the circuits.
     sight : Sight

@@ -23,21 +23,6 @@ from pcs_racing.race.steering import delayed, steering_noise, steering_sd
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, project
 from pcs_racing.track.grid import cast
 
-__all__ = [
-    "ALWAYS",
-    "IN_SIGHT",
-    "NEVER",
-    "OPPONENT_ELEMENTS",
-    "OWN_ELEMENTS",
-    "STRETCH_ELEMENTS",
-    "Sight",
-    "advance_alone",
-    "observe_races",
-    "restart",
-    "set_commands",
-    "step_races",
-]
-
 OWN_ELEMENTS = 8  # numbers about the own car
 STRETCH_ELEMENTS = 4  # numbers about each look-ahead distance; those about the opponent follow
 OPPONENT_ELEMENTS = 9
@@ -50,40 +35,19 @@ _LIDAR_KEY = np.uint64(0x5851F42D4C957F2D)
 
 
 class Sight(NamedTuple):
-    """What the players of a race observe, in the form that the kernels read.
+    """What the players of a race observe, in the form that the kernels read."""
 
-    Attributes
-    ----------
-    players : int
-        Cars that observe: 1 for car 0 alone, or 2.
-    alone : bool
-        Whether car 1 does not exist.
-    own_state : bool
-        Whether the numbers about the own car are there.
-    ahead : ndarray of int64
-        Look-ahead distances in samples of the race line, each in [0, N).
-    opponent : int
-        ``NEVER``: there are no numbers about the opponent; ``IN_SIGHT``: they are 0 where a wall hides it or it is too
-        far away; ``ALWAYS``.
-    time_left : bool
-        Whether the share of the race that is left is there.
-    end_tick : int
-        Steps of 0.01 s of a race.
-    beams : Beams
-        Of the lidar; with no beams there is no scan.
-    noise : ndarray, shape (B,)
-        Standard deviation of its ranges in each race, m.
-    """
-
-    players: int
-    alone: bool
-    own_state: bool
-    ahead: NDArray[Any]
+    players: int  #: Cars that observe: 1 for car 0 alone, or 2.
+    alone: bool  #: Whether car 1 does not exist.
+    own_state: bool  #: Whether the numbers about the own car are there.
+    ahead: NDArray[Any]  #: int64: Look-ahead distances in samples of the race line, each in [0, N).
+    #: ``NEVER``: there are no numbers about the opponent; ``IN_SIGHT``: they are 0 where a wall hides it or it is too
+    #: far away; ``ALWAYS``.
     opponent: int
-    time_left: bool
-    end_tick: int
-    beams: Beams
-    noise: NDArray[Any]
+    time_left: bool  #: Whether the share of the race that is left is there.
+    end_tick: int  #: Steps of 0.01 s of a race.
+    beams: Beams  #: Of the lidar; with no beams there is no scan.
+    noise: NDArray[Any]  #: shape (B,): Standard deviation of its ranges in each race, m.
 
 
 @kernel

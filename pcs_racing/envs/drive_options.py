@@ -19,8 +19,6 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.rates import CONTROL_EVERY, DT
 
-__all__ = ["SEE_OPPONENT", "DriveOptions", "Element", "drive_elements"]
-
 SEE_OPPONENT = ("never", "in sight", "always")
 """When the opponent is observed; each at the index that the kernel knows it by."""
 

@@ -1,24 +1,22 @@
-"""The environment at the level of strategy: the moves of one car for an agent, an opponent in the other."""
+"""The environment at the level of strategy: moves of one car against an opponent, or of both cars by two agents."""
 
-from pathlib import Path
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from pettingzoo import AECEnv
+from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.arguments import Declared
 from pcs_racing.envs.filmed import FilmedEnv
-from pcs_racing.envs.game_batch import GameBatch
+from pcs_racing.envs.game_batch import FILM_RATE, GameBatch, GameOptions
 from pcs_racing.envs.opponents import Opponent
+from pcs_racing.envs.parallel import ParallelBatchEnv
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.race.config import RaceConfig
-
-__all__ = ["DuelEnv", "DuelVectorEnv", "SelfPlayVectorEnv"]
 
 
 class DuelEnv(FilmedEnv):
@@ -26,7 +24,7 @@ class DuelEnv(FilmedEnv):
 
     ## Description
 
-    The view that the player of car 0 has of :class:`pcs_racing.envs.head_to_head.HeadToHeadEnv`. Both cars are driven
+    The view that the player of car 0 has of :class:`pcs_racing.envs.duel.HeadToHeadEnv`. Both cars are driven
     by a motion planner with a policy from an archive. The players watch one step of 8 s, then make 4 moves; each asks
     for a bit more or less of one characteristic, the car goes on with the nearest policy of the archive, and 8 s are
     driven.
@@ -154,25 +152,7 @@ class DuelEnv(FilmedEnv):
 
     batch_type = GameBatch
     batch: GameBatch
-
-    def __init__(
-        self,
-        track: Any = "Tarnfjord",
-        archive: PolicyArchive | str | Path = "default",
-        opponent: Any = "random-moves",
-        race: GameConfig | RaceConfig | str | Path = "paper",
-        *,
-        deterministic_opponent: bool = True,
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        **settings: Any,
-    ) -> None:
-        arguments = batch_arguments(DuelEnv, locals(), GameConfig, settings)
-        super().__init__(arguments, render_mode, view, render_size)
+    declared = Declared(GameOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig)
 
     @property
     def game(self) -> RaceGame:
@@ -224,40 +204,7 @@ class DuelVectorEnv(BatchVectorEnv):
 
     batch_type = GameBatch
     batch: GameBatch
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        *,
-        track: Any = "Tarnfjord",
-        archive: PolicyArchive | str | Path = "default",
-        opponent: Any = "random-moves",
-        race: GameConfig | RaceConfig | str | Path = "paper",
-        deterministic_opponent: bool = True,
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        max_episode_steps: int | None = None,
-        threads: int | None = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        **settings: Any,
-    ) -> None:
-        super().__init__(
-            num_envs,
-            batch_arguments(DuelVectorEnv, locals(), GameConfig, settings),
-            autoreset_mode=autoreset_mode,
-            max_episode_steps=max_episode_steps,
-            threads=threads,
-            render_mode=render_mode,
-            view=view,
-            render_size=render_size,
-            players=self._players,
-        )
-
-    _players = 1
+    declared = replace(DuelEnv.declared, positional=())
 
     @property
     def game(self) -> RaceGame:
@@ -283,7 +230,151 @@ class SelfPlayVectorEnv(DuelVectorEnv):
         As for :class:`DuelVectorEnv`, without ``opponent``.
     """
 
-    _players = 2
+    declared = replace(DuelVectorEnv.declared, changed={"opponent": None})
+    players = 2
 
-    def __init__(self, num_envs: int = 2, *, opponent: None = None, **arguments: Any) -> None:
-        super().__init__(num_envs, opponent=opponent, **arguments)
+
+class HeadToHeadEnv(ParallelBatchEnv):
+    """Two cars race each other; their players change, move by move, how aggressive and how restrained they drive.
+
+    ## Description
+
+    Each car is driven by a motion planner with a policy from an archive. A policy is a point in the Policy
+    Characteristic Space: its coordinates say how it drives, for instance how much lead it gains (aggressiveness, m)
+    and how much time it keeps to a collision (restraint, s). The players watch one step of 8 s, then make 4 moves;
+    each move asks for a bit more or less of one characteristic, the car continues with the nearest policy of the
+    archive, and 8 s are driven. This is the game of Section V of the paper.
+
+    ## Action Space
+
+    `Discrete(2 G)` for G characteristics: move `2 i` asks for more of characteristic `i`, move `2 i + 1` for less.
+    With the default archive: 0 `aggressiveness +`, 1 `aggressiveness -`, 2 `restraint +`, 3 `restraint -`. With
+    several step sizes (`epsilon`) the moves of each follow one another; with `stay` the last move keeps the policy. A
+    move may lead to the policy in use: then nothing changes. `info["action_mask"]` (int8) says which moves may be
+    made: all of them, unless `mask_duplicates` is set.
+
+    ## Observation Space
+
+    `Box(float32)` with `(moves + 1) (2 G + 2) + 1` elements; 31 by default. Step 0 is the one in which the players
+    only watch, step `k` follows move `k`. The unit "range" means that 0 is the archive's smallest and 1 its largest
+    value of that characteristic; values beyond the bounds are clipped.
+
+    | index | name | unit | low | high | meaning |
+    | --- | --- | --- | --- | --- | --- |
+    | 6k + 0 | own_aggressiveness_k | range | -1 | 2 | the own policy's aggressiveness in step k, from the archive |
+    | 6k + 1 | own_restraint_k | range | -1 | 2 | the own policy's restraint in step k, from the archive |
+    | 6k + 2 | opponent_aggressiveness_k | range | -1 | 2 | the opponent's aggressiveness as measured in step k alone |
+    | 6k + 3 | opponent_restraint_k | range | -1 | 2 | the opponent's restraint as measured in step k alone |
+    | 6k + 4 | lead_k | 20 m | -5 | 5 | own lead at the end of step k |
+    | 6k + 5 | seen_k | 1 | 0 | 1 | 1 once step k is over; until then it and the numbers above are 0 |
+    | 30 | step | 1 | 0 | 1 | share of the moves that have been made |
+
+    `state()` is the observation of `car_0` followed by that of `car_1`.
+
+    ## Rewards
+
+    Zero until the game ends. Then each car gets its utility, and the two add up to zero: by default its lead in m,
+    and 0 after a crash (`utility="lead"`); or the lead even after a crash (`"lead-at-crash"`); or 1 for a win and -1
+    for a defeat (`"win"`). A `fault_penalty` goes from the car to blame for a crash to the other one. A `discount`
+    multiplies the utility once for each move that was made.
+
+    ## Starting State
+
+    Start line, side, both policies and the steering noise (none in the preset `paper`) are drawn at random; then the
+    first step is driven. Should it end in a crash, the game is drawn again. `reset(options=...)` takes `policies`
+    (two indices of the archive; -1 draws one) and `start` (arc length of the line in m, and side: 0 puts `car_0` on
+    the left or in front), and `obstacles` (boxes: x, y, heading, length, width, in m and rad). If policies and start
+    are given and the first step ends in a crash, the first call of `step` ends the game. `track` and `opponent`
+    replace the arguments from then on; `state` continues from what `get_state()` returned. Other options are refused.
+
+    ## Episode End
+
+    Both agents terminate after the last move has been driven, or when a car crashes. With `max_cycles` below the
+    number of moves, they are truncated after so many moves.
+
+    ## Information
+
+    `info` of each agent holds numbers: `time` (s), `progress` and `lead` (own, m), `crash` and `opponent_crash`
+    (`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), `fault` (1 if it is to blame), `overtakes`, `result`
+    (`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that pays nobody), `opponent` (-1: the
+    other agent), `move` and `opponent_move` (-1 before the first), `policy` (index in the archive), `action_mask`,
+    `laps` (complete ones, from one crossing of the line s = 0 to the next), `lap_time` and `best_lap` (s, of the last
+    and the shortest of them; -1 if there is none), and where games differ in it, `track` and what `randomize` drew.
+    `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
+
+    ## Arguments
+
+    - `track` (`"Tarnfjord"`): a circuit's name, its folder, or a `Track`; a list of these, of which one is drawn for
+      each game; or `"random"`: a newly generated circuit for each game.
+    - `archive` (`"default"`): an archive's name, its folder, or a `PolicyArchive`.
+    - `race` (`"paper"`): rules of the race: `"paper"`, `"contest"`, a YAML file, a `RaceConfig`; or a `GameConfig`.
+    - `opponent` (`None`): what drives `car_1` in place of a second agent: as for `pcs_racing/Duel-v1`. Then `car_0` is
+      the only agent.
+    - `deterministic_opponent` (`True`): whether a model takes its best move.
+    - `vehicle` (`F1TENTH`): parameters of both cars, or a list of two: `VehicleParams`, a dict of those that differ, or
+      a YAML file.
+    - `randomize` (`None`): ranges from which each game draws `friction`, `mass`, `steering_delay` and `steering_noise`.
+    - `obstacles` (`None`): boxes that stand on the track, drawn for each game: their number, or settings
+      (`pcs_racing.envs.obstacles.Obstacles`).
+    - `render_mode` (`None`): `"rgb_array"`: `render()` returns a picture; `"human"`: every step is shown in a window.
+    - `view` (`"both"`): `"track"`, `"both"`, `"car_0"` or `"car_1"`.
+    - `render_size` (`(960, 640)`): width and height in pixels.
+    - `max_cycles` (`None`): moves after which an episode is truncated.
+    - every field of `GameConfig`: `moves` (4), `step_seconds` (8.0), `epsilon` (0.5; one number, or several), `stay`
+      (as the race's rules say), `utility`, `fault_penalty` (0), `discount` (1), `characteristics` (the archive's),
+      `mask_duplicates` (False).
+
+    ## Vectorized environment
+
+    `pcs_racing.game.rules.RaceGame` plays any number of games at once, with the same rules: this environment is a batch
+    of one. `gymnasium.make_vec("pcs_racing/Duel-v1", num_envs=256)` is the single-agent view of such a batch.
+
+    ## Version History
+
+    - v1: fifty start lines at places found by driving, which no table uses; drivers leave room and do not brake for a
+      car behind; the same bits on every x86-64 machine.
+    - v0: first version.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "name": "head_to_head_v1",
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": FILM_RATE,
+        "is_parallelizable": True,
+    }
+    batch_type = GameBatch
+    batch: GameBatch
+    declared = Declared(
+        GameOptions, positional=("track", "archive", "race"), more=GameConfig, changed={"opponent": None}
+    )
+
+    @property
+    def game(self) -> RaceGame:
+        """The rules."""
+        return self.batch.game
+
+    def state(self) -> NDArray[np.float32]:
+        """Observations of both cars, one after the other.
+
+        Raises
+        ------
+        InputError
+            Before the first reset.
+        """
+        self._check_started()
+        return self.batch.seen[0].reshape(-1).copy()
+
+    def frames(self) -> Iterator[NDArray[np.uint8] | None]:
+        """Drive the last step again and draw 25 moments of each second: what `render` gives, for videos."""
+        if self.render_mode is not None:
+            yield from self.batch.film(self._open_renderer(), 0)
+
+
+def parallel_env(**arguments: Any) -> HeadToHeadEnv:
+    """Make a :class:`HeadToHeadEnv` (PettingZoo's parallel interface); the arguments are the class's."""
+    return HeadToHeadEnv(**arguments)
+
+
+def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], int | None]:
+    """Make the same environment in PettingZoo's turn-by-turn interface: both cars move, then a step is driven."""
+    return parallel_to_aec(HeadToHeadEnv(**arguments))

@@ -11,8 +11,6 @@ from pcs_racing.envs.over_batch import FILM
 from pcs_racing.envs.scalar import EnvState, ScalarEnv
 from pcs_racing.race.rendering import MODES
 
-__all__ = ["FilmedEnv"]
-
 
 class FilmedEnv(ScalarEnv):
     """Base class of the environments at the level of strategy.
@@ -58,11 +56,6 @@ class FilmedEnv(ScalarEnv):
 
         The list holds all frames since it was last asked for, or since the reset, 25 for each second of racing; it is
         empty if nothing was driven since.
-
-        Raises
-        ------
-        InputError
-            Before the first reset, or if the environment was made without a render mode.
         """
         if self.render_mode != FILM:
             return super().render()

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,12 +11,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.batch import BatchStep, check_batch_size
-from pcs_racing.envs.circuit_games import CircuitGames
 from pcs_racing.envs.infos import Crash, Result, codes, of_players, race_info, race_infos, race_results
 from pcs_racing.envs.obstacles import obstacles_option
-from pcs_racing.envs.opponents import draw_opponent
+from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
 from pcs_racing.envs.reset_options import start_option
 from pcs_racing.envs.variety import Variety
 from pcs_racing.game.archive import PolicyArchive
@@ -36,8 +37,6 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, take
 from pcs_racing.track.track import Track
 
-__all__ = ["DrivenStep", "GameBatch"]
-
 NO_MOVE = -1  # before the first move, and for a driver
 FILM_TICKS = 4  # simulation steps between two frames of a film
 FILM_RATE = 25  # frames for each second of racing
@@ -45,18 +44,68 @@ TRAIL = 50  # frames of trail behind each car: two seconds
 
 
 class DrivenStep(NamedTuple):
-    """A step of one game as it can be driven again, for films.
+    """A step of one game as it can be driven again, for films."""
 
-    Attributes
+    #: What each piece of driving began with, as a batch of one race, and the parameters of its drivers.
+    pieces: list[tuple[RaceState, NDArray[np.float64]]]
+    moves: NDArray[np.int64]  #: shape (2,): Moves that began it.
+
+
+@dataclass(frozen=True)
+class GameOptions:
+    """Arguments of the environments at the level of strategy; :class:`pcs_racing.envs.duel.DuelEnv` describes them."""
+
+    track: Any = "Tarnfjord"
+    archive: PolicyArchive | str | Path = "default"
+    opponent: Any = "random-moves"
+    race: GameConfig | RaceConfig | str | Path = "paper"
+    deterministic_opponent: bool = True
+    vehicle: Any = F1TENTH
+    randomize: Any = None
+    obstacles: Any = None
+
+
+KEPT = 64  # games on circuits that no episode is on
+
+
+class CircuitGames:
+    """Games by the number of their circuit, made when they are first asked for; the last ones used are kept.
+
+    Parameters
     ----------
-    pieces : list of (RaceState, ndarray)
-        What each piece of driving began with, as a batch of one race, and the parameters of its drivers.
-    moves : ndarray of int, shape (2,)
-        Moves that began it.
+    variety : Variety
+        Circuits and cars of the batch.
+    opponent : see :func:`pcs_racing.envs.opponents.parse_opponents`
+        None where players move both cars.
+    threads : int, optional
+        Threads that share a step of a game.
     """
 
-    pieces: list[tuple[RaceState, NDArray[np.float64]]]
-    moves: NDArray[np.int64]
+    def __init__(
+        self, variety: Variety, archive: PolicyArchive, rules: GameConfig, opponent: Any, threads: int | None
+    ) -> None:
+        self._variety, self._archive, self._rules = variety, archive, rules
+        self._opponent, self._threads = opponent, threads
+        self._games: RecentlyUsed[int, tuple[RaceGame, list[Opponent]]] = RecentlyUsed(KEPT + variety.episodes)
+
+    def on(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
+        """Return the game on a circuit, by its number, and the opponents in it."""
+        return self._games.get(circuit, lambda: self._make(circuit))
+
+    def _make(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
+        game = RaceGame(
+            self._variety.circuits.track(circuit),
+            self._archive,
+            self._rules,
+            threads=self._threads,
+            vehicles=self._variety.cars,
+            most_delay=self._variety.randomization.most_delay,
+        )
+        opponents = [] if self._opponent is None else parse_opponents(self._opponent, game)
+        planner = shared_planner(opponents, game)
+        if planner is not game.setup.planners[1]:
+            game = replace(game, opponent_planner=planner)
+        return game, opponents
 
 
 class GameBatch:
@@ -80,17 +129,6 @@ class GameBatch:
         Threads that share a step.
     players : int
         2 where there is no opponent.
-
-    Attributes
-    ----------
-    game : RaceGame
-        On the first circuit; the rules are the same on the others.
-    state : GameState or None
-        None before the first `restart`.
-    seen : ndarray, shape (episodes, 2, D)
-        What both players observe.
-    moves : ndarray, shape (episodes, 2)
-        Last move of each car; -1 before the first.
     """
 
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
@@ -125,6 +163,7 @@ class GameBatch:
             raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
         rules = load_game_config(race, **settings)
         self._games = CircuitGames(self.variety, load_archive(archive), rules, opponent, threads)
+        # The game on the first circuit; the rules are the same on the others.
         self.game, self.opponents = self._games.on(0)
         weights = np.array([each.weight for each in self.opponents] or [1.0])
         self._edges = np.cumsum(weights) / weights.sum()
@@ -143,10 +182,12 @@ class GameBatch:
             "opponent": {-1: "none", **{i: each.name for i, each in enumerate(self.opponents)}},
             **self.variety.codes,
         }
-        self.state: GameState | None = None
+        self.state: GameState | None = None  #: None before the first `restart`.
         self.before: GameState | None = None  # what the last step began with: films are driven again from it
+        #: shape (episodes, 2, D): What both players observe.
         self.seen = np.zeros((self.episodes, 2, len(low)), np.float32)
         self.drawn = np.zeros(self.episodes, np.int64)  # index of each game's opponent
+        #: shape (episodes, 2): Last move of each car; -1 before the first.
         self.moves = np.full((self.episodes, 2), NO_MOVE, np.int64)
         self.memories: list[Any] = [None] * self.episodes
         self._begun: list[tuple[NDArray[np.uint64], Starts | None] | None] = [None] * self.episodes  # and not moved yet
@@ -221,13 +262,7 @@ class GameBatch:
         self.seen = self.game.observation(self.state)
 
     def started(self) -> GameState:
-        """Return the state.
-
-        Raises
-        ------
-        InputError
-            Before the first restart.
-        """
+        """Return the state."""
         if self.state is None:
             raise InputError("the episode has not begun; call reset() first")
         return self.state

@@ -34,8 +34,6 @@ from numpy.typing import NDArray
 from pcs_racing.race.rates import DT
 from pcs_racing.race.state import BEST_LAP, LAP_TIME, MOST_CROSSINGS, NO_LAP, RaceState
 
-__all__ = ["Crash", "Result", "codes", "of_players", "one_info", "race_info", "race_infos", "race_results", "words"]
-
 
 class Crash(IntEnum):
     """How a car crashed."""
@@ -124,7 +122,6 @@ def words(info: Mapping[str, Any], names: Mapping[str, Mapping[int, str]]) -> di
 
     Parameters
     ----------
-    info : Mapping
     names : Mapping of str to Mapping
         Words by number, for each entry that is a code: ``env.metadata["codes"]``.
     """

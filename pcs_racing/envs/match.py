@@ -1,25 +1,22 @@
-"""The environment of a series of races against the same opponent: a policy for each race, and what was seen before."""
+"""The environment of a series of races: a policy for each race, and what was seen before; for one agent or two."""
 
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from pettingzoo import AECEnv
+from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.envs.arguments import batch_arguments
+from pcs_racing.envs.arguments import Declared
+from pcs_racing.envs.duel import HeadToHeadEnv
 from pcs_racing.envs.filmed import FilmedEnv
-from pcs_racing.envs.match_batch import MatchBatch
+from pcs_racing.envs.match_batch import MatchBatch, MatchOptions
 from pcs_racing.envs.opponents import Opponent
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.match import MatchGame
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.race.config import RaceConfig
-
-__all__ = ["MatchEnv", "MatchVectorEnv", "SelfPlayMatchVectorEnv"]
 
 
 class MatchEnv(FilmedEnv):
@@ -27,7 +24,7 @@ class MatchEnv(FilmedEnv):
 
     ## Description
 
-    The view that the player of car 0 has of :class:`pcs_racing.envs.head_to_head_match.HeadToHeadMatchEnv`. The
+    The view that the player of car 0 has of :class:`pcs_racing.envs.match.HeadToHeadMatchEnv`. The
     opponent is drawn for the match and stays the same. Before each race the player chooses the policy of the archive
     that its car drives with; it knows how the opponent drove in the earlier races. In each race the cars start on
     another line, and they swap their places on the grid. The rules are in :mod:`pcs_racing.game.match`.
@@ -151,27 +148,7 @@ class MatchEnv(FilmedEnv):
 
     batch_type = MatchBatch
     batch: MatchBatch
-
-    def __init__(
-        self,
-        track: Any = "Tarnfjord",
-        archive: PolicyArchive | str | Path = "default",
-        opponent: Any = "never-switch",
-        race: GameConfig | RaceConfig | str | Path = "paper",
-        *,
-        races: int = 3,
-        race_moves: bool = False,
-        deterministic_opponent: bool = True,
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        **settings: Any,
-    ) -> None:
-        arguments = batch_arguments(MatchEnv, locals(), GameConfig, settings)
-        super().__init__(arguments, render_mode, view, render_size)
+    declared = Declared(MatchOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig)
 
     @property
     def game(self) -> RaceGame:
@@ -228,42 +205,7 @@ class MatchVectorEnv(BatchVectorEnv):
 
     batch_type = MatchBatch
     batch: MatchBatch
-
-    def __init__(
-        self,
-        num_envs: int = 1,
-        *,
-        track: Any = "Tarnfjord",
-        archive: PolicyArchive | str | Path = "default",
-        opponent: Any = "never-switch",
-        race: GameConfig | RaceConfig | str | Path = "paper",
-        races: int = 3,
-        race_moves: bool = False,
-        deterministic_opponent: bool = True,
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        max_episode_steps: int | None = None,
-        threads: int | None = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        **settings: Any,
-    ) -> None:
-        super().__init__(
-            num_envs,
-            batch_arguments(MatchVectorEnv, locals(), GameConfig, settings),
-            autoreset_mode=autoreset_mode,
-            max_episode_steps=max_episode_steps,
-            threads=threads,
-            render_mode=render_mode,
-            view=view,
-            render_size=render_size,
-            players=self._players,
-        )
-
-    _players = 1
+    declared = replace(MatchEnv.declared, positional=())
 
     @property
     def game(self) -> RaceGame:
@@ -293,11 +235,6 @@ class SelfPlayMatchVectorEnv(MatchVectorEnv):
     **arguments
         As for :class:`MatchVectorEnv`, without ``opponent``.
 
-    Raises
-    ------
-    InputError
-        If ``num_envs`` is odd, an opponent is given, or another argument is impossible.
-
     Examples
     --------
     >>> envs = SelfPlayMatchVectorEnv(4)
@@ -306,7 +243,91 @@ class SelfPlayMatchVectorEnv(MatchVectorEnv):
     (4, 23)
     """
 
-    _players = 2
+    declared = replace(MatchVectorEnv.declared, changed={"opponent": None})
+    players = 2
 
-    def __init__(self, num_envs: int = 2, *, opponent: None = None, **arguments: Any) -> None:
-        super().__init__(num_envs, opponent=opponent, **arguments)
+
+class HeadToHeadMatchEnv(HeadToHeadEnv):
+    """Two players race each other several times; before each race both choose the policy that their car drives with.
+
+    ## Description
+
+    A match is a series of races between the same two players. Before each race both choose a policy of the archive, at
+    the same time; then the race is driven. Each player observes how it drove itself and how the other one drove in the
+    earlier races, and who won them. In each race the cars start on another line, and they swap their places on the
+    grid. `pcs_racing.game.match` holds the rules.
+
+    ## Action Space
+
+    `Discrete(K)` for an archive of K policies: action `k` drives the next race with policy `k`. With `race_moves` a
+    step is one step of a race (8 s), and the space is `Discrete(K + M)`: actions `K` to `K + M - 1` are the M moves of
+    `pcs_racing/head_to_head-v1`, to be made while a race goes on. An action of the other kind changes nothing.
+    `info["action_mask"]` (int8) says which kind is asked for.
+
+    ## Observation Space
+
+    `Box(float32)` with `races (2 G + 3) + 2` elements, 23 by default; that of `pcs_racing/Match-v0`. `state()` is the
+    observation of `car_0` followed by that of `car_1`.
+
+    ## Rewards
+
+    The score of each race when it is over: 1 for a win, 1/2 for a tie, else 0. The rewards of the two cars add up to 1
+    in each race, or to 0 after a crash that pays nobody.
+
+    ## Starting State
+
+    Start lines, the side of the first race and the noise are drawn at random. Nothing is driven before the first
+    actions. `reset(options=...)` takes the options of `pcs_racing/Match-v0`.
+
+    ## Episode End
+
+    Both agents terminate after the last race. A crash ends a race, not the match. With `max_cycles` below the number of
+    steps, they are truncated after so many steps.
+
+    ## Information
+
+    `info` of each agent holds the numbers of `pcs_racing/head_to_head-v1` for the race that was driven last, and `race`
+    (races that are over), `race_result`, `score` and `opponent_score` (races won so far); `result` is that of the
+    match. `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
+
+    ## Arguments
+
+    - `track` (`"Tarnfjord"`), `archive` (`"default"`), `race` (`"paper"`), `opponent` (`None`),
+      `deterministic_opponent` (`True`), `vehicle` (`F1TENTH`), `randomize` (`None`), `obstacles` (`None`),
+      `render_mode` (`None`), `view` (`"both"`), `render_size` (`(960, 640)`): as for `pcs_racing/head_to_head-v1`. What
+      is drawn stays the same in all races of a match.
+    - `races` (3): races of a match.
+    - `race_moves` (`False`): whether the players also make the moves of the races.
+    - `max_cycles` (`None`): steps after which an episode is truncated.
+    - every field of `GameConfig` but `utility`, `fault_penalty` and `discount`.
+
+    ## Vectorized environment
+
+    `pcs_racing.game.match.MatchGame` plays any number of matches at once, with the same rules: this environment is a
+    batch of one. `gymnasium.make_vec("pcs_racing/Match-v0", num_envs=256)` is the single-agent view of such a batch;
+    in `pcs_racing.envs.match.SelfPlayMatchVectorEnv` one policy plays both cars.
+
+    ## Version History
+
+    - v0: first version.
+    """
+
+    metadata: dict[str, Any] = {**HeadToHeadEnv.metadata, "name": "head_to_head_match_v0"}  # noqa: RUF012
+    batch_type = MatchBatch
+    batch: MatchBatch
+    declared = replace(HeadToHeadEnv.declared, options=MatchOptions)
+
+    @property
+    def match(self) -> MatchGame:
+        """The rules."""
+        return self.batch.match
+
+
+def parallel_env(**arguments: Any) -> HeadToHeadMatchEnv:
+    """Make a :class:`HeadToHeadMatchEnv` (PettingZoo's parallel interface); the arguments are the class's."""
+    return HeadToHeadMatchEnv(**arguments)
+
+
+def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], int | None]:
+    """Make the same environment in PettingZoo's turn-by-turn interface: both players choose, then a race is driven."""
+    return parallel_to_aec(HeadToHeadMatchEnv(**arguments))

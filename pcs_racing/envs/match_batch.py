@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import BatchStep
-from pcs_racing.envs.game_batch import GameBatch
+from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.infos import Result, codes, of_players, one_info
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent
@@ -26,10 +27,17 @@ from pcs_racing.race.races import start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
 
-__all__ = ["MatchBatch"]
-
 UNUSED = ("utility", "fault_penalty", "discount")
 """Rules of a single game's reward; a match pays races won."""
+
+
+@dataclass(frozen=True)
+class MatchOptions(GameOptions):
+    """Arguments of the environments of matches; :class:`pcs_racing.envs.match.MatchEnv` describes them."""
+
+    opponent: Any = "never-switch"
+    races: int = 3
+    race_moves: bool = False
 
 
 class MatchBatch(GameBatch):
@@ -46,14 +54,6 @@ class MatchBatch(GameBatch):
         See :class:`pcs_racing.game.match.MatchConfig`.
     **arguments
         As for :class:`pcs_racing.envs.game_batch.GameBatch`.
-
-    Attributes
-    ----------
-    match : MatchGame
-    played : MatchState or None
-        None before the first `restart`; ``state`` is its game.
-    driven : list of (RaceState, ndarray)
-        In a batch of one match, what the pieces of driving of the last step began with, and their parameters.
     """
 
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
@@ -74,7 +74,8 @@ class MatchBatch(GameBatch):
         self.action_space = spaces.Discrete(len(self.actions))
         self.codes = {**self.codes, "race_result": codes(Result)}
         self.seen = np.zeros((self.episodes, 2, len(low)), np.float32)
-        self.played: MatchState | None = None
+        self.played: MatchState | None = None  #: None before the first `restart`; ``state`` is its game.
+        #: In a batch of one match, what the pieces of driving of the last step began with, and their parameters.
         self.driven: list[tuple[RaceState, NDArray[np.float64]]] = []
 
     @property

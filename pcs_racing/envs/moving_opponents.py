@@ -13,8 +13,6 @@ from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.state import GameState
 from pcs_racing.race.state import RaceState, empty_state, take
 
-__all__ = ["MovingOpponents"]
-
 
 class MovingOpponents:
     """The game of moves in which car 1 of a batch of races takes part, while car 0 is steered by an agent.
@@ -25,7 +23,6 @@ class MovingOpponents:
 
     Parameters
     ----------
-    episodes : int
     game : RaceGame
         With the external planner in car 0 and the archive's in car 1.
     """

@@ -15,8 +15,6 @@ from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.obstacles import BOX
 from pcs_racing.track.track import Track
 
-__all__ = ["Obstacles", "load_obstacles", "obstacles_option"]
-
 MOST = 20
 SHAPES = ("box", "circle", "both")
 TRIES = 50  # places that are tried for an obstacle before it is left out
@@ -63,10 +61,8 @@ class Obstacles(Settings):
 
         Parameters
         ----------
-        track : Track
         starts : sequence of float
             Arc lengths at which the cars stand, m: from 3 m before them to 8 m after them nothing is put.
-        generator : Generator
         """
         line, length = track.arrays.line, track.length
         boxes: list[list[float]] = []
@@ -99,11 +95,6 @@ def _around(s: float, length: float) -> float:
 def load_obstacles(source: Obstacles | Mapping[str, Any] | int | str | Path | None) -> Obstacles | None:
     """Return settings of obstacles: themselves, a mapping or a YAML file of them, or their number; None for none.
 
-    Raises
-    ------
-    ConfigError
-        If a setting is unknown or impossible.
-
     Examples
     --------
     >>> load_obstacles(3).count
@@ -124,11 +115,6 @@ def obstacles_option(options: Mapping[str, Any], episodes: int) -> Sequence[NDAr
     """Read the option "obstacles" of a reset: boxes (x, y, heading, length, width), for all episodes or for each.
 
     A width of 0 makes one a circle (:data:`pcs_racing.track.obstacles.BOX`).
-
-    Raises
-    ------
-    InputError
-        If it is anything else.
     """
     given = options.get("obstacles")
     if given is None:

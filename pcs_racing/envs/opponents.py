@@ -15,26 +15,15 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy, planner_names
 
-__all__ = ["Opponent", "draw_opponent", "drive_opponents", "parse_opponents", "shared_planner"]
-
 
 @dataclass(frozen=True, eq=False)
 class Opponent:
-    """One of the opponents that an episode may have.
-
-    Attributes
-    ----------
-    name : str
-    weight : float
-        How often it is drawn, in relation to the others.
-    competitor : Competitor
-    policies : tuple of Policy
-        Of a driver, of which one is drawn for each episode; none where the opponent makes moves.
-    """
+    """One of the opponents that an episode may have."""
 
     name: str
-    weight: float
+    weight: float  #: How often it is drawn, in relation to the others.
     competitor: Competitor
+    #: Of a driver, of which one is drawn for each episode; none where the opponent makes moves.
     policies: tuple[Policy, ...]
 
     @property
@@ -57,14 +46,6 @@ def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
     given : str, competitor, or list of competitors or of (weight, competitor)
         See :func:`pcs_racing.game.competitor_names.make_competitor` for names and
         :mod:`pcs_racing.game.competitor` for objects.
-    game : RaceGame
-
-    Raises
-    ------
-    InputError
-        If it is none of these, a weight is impossible, or it does not fit the game.
-    UnknownNameError
-        If a name is unknown.
     """
     if not isinstance(given, list | tuple):
         return [_opponent(given, 1.0, game)]
@@ -93,15 +74,7 @@ def draw_opponent(edges: NDArray[np.float64], generator: np.random.Generator) ->
 
 
 def drive_opponents(given: Any, make_game: Callable[[], RaceGame]) -> list[Opponent]:
-    """Read the argument ``opponent`` of Drive; the game is made only where an opponent is no policy.
-
-    Raises
-    ------
-    InputError
-        As :func:`parse_opponents`.
-    UnknownNameError
-        If a name is unknown.
-    """
+    """Read the argument ``opponent`` of Drive; the game is made only where an opponent is no policy."""
     entries = given if isinstance(given, list | tuple) else [given]
     policies = [parse_policy(one) if _is_policy_text(one) else one for one in entries]
     if policies and all(isinstance(policy, Policy) for policy in policies):
@@ -118,14 +91,8 @@ def shared_planner(opponents: list[Opponent], game: RaceGame | None) -> Planner:
 
     Parameters
     ----------
-    opponents : list of Opponent
     game : RaceGame, optional
         Needed where an opponent moves between the policies of its archive.
-
-    Raises
-    ------
-    InputError
-        If they need different ones.
     """
     planners = [opponent.planner or game.archive.family() for opponent in opponents]  # type: ignore[union-attr]
     if not planners:

@@ -1,16 +1,16 @@
 """What Gymnasium's environments of one and of many episodes have in common: both are views of a batch."""
 
 import copy
-from typing import Any
+from inspect import Signature
+from typing import Any, ClassVar
 
 from gymnasium.envs.registration import EnvSpec
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.envs.arguments import Declared
 from pcs_racing.envs.batch import Batch
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.track.track import Track
-
-__all__ = ["FILM", "REBUILDING", "OverBatch"]
 
 FILM = "rgb_array_list"
 """Render mode in which `render` returns all frames since it was last called, of steps that last many."""
@@ -23,25 +23,32 @@ REBUILDING = ("track", "opponent")
 
 
 class OverBatch:
-    """What an environment over a batch knows of it, how it was made, and its frames.
+    """What an environment over a batch knows of it, how it was made, and its frames."""
 
-    Attributes
-    ----------
-    batch : Batch
-    metadata : dict
-    render_mode : str or None
-    view : str
-    render_size : tuple of int
-        Width and height of a frame in pixels.
-    """
-
+    batch_type: ClassVar[type[Any]]
+    declared: ClassVar[Declared]  #: Arguments of the batch.
+    __signature__: ClassVar[Signature]  #: What Python shows as the class's arguments.
+    players: ClassVar[int] = 1  #: Environments that belong to the same episode: 2 for both cars of a race.
     batch: Batch
     metadata: dict[str, Any]
     render_mode: str | None
     view: str
-    render_size: tuple[int, int]
+    render_size: tuple[int, int]  #: Width and height of a frame in pixels.
     _spec: EnvSpec | None = None
     _renderer: Renderer | None = None
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if hasattr(cls, "declared"):
+            cls.__signature__ = cls.declared.signature(cls._begin, cls.players)
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        arguments, own = self.declared.sort(type(self), given, named)
+        self._begin(arguments=arguments, **own)
+
+    def _begin(self, *args: Any, **kwargs: Any) -> None:
+        """Make the batch with its ``arguments``, and the environment over it with the other ones."""
+        raise NotImplementedError
 
     @property
     def spec(self) -> EnvSpec | None:

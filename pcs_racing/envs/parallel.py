@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -15,8 +15,6 @@ from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_r
 from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import REBUILDING, OverBatch
 
-__all__ = ["AGENTS", "Infos", "Observations", "ParallelBatchEnv", "ParallelState"]
-
 AGENTS = ("car_0", "car_1")
 
 Observations = dict[str, NDArray[np.float32]]
@@ -24,23 +22,12 @@ Infos = dict[str, dict[str, Any]]
 
 
 class ParallelState(NamedTuple):
-    """A moment of a :class:`ParallelBatchEnv`: a value that can be kept, copied, pickled and restored.
+    """A moment of a :class:`ParallelBatchEnv`: a value that can be kept, copied, pickled and restored."""
 
-    Attributes
-    ----------
-    batch : tuple
-        State of the batch of one episode.
-    cycles : int
-        Steps since the reset.
-    over : bool
-        Whether no episode goes on.
-    generator : dict or None
-        State of the generator that draws the next episode; None before the first reset.
-    """
-
-    batch: tuple[Any, ...]
-    cycles: int
-    over: bool
+    batch: tuple[Any, ...]  #: State of the batch of one episode.
+    cycles: int  #: Steps since the reset.
+    over: bool  #: Whether no episode goes on.
+    #: State of the generator that draws the next episode; None before the first reset.
     generator: Mapping[str, Any] | None
 
 
@@ -48,28 +35,17 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
     """Base class of the environments for two agents; subclasses name the batch and document themselves.
 
     Both agents act in every step, and both end with the episode: from then on `agents` is empty.
-
-    Parameters
-    ----------
-    arguments : dict
-        Of the batch. Where `opponent` is not None it drives car 1, and ``car_0`` is the only agent.
-    render_mode : str, optional
-    view : str
-    render_size : tuple of int
-        Width and height of a frame in pixels.
-    max_cycles : int, optional
-        Steps after which an episode is truncated.
+    Where the argument `opponent` is not None it drives car 1, and ``car_0`` is the only agent.
     """
 
-    batch_type: ClassVar[type[Any]]
-
-    def __init__(
+    def _begin(
         self,
+        *,
         arguments: dict[str, Any],
-        render_mode: str | None,
-        view: str,
-        render_size: tuple[int, int],
-        max_cycles: int | None,
+        render_mode: str | None = None,
+        view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
+        max_cycles: int | None = None,
     ) -> None:
         check_rendering(render_mode, view)
         if max_cycles is not None:
@@ -113,13 +89,7 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
         return self.action_spaces[self._known(agent)]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
-        """Begin a new episode; with a seed, the one that belongs to it.
-
-        Raises
-        ------
-        InputError
-            If the seed or an option is impossible or unknown.
-        """
+        """Begin a new episode; with a seed, the one that belongs to it."""
         number = check_reset_seed(seed)
         given = check_options(options, (*REBUILDING, "state", "options", *self.batch.reset_options))
         given.pop("options", None)  # what the API tests of PettingZoo hand over to every environment
@@ -153,13 +123,7 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
-        """Let all agents act, and drive a step.
-
-        Raises
-        ------
-        InputError
-            If there is no episode going on, or an action is missing or impossible.
-        """
+        """Let all agents act, and drive a step."""
         self._check_started()
         if not self.agents:
             raise InputError("the episode is over; call reset() to begin a new one")
@@ -185,13 +149,7 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
         )
 
     def state(self) -> NDArray[np.float32]:
-        """Observations of both cars, one after the other, whoever drives them.
-
-        Raises
-        ------
-        InputError
-            Before the first reset.
-        """
+        """Observations of both cars, one after the other, whoever drives them."""
         raise NotImplementedError
 
     def outcome(self) -> dict[str, dict[str, Any]]:
@@ -206,13 +164,7 @@ class ParallelBatchEnv(OverBatch, ParallelEnv[str, NDArray[np.float32], Any]):
         return ParallelState(self.batch.get_state(), self._cycles, not self.agents, generator)
 
     def set_state(self, state: ParallelState) -> None:
-        """Continue from a moment that :meth:`get_state` of an environment with the same arguments returned.
-
-        Raises
-        ------
-        InputError
-            If it is no such moment, or belongs to another kind of episode.
-        """
+        """Continue from a moment that :meth:`get_state` of an environment with the same arguments returned."""
         if not isinstance(state, ParallelState):
             raise InputError(f"state is of type {type(state).__name__}; it must be what get_state() returned")
         generator = None

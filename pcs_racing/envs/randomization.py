@@ -13,8 +13,6 @@ from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import Rule, Settings, load_settings, setting
 from pcs_racing.car.vehicle import COMMAND_PERIOD, MOST_DELAYED, VehicleParams
 
-__all__ = ["Randomization", "load_randomization"]
-
 
 def _range(least: float, most: float) -> Rule:
     """Two numbers within limits, the second one not below the first; a single number stands for both."""
@@ -103,11 +101,6 @@ class Randomization(Settings):
 
 def load_randomization(source: Randomization | Mapping[str, Any] | str | Path | None) -> Randomization:
     """Return ranges, a mapping of them or those of a YAML file as settings; None for none.
-
-    Raises
-    ------
-    ConfigError
-        If a range is unknown or impossible.
 
     Examples
     --------

@@ -3,12 +3,10 @@
 import gymnasium
 import pettingzoo
 
-__all__ = ["GYMNASIUM_IDS", "PETTINGZOO_IDS", "register_environments"]
-
 PETTINGZOO_IDS = {
-    "pcs_racing/head_to_head-v1": "pcs_racing.envs.head_to_head",
-    "pcs_racing/drive_head_to_head-v0": "pcs_racing.envs.drive_head_to_head",
-    "pcs_racing/head_to_head_match-v0": "pcs_racing.envs.head_to_head_match",
+    "pcs_racing/head_to_head-v1": "pcs_racing.envs.duel",
+    "pcs_racing/drive_head_to_head-v0": "pcs_racing.envs.drive",
+    "pcs_racing/head_to_head_match-v0": "pcs_racing.envs.match",
 }
 """The module with ``parallel_env`` and ``env``, by name."""
 

@@ -14,8 +14,6 @@ from pcs_racing.race.start_grid import Starts, settle
 from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import X, Y
 
-__all__ = ["place_poses", "poses_option", "start_option"]
-
 
 def _numbers(options: Mapping[str, Any], name: str, shapes: tuple[tuple[int, ...], ...], meaning: str) -> Any:
     """An option as finite numbers of one of some shapes; None if it is not given."""
@@ -31,13 +29,7 @@ def _numbers(options: Mapping[str, Any], name: str, shapes: tuple[tuple[int, ...
 
 
 def start_option(options: Mapping[str, Any], episodes: int) -> Starts | None:
-    """Read the option "start": arc length of the start line (m) and side (0 or 1), of each episode or for all.
-
-    Raises
-    ------
-    InputError
-        If it is anything else.
-    """
+    """Read the option "start": arc length of the start line (m) and side (0 or 1), of each episode or for all."""
     meaning = f"(arc length in m, side 0 or 1), for all episodes or for each of the {episodes}"
     values = _numbers(options, "start", ((2,), (episodes, 2)), meaning)
     if values is None:
@@ -49,13 +41,7 @@ def start_option(options: Mapping[str, Any], episodes: int) -> Starts | None:
 
 
 def poses_option(options: Mapping[str, Any], episodes: int) -> NDArray[np.float64] | None:
-    """Read the option "poses": x, y (m), heading (rad) and optionally speed (m/s) of both cars, shape (B, 2, 4).
-
-    Raises
-    ------
-    InputError
-        If it is anything else, or a speed is impossible.
-    """
+    """Read the option "poses": x, y (m), heading (rad) and optionally speed (m/s) of both cars, shape (B, 2, 4)."""
     shapes = ((2, 3), (2, 4), (episodes, 2, 3), (episodes, 2, 4))
     meaning = f"x, y, heading and, if not 0, speed of both cars, shape (2, 3), (2, 4) or with {episodes} rows of these"
     values = _numbers(options, "poses", shapes, meaning)
@@ -73,15 +59,9 @@ def place_poses(setup: RaceSetup, poses: NDArray[np.float64], alone: bool) -> Ra
 
     Parameters
     ----------
-    setup : RaceSetup
     poses : ndarray, shape (B, 2, 4)
     alone : bool
         Whether car 1 is not simulated; then it is put where it can't touch anything.
-
-    Raises
-    ------
-    InputError
-        If a car stands in a wall or in the other one; the episode is named.
     """
     state = empty_state(len(poses), setup.memory_size)
     state.cars[:, :, X], state.cars[:, :, Y] = poses[..., 0], poses[..., 1]

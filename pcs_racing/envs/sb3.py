@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.envs.drive import DriveVectorEnv
-from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadVectorEnv
+from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.match import MatchVectorEnv, SelfPlayMatchVectorEnv
 from pcs_racing.envs.vector import BatchVectorEnv
@@ -25,8 +24,6 @@ try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
     raise ImportError('pcs_racing.envs.sb3 needs Stable-Baselines3: pip install "pcs-racing[learning]"') from error
-
-__all__ = ["KINDS", "SB3VecEnv", "make_sb3_vec_env"]
 
 KINDS: dict[str, type[Any]] = {
     "duel": DuelVectorEnv,
@@ -60,13 +57,6 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
     **arguments
         Of the environment.
 
-    Raises
-    ------
-    UnknownNameError
-        If there is no such kind.
-    InputError
-        If an argument is impossible.
-
     Examples
     --------
     >>> env = make_sb3_vec_env("duel", 4, opponent="never-switch")
@@ -95,11 +85,6 @@ class SB3VecEnv(VecEnv):
     threads : int
         Batches that are stepped at the same time; the results do not depend on it. By default one after the other,
         each on its own threads.
-
-    Raises
-    ------
-    InputError
-        If there is anything else among the environments.
     """
 
     def __init__(

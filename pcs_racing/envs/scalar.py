@@ -1,7 +1,7 @@
 """One environment of Gymnasium over a batch of one episode."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -14,46 +14,28 @@ from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import REBUILDING, OverBatch
 from pcs_racing.race.rendering import MODES
 
-__all__ = ["EnvState", "ScalarEnv"]
-
 
 class EnvState(NamedTuple):
-    """A moment of an environment: a value that can be kept, copied, pickled and restored.
+    """A moment of an environment: a value that can be kept, copied, pickled and restored."""
 
-    Attributes
-    ----------
-    batch : tuple
-        State of the batch.
-    started, running : bool
-        Whether there was a reset, and whether an episode goes on.
-    generator : dict
-        State of the random generator that the next episodes are drawn from.
-    """
-
-    batch: tuple[Any, ...]
-    started: bool
-    running: bool
-    generator: dict[str, Any]
+    batch: tuple[Any, ...]  #: State of the batch.
+    started: bool  #: Whether there was a reset.
+    running: bool  #: Whether an episode goes on.
+    generator: dict[str, Any]  #: State of the random generator that the next episodes are drawn from.
 
 
 class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
-    """Base class of the environments for one agent; subclasses name the batch and document themselves.
-
-    Parameters
-    ----------
-    arguments : dict
-        Of the batch.
-    render_mode : str, optional
-    view : str
-    render_size : tuple of int
-        Width and height of a frame in pixels.
-    """
+    """Base class of the environments for one agent; subclasses name the batch and document themselves."""
 
     metadata: dict[str, Any] = {"render_modes": list(MODES), "render_fps": 1}  # noqa: RUF012
-    batch_type: ClassVar[type[Any]]
 
-    def __init__(
-        self, arguments: dict[str, Any], render_mode: str | None, view: str, render_size: tuple[int, int]
+    def _begin(
+        self,
+        *,
+        arguments: dict[str, Any],
+        render_mode: str | None = None,
+        view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
     ) -> None:
         check_rendering(render_mode, view, self.metadata["render_modes"])
         self.render_mode, self.view, self.render_size = render_mode, view, render_size
@@ -89,11 +71,6 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
         -------
         observation : ndarray of float32
         info : dict
-
-        Raises
-        ------
-        InputError
-            If the seed or an option is impossible or unknown.
         """
         number = check_reset_seed(seed)
         given = check_options(options, (*REBUILDING, "state", *self.batch.reset_options))
@@ -126,11 +103,6 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
         ----------
         action
             See the action space.
-
-        Raises
-        ------
-        InputError
-            If the action is impossible, or no episode goes on.
         """
         actions = self.batch.check_actions(action, ())
         if not self._running:
@@ -150,13 +122,7 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
         return words(self.batch.info(0), self.batch.codes)
 
     def render(self) -> Any:
-        """Return a frame (``"rgb_array"``), or show it (``"human"``).
-
-        Raises
-        ------
-        InputError
-            Before the first reset, or if the environment was made without a render mode.
-        """
+        """Return a frame (``"rgb_array"``), or show it (``"human"``)."""
         return self.batch.draw(self._open_renderer(), 0)
 
     def close(self) -> None:
@@ -175,11 +141,6 @@ class ScalarEnv(OverBatch, gym.Env[NDArray[np.float32], Any]):
         -------
         ndarray of float32
             The observation at that moment.
-
-        Raises
-        ------
-        InputError
-            If the state does not fit this environment.
         """
         if not isinstance(state, EnvState):
             raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")

@@ -16,47 +16,29 @@ from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.track.obstacles import BOX, with_obstacles
 from pcs_racing.track.track import Track
 
-__all__ = ["Variety"]
-
 
 class Variety:
     """The circuits, obstacles and cars of a batch of episodes, and what is drawn at random about them.
 
     Parameters
     ----------
-    episodes : int
     track : see :class:`pcs_racing.envs.circuits.Circuits`
     vehicle : see :func:`pcs_racing.car.vehicle.load_vehicles`
     randomize : see :func:`pcs_racing.envs.randomization.load_randomization`
     obstacles : see :func:`pcs_racing.envs.obstacles.load_obstacles`
-
-    Attributes
-    ----------
-    circuits : Circuits
-    cars : tuple of two VehicleParams
-        As they are where nothing is drawn.
-    randomization : Randomization
-    vehicles : ndarray, shape (episodes, 2, 18)
-        Parameter rows of the cars of each episode.
-    drawn : dict of ndarray, shape (episodes,)
-        What was drawn for each episode, by name.
-    boxes : list of ndarray, shape (K, 5)
-        Obstacles of each episode (:data:`pcs_racing.track.obstacles.BOX`).
-
-    Raises
-    ------
-    InputError
-        If an argument is impossible.
     """
 
     def __init__(self, episodes: int, track: Any, vehicle: Any, randomize: Any, obstacles: Any) -> None:
-        self.cars = load_vehicles(vehicle)
+        self.cars = load_vehicles(vehicle)  #: As they are where nothing is drawn.
         self.randomization = load_randomization(randomize)
         self.episodes = episodes
         self.circuits = Circuits(track, episodes)
+        #: shape (episodes, 2, 18): Parameter rows of the cars of each episode.
         self.vehicles = vehicle_rows(self.cars, episodes)  # never read-only, which would be another type to compile
+        #: Each of shape (episodes,): what was drawn for each episode, by name.
         self.drawn = {name: np.zeros(episodes) for name in self.randomization.names}
         self.obstacles = load_obstacles(obstacles)
+        #: Each of shape (K, 5): obstacles of each episode (:data:`pcs_racing.track.obstacles.BOX`).
         self.boxes = [np.empty((0, len(BOX)))] * episodes
         self._tracks: list[Track | None] = [None] * episodes  # with obstacles on them
         self._blocked = False  # whether there was an obstacle yet
@@ -84,14 +66,8 @@ class Variety:
         rows : ndarray of int
         starts : ndarray, shape (len(rows), 2)
             Arc lengths at which the cars start, m.
-        generators : sequence of Generator
         given : sequence of ndarray, shape (K, 5), optional
             Boxes of each episode, in place of drawn ones.
-
-        Raises
-        ------
-        InputError
-            If a given box is impossible.
         """
         if given is None and self.obstacles is None and not self._blocked:
             return
@@ -158,13 +134,7 @@ class Variety:
         return self.circuits.get_state(), self.vehicles.copy(), drawn, list(self.boxes)
 
     def set_state(self, state: tuple[Any, ...]) -> None:
-        """Continue from what `get_state` returned.
-
-        Raises
-        ------
-        InputError
-            If the state is of another environment.
-        """
+        """Continue from what `get_state` returned."""
         circuits, vehicles, drawn, boxes = state
         if np.shape(vehicles) != self.vehicles.shape or set(drawn) != set(self.drawn):
             raise InputError("the state's cars are not of this environment; use what get_state returned")

@@ -1,7 +1,7 @@
 """A vector environment of Gymnasium over a batch of episodes, with its three ways to begin anew."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
@@ -17,30 +17,16 @@ from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import REBUILDING, OverBatch
 from pcs_racing.race.rendering import MODES
 
-__all__ = ["BatchVectorEnv", "VectorState", "check_autoreset_mode"]
-
 Step = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
 
 class VectorState(NamedTuple):
-    """A moment of a :class:`BatchVectorEnv`: a value that can be kept, copied, pickled and restored.
+    """A moment of a :class:`BatchVectorEnv`: a value that can be kept, copied, pickled and restored."""
 
-    Attributes
-    ----------
-    batch : tuple
-        State of the batch.
-    generators : list of dict
-        State of each episode's random generator.
-    over : ndarray of bool, shape (episodes,)
-        Episodes that are to begin anew.
-    steps : ndarray of int, shape (episodes,)
-        Steps since each began.
-    """
-
-    batch: tuple[Any, ...]
-    generators: list[dict[str, Any]]
-    over: NDArray[np.bool_]
-    steps: NDArray[np.int64]
+    batch: tuple[Any, ...]  #: State of the batch.
+    generators: list[dict[str, Any]]  #: State of each episode's random generator.
+    over: NDArray[np.bool_]  #: shape (episodes,): Episodes that are to begin anew.
+    steps: NDArray[np.int64]  #: shape (episodes,): Steps since each began.
 
 
 class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
@@ -53,22 +39,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
     - ``SAME_STEP``: a new one begins at once; the step returns its first observation, and ``info["final_obs"]`` and
       ``info["final_info"]`` hold what the old one ended with;
     - ``DISABLED``: nothing, until ``reset(options={"reset_mask": mask})`` begins new ones where the mask is true.
-
-    Parameters
-    ----------
-    num_envs : int
-        Number of environments.
-    arguments : dict
-        Of the batch.
-    autoreset_mode : AutoresetMode or str
-    max_episode_steps : int, optional
-        Steps after which an episode is truncated.
-    threads : int, optional
-    render_mode : str, optional
-    view : str
-    render_size : tuple of int
-    players : int
-        Environments that belong to the same episode: 1, or 2 for both cars of a race.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -76,22 +46,21 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         "render_fps": 1,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
-    batch_type: ClassVar[type[Any]]
 
-    def __init__(
+    def _begin(
         self,
-        num_envs: int,
-        arguments: dict[str, Any],
         *,
+        arguments: dict[str, Any],
+        num_envs: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         threads: int | None = None,
         render_mode: str | None = None,
         view: str = "both",
         render_size: tuple[int, int] = (960, 640),
-        players: int = 1,
     ) -> None:
         check_rendering(render_mode, view)
+        num_envs, players = self.players if num_envs is None else num_envs, self.players
         if max_episode_steps is not None:
             check_whole("max_episode_steps", max_episode_steps, 1)
         episodes, rest = divmod(num_envs, players) if is_whole(num_envs) else (num_envs, 0)
@@ -100,7 +69,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         self.autoreset_mode = check_autoreset_mode(autoreset_mode)
         self.max_episode_steps = max_episode_steps
         self.render_mode, self.view, self.render_size = render_mode, view, render_size
-        self.players = players
         self._arguments, self._threads = arguments, threads
         self._use(self._make_batch(arguments, episodes))
         self.num_envs = self.batch.episodes * players
@@ -134,11 +102,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         options : dict, optional
             "reset_mask" (bool, shape (num_envs,)) begins new episodes only where it is true; "track" and "opponent"
             replace the environment's arguments from now on; the class lists the others.
-
-        Raises
-        ------
-        InputError
-            If a seed or an option is impossible or unknown.
         """
         given = check_options(options, ("reset_mask", *REBUILDING, *self.batch.reset_options))
         rows = self._masked(given.pop("reset_mask", None))
@@ -174,11 +137,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         rewards : ndarray of float64, shape (num_envs,)
         terminations, truncations : ndarray of bool, shape (num_envs,)
         info : dict
-
-        Raises
-        ------
-        InputError
-            If an action is impossible, or an episode has not begun or has ended.
         """
         checked = self.batch.check_actions(actions, (self.num_envs,))
         self._check_started()
@@ -216,13 +174,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         return [words(self.batch.info(i), self.batch.codes) for i in range(self.num_envs)]
 
     def render(self) -> Any:
-        """Return a frame of each environment (``"rgb_array"``), or show that of the first one (``"human"``).
-
-        Raises
-        ------
-        InputError
-            Before the first reset, or if the environment was made without a render mode.
-        """
+        """Return a frame of each environment (``"rgb_array"``), or show that of the first one (``"human"``)."""
         renderer = self._open_renderer()
         if self.render_mode == "human":
             return self.batch.draw(renderer, 0)
@@ -247,11 +199,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         -------
         ndarray of float32, shape (num_envs, D)
             The observations at that moment.
-
-        Raises
-        ------
-        InputError
-            If the state does not fit this environment.
         """
         if not isinstance(state, VectorState):
             raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
@@ -282,7 +229,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
     def _renewed_generators(
         self, seed: int | list[int | None] | None
     ) -> tuple[list[np.random.Generator], list[int | None]]:
-        seeds = split_seeds(seed, self.batch.episodes)
+        seeds = _split_seeds(seed, self.batch.episodes)
         generators = [
             seeding.np_random(one)[0] if not self._generators or one is not None else self._generators[i]
             for i, one in enumerate(seeds)
@@ -346,13 +293,7 @@ def _with_masks(infos: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict
 
 
 def check_autoreset_mode(mode: Any) -> AutoresetMode:
-    """Return one of Gymnasium's autoreset modes.
-
-    Raises
-    ------
-    InputError
-        If there is no such mode.
-    """
+    """Return one of Gymnasium's autoreset modes."""
     for known in AutoresetMode:
         if mode is known or (isinstance(mode, str) and mode in (known.name, known.value)):
             return known
@@ -360,14 +301,8 @@ def check_autoreset_mode(mode: Any) -> AutoresetMode:
     raise InputError(f"autoreset_mode is {mode!r}; it must be one of {names}")
 
 
-def split_seeds(seed: Any, episodes: int) -> list[int | None]:
-    """One seed for each episode, as Gymnasium's own vector environments split them: i more for episode i.
-
-    Raises
-    ------
-    InputError
-        If there are too few or too many, or one is no whole number from 0; its index is named.
-    """
+def _split_seeds(seed: Any, episodes: int) -> list[int | None]:
+    """One seed for each episode, as Gymnasium's own vector environments split them: i more for episode i."""
     if seed is None:
         return [None] * episodes
     if is_whole(seed):

@@ -4,8 +4,6 @@ from typing import Any
 
 from gymnasium.wrappers import RecordVideo
 
-__all__ = ["RecordRaces"]
-
 
 class RecordRaces(RecordVideo[Any, Any]):
     """Gymnasium's :class:`gymnasium.wrappers.RecordVideo`, with all frames of a step instead of the last one.

@@ -24,66 +24,21 @@ from pcs_racing.planners.registry import get_planner
 if TYPE_CHECKING:
     import pandas
 
-__all__ = ["Explored", "PolicyArchive"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
 class Explored(NamedTuple):
-    """All policies evaluated during the synthesis of an archive; its "random policies" are drawn from them.
+    """All policies evaluated during the synthesis of an archive; its "random policies" are drawn from them."""
 
-    Attributes
-    ----------
-    parameters : ndarray, shape (E, P)
-    coordinates : ndarray, shape (E, G)
-        In the characteristics' units, as they were measured on the way.
-    own_crash : ndarray, shape (E,), or None
-        Share of races that ended by a crash of the policy's own fault.
-    """
-
-    parameters: Floats
-    coordinates: Floats
-    own_crash: Floats | None
+    parameters: Floats  #: shape (E, P)
+    coordinates: Floats  #: shape (E, G): In the characteristics' units, as they were measured on the way.
+    own_crash: Floats | None  #: shape (E,): Share of races that ended by a crash of the policy's own fault.
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyArchive:
     """Policies of one planner and where they lie in the Policy Characteristic Space (Section IV of the paper).
-
-    Attributes
-    ----------
-    name : str
-    planner : str
-        Name of the planner that all policies belong to.
-    parameter_names : tuple of str
-        What the columns of ``parameters`` are: parameters of the planner. Those that are missing keep the planner's
-        defaults (:meth:`complete`).
-    parameters : ndarray, shape (K, P)
-    characteristics : tuple of str
-        Names of the axes (:func:`pcs_racing.game.characteristics.get_characteristics`); more is more on all of them.
-    coordinates : ndarray, shape (K, G)
-        Coordinates of the policies, in the characteristics' units. They come from races that were not used to choose
-        the policies, since the best of many noisy values is too good to be true.
-    ideal, nadir : ndarray, shape (G,)
-        Points that stand for 1 and 0 on each normalised axis; by default the largest and smallest coordinates.
-    explored_parameters : ndarray, shape (E, P)
-        Everything that was evaluated on the way.
-    explored_coordinates : ndarray, shape (E, G)
-        What it was evaluated to.
-    settings : Mapping
-        How the archive was made: texts and numbers by name. ``segment_seconds`` is the length of the segments of racing
-        that the coordinates are means of.
-    preset : str
-        Name of the rules of the races that the coordinates were measured in.
-    spread : ndarray, shape (K, G), optional
-        Standard errors of the coordinates.
-    own_crash : ndarray, shape (K,), optional
-        Share of the races behind the coordinates that ended by a crash of the policy's own fault, 0 to 1.
-    explored_own_crash : ndarray, shape (E,), optional
-        The same for everything that was evaluated on the way.
-    learned : LearnedCharacteristics, optional
-        Learned axes that the archive brings with it; they are registered when the archive is made.
 
     Raises
     ------
@@ -95,20 +50,33 @@ class PolicyArchive:
     """
 
     name: str
-    planner: str
+    planner: str  #: Name of the planner that all policies belong to.
+    #: What the columns of ``parameters`` are: parameters of the planner. Those that are missing keep the planner's
+    #: defaults (:meth:`complete`).
     parameter_names: tuple[str, ...]
-    parameters: Floats
+    parameters: Floats  #: shape (K, P)
+    #: Names of the axes (:func:`pcs_racing.game.characteristics.get_characteristics`); more is more on all of them.
     characteristics: tuple[str, ...]
+    #: shape (K, G): Coordinates of the policies, in the characteristics' units. They come from races that were not used
+    #: to choose the policies, since the best of many noisy values is too good to be true.
     coordinates: Floats
+    #: shape (G,): Point that stands for 1 on each normalised axis; by default the largest coordinates.
     ideal: Floats = None  # type: ignore[assignment]
+    #: shape (G,): Point that stands for 0 on each normalised axis; by default the smallest coordinates.
     nadir: Floats = None  # type: ignore[assignment]
+    #: shape (E, P): Everything that was evaluated on the way.
     explored_parameters: Floats = None  # type: ignore[assignment]
+    #: shape (E, G): What it was evaluated to.
     explored_coordinates: Floats = None  # type: ignore[assignment]
+    #: How the archive was made: texts and numbers by name. ``segment_seconds`` is the length of the segments of racing
+    #: that the coordinates are means of.
     settings: Mapping[str, str | int | float | bool] = field(default_factory=dict)
-    preset: str = "paper"
-    spread: Floats | None = None
+    preset: str = "paper"  #: Name of the rules of the races that the coordinates were measured in.
+    spread: Floats | None = None  #: shape (K, G): Standard errors of the coordinates.
+    #: shape (K,): Share of the races behind the coordinates that ended by a crash of the policy's own fault, 0 to 1.
     own_crash: Floats | None = None
-    explored_own_crash: Floats | None = None
+    explored_own_crash: Floats | None = None  #: shape (E,): The same for everything that was evaluated on the way.
+    #: Learned axes that the archive brings with it; they are registered when the archive is made.
     learned: LearnedCharacteristics | None = None
 
     def __post_init__(self) -> None:

@@ -13,8 +13,6 @@ from pcs_racing.base.reading import unpack_arrays
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.learned import LearnedCharacteristics
 
-__all__ = ["ARCHIVE_FORMAT", "list_archives", "load_archive", "save_archive"]
-
 _TEXTS = ("name", "planner", "preset")
 _NAMES = ("parameter_names", "characteristics")
 _ARRAYS = ("parameters", "coordinates", "ideal", "nadir", "explored_parameters", "explored_coordinates")

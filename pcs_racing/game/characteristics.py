@@ -14,43 +14,15 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.race.rates import DT
 from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, LATERAL, PROFILE, STEERING, TIME, RaceState
 
-__all__ = [
-    "AGGRESSIVENESS",
-    "BLOCKING_SHARE",
-    "CORNERING",
-    "PACE",
-    "RESTRAINT",
-    "SMOOTHNESS",
-    "SPEED",
-    "Characteristic",
-    "Segment",
-    "characteristic_names",
-    "get_characteristics",
-    "measure",
-    "register_characteristic",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A segment of a batch of races: each car's progress and running sums between two moments.
+    """A segment of a batch of races: each car's progress and running sums between two moments."""
 
-    Attributes
-    ----------
-    progress : ndarray, shape (B, 2)
-        Progress of each car during the segment, m.
-    sums : ndarray, shape (B, 2, 7)
-        Growth of the running sums (:data:`pcs_racing.race.state.SUMS`).
-    time : ndarray, shape (B,)
-        Time driven, s; shorter than asked for after a crash.
-    duration : float
-        Time asked for, s.
-    """
-
-    progress: NDArray[np.float64]
-    sums: NDArray[np.float64]
-    time: NDArray[np.float64]
-    duration: float
+    progress: NDArray[np.float64]  #: shape (B, 2): Progress of each car during the segment, m.
+    sums: NDArray[np.float64]  #: shape (B, 2, 7): Growth of the running sums (:data:`pcs_racing.race.state.SUMS`).
+    time: NDArray[np.float64]  #: shape (B,): Time driven, s; shorter than asked for after a crash.
+    duration: float  #: Time asked for, s.
 
     @classmethod
     def between(cls, before: RaceState, after: RaceState, duration: float) -> "Segment":
@@ -65,23 +37,12 @@ class Segment:
 
 @dataclass(frozen=True)
 class Characteristic:
-    """One axis of the Policy Characteristic Space.
+    """One axis of the Policy Characteristic Space."""
 
-    Attributes
-    ----------
-    name : str
-        Name in tables and settings.
-    unit : str
-        Its unit.
-    meaning : str
-        One line for the reader.
-    evaluate : callable
-        ``evaluate(segment) -> (B, 2)``, one value for each race and car.
-    """
-
-    name: str
-    unit: str
-    meaning: str
+    name: str  #: Name in tables and settings.
+    unit: str  #: Its unit.
+    meaning: str  #: One line for the reader.
+    #: ``evaluate(segment) -> (B, 2)``, one value for each race and car.
     evaluate: Callable[[Segment], NDArray[np.float64]]
 
 
@@ -137,13 +98,7 @@ _registered: dict[str, Characteristic] = {}
 
 
 def register_characteristic(characteristic: Characteristic) -> None:
-    """Register a characteristic under its name; registering an equal one again does nothing.
-
-    Raises
-    ------
-    InputError
-        If the name is taken by another one.
-    """
+    """Register a characteristic under its name; registering an equal one again does nothing."""
     if _registered.setdefault(characteristic.name, characteristic) != characteristic:
         raise InputError(f"a characteristic named {characteristic.name!r} exists already; choose another name")
 
@@ -158,15 +113,7 @@ def characteristic_names() -> list[str]:
 
 
 def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:
-    """Return characteristics by name.
-
-    Raises
-    ------
-    UnknownNameError
-        If a name is not registered.
-    InputError
-        If the list is empty or holds a name twice.
-    """
+    """Return characteristics by name."""
     texts = not isinstance(names, str) and all(isinstance(name, str) for name in names)
     if not texts or len(names) == 0 or len(set(names)) != len(names):
         raise InputError(f"characteristics are {list(names)!r:.200}; name at least one, each once")

@@ -26,20 +26,6 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing.planners.planner import Policy
 
-__all__ = [
-    "Chooser",
-    "Competitor",
-    "Decider",
-    "PolicySet",
-    "Predictor",
-    "RandomMoves",
-    "SameMove",
-    "ask_moves",
-    "check_competitor",
-    "competitor_name",
-    "driver_policies",
-]
-
 Observation = NDArray[np.float32]
 Function = Callable[[Observation, np.random.Generator], Any]
 
@@ -102,17 +88,10 @@ class SameMove:
 
 @dataclass(frozen=True, eq=False)
 class PolicySet:
-    """A driver: it makes no moves; for each game one of its policies is drawn and drives to the end.
-
-    Attributes
-    ----------
-    name : str
-    policies : tuple of Policy
-        At least one; all of one planner.
-    """
+    """A driver: it makes no moves; for each game one of its policies is drawn and drives to the end."""
 
     name: str
-    policies: tuple[Policy, ...]
+    policies: tuple[Policy, ...]  #: At least one; all of one planner.
 
 
 Competitor = Predictor | Decider | PolicySet | RandomMoves | Policy | Chooser | Function
@@ -137,11 +116,6 @@ def check_competitor(game: RaceGame, competitor: Any) -> None:
 
     A competitor with a method ``check_fits(game)`` is asked; of a model, ``observation_space`` and ``action_space`` are
     compared.
-
-    Raises
-    ------
-    InputError
-        If it is no competitor, is made for another archive or other rules, or observes or moves otherwise.
     """
     if isinstance(competitor, type) or not (
         isinstance(competitor, RandomMoves | Predictor | Decider | PolicySet | Policy | Chooser) or callable(competitor)
@@ -186,9 +160,6 @@ def ask_moves(
     Parameters
     ----------
     competitor : Competitor
-    game : RaceGame
-    state : GameState
-    car : int
     rows : ndarray of int, optional
         Games to ask about, all by default; those that are over are left out.
     observation : ndarray, shape (B, D), optional
@@ -205,11 +176,6 @@ def ask_moves(
     -------
     ndarray of int, shape (B,)
         Indices in :attr:`RaceGame.competitor_moves`; 0 for a driver and in games that it is not asked about.
-
-    Raises
-    ------
-    InputError
-        If the answer is not one move for each game; competitor and game are named.
     """
     names = game.competitor_moves
     moves = np.zeros(state.games, np.int64)

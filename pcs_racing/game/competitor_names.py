@@ -15,8 +15,6 @@ from pcs_racing.game.competitor import Competitor, PolicySet, RandomMoves, SameM
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.registry import parse_policy, planner_names
 
-__all__ = ["ENTRY_POINTS", "competitor_names", "make_competitor", "register_competitors"]
-
 ENTRY_POINTS = "pcs_racing.opponents"
 """Entry point group in which a distribution names its module of competitors."""
 
@@ -36,11 +34,6 @@ def register_competitors(name: str, module: str) -> None:
         Of the collection.
     module : str
         Where it is, as ``"package.module"``; imported when a name is not known otherwise.
-
-    Raises
-    ------
-    InputError
-        If the collection's name is taken by another module.
     """
     if _registered.setdefault(name, module) != module:
         raise InputError(f"there are competitors {name!r} already, of {_registered[name]}; give yours another name")
@@ -63,14 +56,6 @@ def make_competitor(text: str, game: RaceGame) -> Competitor:
     text : str
         "never-switch": a policy of the archive, drawn for each game and kept; "random-moves"; "always-<move>"; a policy
         such as "lattice:pace=0.8"; or the name of a registered competitor, such as "cfr-argmax", with its options.
-    game : RaceGame
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of this name.
-    InputError
-        If its options are impossible, or what it must have learned is not there.
     """
     if text == RANDOM_MOVES:
         return RandomMoves()

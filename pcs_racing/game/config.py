@@ -11,8 +11,6 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import EPSILON, check_epsilon
 from pcs_racing.race.config import PAPER, RaceConfig, load_race_config
 
-__all__ = ["EPSILON_RULE", "UTILITIES", "GameConfig", "load_game_config"]
-
 UTILITIES = {
     "lead": "lead in m at the horizon; after a crash 0 for both",
     "lead-at-crash": "lead in m when the race ended, be it by a crash",

@@ -10,40 +10,21 @@ from pcs_racing.game.config import GameConfig
 from pcs_racing.game.moves import STAY, move_names
 from pcs_racing.game.observation import observation_elements
 
-__all__ = ["GameIdentity", "check_same_game", "game_identity"]
-
 
 class GameIdentity(NamedTuple):
     """The game that something was made for, as plain values that a manifest can hold; any circuit belongs to it.
 
     A manifest need not record all of it: names of elements and moves follow from the archive, epsilon and the number of
     decisions. What is not recorded is empty or 0, and is not compared.
-
-    Attributes
-    ----------
-    elements : tuple of str
-        Names of the numbers of an observation, in order: the encoding of a history.
-    moves : tuple of str
-        Names of the moves, in order.
-    epsilon : tuple of float
-        Lengths of the moves, in units of the archive's range.
-    archive : str
-        Name of the archive of policies.
-    archive_sha256 : str
-        Its :attr:`pcs_racing.PolicyArchive.content_hash`.
-    preset : str
-        Name of the rules of the race.
-    decisions : int
-        Moves that each player makes.
     """
 
-    elements: tuple[str, ...]
-    moves: tuple[str, ...]
-    epsilon: tuple[float, ...]
-    archive: str
-    archive_sha256: str
-    preset: str
-    decisions: int = 0
+    elements: tuple[str, ...]  #: Names of the numbers of an observation, in order: the encoding of a history.
+    moves: tuple[str, ...]  #: Names of the moves, in order.
+    epsilon: tuple[float, ...]  #: Lengths of the moves, in units of the archive's range.
+    archive: str  #: Name of the archive of policies.
+    archive_sha256: str  #: Its :attr:`pcs_racing.PolicyArchive.content_hash`.
+    preset: str  #: Name of the rules of the race.
+    decisions: int = 0  #: Moves that each player makes.
 
 
 class _HasRules(Protocol):
@@ -79,14 +60,8 @@ def check_same_game(own: GameIdentity, other: GameIdentity, owner: str, other_ow
 
     Parameters
     ----------
-    own, other : GameIdentity
     owner, other_owner : str
         What they belong to, for the message.
-
-    Raises
-    ------
-    InputError
-        If they differ; the first difference is named.
     """
     if own.decisions and other.decisions and own.decisions != other.decisions:
         raise InputError(f"{owner} was made for games of {own.decisions} moves; {other_owner} has {other.decisions}")

@@ -25,17 +25,6 @@ from pcs_racing.game.characteristics import (
     register_characteristic,
 )
 
-__all__ = [
-    "BOUND",
-    "TIMES",
-    "LearnedAxis",
-    "LearnedCharacteristics",
-    "LearnedInput",
-    "check_set_name",
-    "register_learned",
-    "term_factors",
-]
-
 Floats = NDArray[np.float64]
 
 BOUND = 4.0
@@ -48,18 +37,10 @@ _LARGEST = 1e6
 
 @dataclass(frozen=True)
 class LearnedInput:
-    """A characteristic that learned ones are made of, and the scale on which it enters.
+    """A characteristic that learned ones are made of, and the scale on which it enters."""
 
-    Attributes
-    ----------
-    name : str
-        Of a registered characteristic.
-    mean, scale : float
-        The input is ``(value - mean) / scale``, limited to +-:data:`BOUND`.
-    """
-
-    name: str
-    mean: float
+    name: str  #: Of a registered characteristic.
+    mean: float  #: The input is ``(value - mean) / scale``, limited to +-:data:`BOUND`.
     scale: float
 
     def __post_init__(self) -> None:
@@ -70,22 +51,12 @@ class LearnedInput:
 
 @dataclass(frozen=True)
 class LearnedAxis:
-    """One learned characteristic.
+    """One learned characteristic."""
 
-    Attributes
-    ----------
-    name : str
-        Under which it is registered.
-    meaning : str
-        One line for the reader.
-    intercept : float
-    weights : tuple of (str, float)
-        Terms and their weights; a term is an input or a product: ``"speed"``, ``"speed * restraint"``.
-    """
-
-    name: str
-    meaning: str
+    name: str  #: Under which it is registered.
+    meaning: str  #: One line for the reader.
     intercept: float
+    #: Terms and their weights; a term is an input or a product: ``"speed"``, ``"speed * restraint"``.
     weights: tuple[tuple[str, float], ...]
 
     def __post_init__(self) -> None:
@@ -102,26 +73,12 @@ class LearnedAxis:
 
 @dataclass(frozen=True)
 class LearnedCharacteristics:
-    """A set of learned characteristics with common inputs: a plain value, made of names and numbers.
+    """A set of learned characteristics with common inputs: a plain value, made of names and numbers."""
 
-    Attributes
-    ----------
-    name : str
-        Small letters, digits, ``_`` and ``-``; the names of the axes begin with it.
-    inputs : tuple of LearnedInput
-    axes : tuple of LearnedAxis
-    training : Mapping
-        How they were learned: texts and numbers by name. Not part of :attr:`content_hash`.
-
-    Raises
-    ------
-    InputError
-        If a name, a number or a term is impossible, or an input is no registered characteristic.
-    """
-
-    name: str
+    name: str  #: Small letters, digits, ``_`` and ``-``; the names of the axes begin with it.
     inputs: tuple[LearnedInput, ...]
     axes: tuple[LearnedAxis, ...]
+    #: How they were learned: texts and numbers by name. Not part of :attr:`content_hash`.
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict, compare=False)
 
     def __post_init__(self) -> None:
@@ -174,13 +131,7 @@ class LearnedCharacteristics:
 
     @classmethod
     def from_plain(cls, plain: Any) -> "LearnedCharacteristics":
-        """Return the set that :meth:`to_plain` wrote.
-
-        Raises
-        ------
-        InputError
-            If something is missing, of another kind or impossible, or the digest is another one.
-        """
+        """Return the set that :meth:`to_plain` wrote."""
         outer = _mapping("learned characteristics", plain, ("name", "inputs", "axes", "training", "sha256"))
         inputs, axes = (_list(key, outer[key]) for key in ("inputs", "axes"))
         inputs = [_mapping("an input", item, ("name", "mean", "scale")) for item in inputs]
@@ -213,38 +164,20 @@ class _AxisFunction:
 
 
 def check_set_name(name: Any) -> str:
-    """Return the name of a set of learned characteristics.
-
-    Raises
-    ------
-    InputError
-        If it holds other characters than small letters, digits, ``_`` and ``-``, or is too long.
-    """
+    """Return the name of a set of learned characteristics."""
     if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_-]{0,39}", name):
         raise InputError(f"name is {name!r}; use up to 40 small letters, digits, _ and -, a letter first")
     return name
 
 
 def register_learned(learned: LearnedCharacteristics) -> None:
-    """Register learned characteristics under their names; registering equal ones again does nothing.
-
-    Raises
-    ------
-    InputError
-        If a name is taken by another characteristic.
-    """
+    """Register learned characteristics under their names; registering equal ones again does nothing."""
     for characteristic in learned.characteristics:
         register_characteristic(characteristic)
 
 
 def term_factors(term: str, inputs: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the inputs that a term is the product of.
-
-    Raises
-    ------
-    InputError
-        If one of them is unknown, or there are too many.
-    """
+    """Return the inputs that a term is the product of."""
     factors = tuple(term.split(TIMES))
     if len(factors) > MOST_FACTORS or not set(factors) <= set(inputs):
         raise InputError(

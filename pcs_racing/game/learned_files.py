@@ -7,8 +7,6 @@ from pcs_racing.base.artifacts import ManifestFormat
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.learned import LearnedCharacteristics, register_learned
 
-__all__ = ["LEARNED_FORMAT", "load_learned", "save_learned"]
-
 LEARNED_FORMAT = ManifestFormat(
     "set of characteristics", ("name", "inputs", "axes", "training", "sha256"), "save_learned"
 )
@@ -21,13 +19,7 @@ def save_learned(learned: LearnedCharacteristics, path: str | os.PathLike[str]) 
 
 
 def load_learned(source: str | os.PathLike[str] | LearnedCharacteristics) -> LearnedCharacteristics:
-    """Return learned characteristics from their file, or as they are, and register them.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, damaged or no such file, or a name is taken by another characteristic.
-    """
+    """Return learned characteristics from their file, or as they are, and register them."""
     if isinstance(source, LearnedCharacteristics):
         register_learned(source)
         return source

@@ -13,8 +13,6 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 
-__all__ = ["make_game"]
-
 
 def make_game(
     track: Track | str | Path,

@@ -34,8 +34,6 @@ from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.race.races import start_races, winners
 from pcs_racing.race.start_grid import Starts
 
-__all__ = ["KEEP", "MatchConfig", "MatchGame", "MatchState", "put_matches"]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
@@ -54,53 +52,28 @@ class MatchConfig(Settings):
 
 
 class MatchState(NamedTuple):
-    """A batch of B matches of R races at one moment: plain arrays, match axis first.
+    """A batch of B matches of R races at one moment: plain arrays, match axis first."""
 
-    Attributes
-    ----------
-    game : GameState
-        The race that goes on; between two races the one that is over, before the first the cars on the grid.
-    race : ndarray, shape (B,), int64
-        Races that are over.
-    racing : ndarray of bool, shape (B,)
-        Whether a race goes on.
-    starts : ndarray, shape (B, R)
-        Arc length of the start line of each race, m.
-    sides : ndarray, shape (B, R), int64
-        0 where car 0 starts a race on the left or in front, 1 where car 1 does.
-    noise : ndarray, shape (B, R), uint64
-        Key of the noise of each race.
-    policy : ndarray, shape (B, 2), int64
-        Policy that each car starts the next race with if its player does not choose; -1 for a driver from outside the
-        archive.
-    theta : ndarray, shape (B, 2, P)
-        Parameters of the drivers from outside the archive.
-    own : ndarray, shape (B, 2, R, G)
-        Mean over each race of the normalised archive coordinates of each car's policy; for a driver from outside what
-        was measured.
-    measured : ndarray, shape (B, 2, R, G)
-        Normalised coordinates of each car as measured over each race: mean of its steps, weighted by their time.
-    leads : ndarray, shape (B, R)
-        Lead of car 0 at the end of each race, m.
-    driven : ndarray, shape (B, R)
-        Share of its duration that each race lasted; 0 until it is over.
-    scores : ndarray, shape (B, 2, R)
-        Score of each car in each race: 1, 1/2 or 0.
-    """
-
+    #: The race that goes on; between two races the one that is over, before the first the cars on the grid.
     game: GameState
-    race: Indices
-    racing: NDArray[np.bool_]
-    starts: Floats
-    sides: Indices
-    noise: NDArray[np.uint64]
+    race: Indices  #: shape (B,): Races that are over.
+    racing: NDArray[np.bool_]  #: shape (B,): Whether a race goes on.
+    starts: Floats  #: shape (B, R): Arc length of the start line of each race, m.
+    sides: Indices  #: shape (B, R): 0 where car 0 starts a race on the left or in front, 1 where car 1 does.
+    noise: NDArray[np.uint64]  #: shape (B, R): Key of the noise of each race.
+    #: shape (B, 2): Policy that each car starts the next race with if its player does not choose; -1 for a driver from
+    #: outside the archive.
     policy: Indices
-    theta: Floats
+    theta: Floats  #: shape (B, 2, P): Parameters of the drivers from outside the archive.
+    #: shape (B, 2, R, G): Mean over each race of the normalised archive coordinates of each car's policy; for a driver
+    #: from outside what was measured.
     own: Floats
+    #: shape (B, 2, R, G): Normalised coordinates of each car as measured over each race: mean of its steps, weighted by
+    #: their time.
     measured: Floats
-    leads: Floats
-    driven: Floats
-    scores: Floats
+    leads: Floats  #: shape (B, R): Lead of car 0 at the end of each race, m.
+    driven: Floats  #: shape (B, R): Share of its duration that each race lasted; 0 until it is over.
+    scores: Floats  #: shape (B, 2, R): Score of each car in each race: 1, 1/2 or 0.
 
     @property
     def matches(self) -> int:
@@ -123,16 +96,9 @@ def put_matches(state: MatchState, indices: ArrayLike, values: MatchState) -> No
 
 @dataclass(frozen=True, eq=False)
 class MatchGame:
-    """The game of a match: functions from one :class:`MatchState` to the next, for many matches at once.
+    """The game of a match: functions from one :class:`MatchState` to the next, for many matches at once."""
 
-    Attributes
-    ----------
-    game : RaceGame
-        Track, archive and rules of the races.
-    config : MatchConfig
-    """
-
-    game: RaceGame
+    game: RaceGame  #: Track, archive and rules of the races.
     config: MatchConfig
 
     @cached_property
@@ -171,11 +137,6 @@ class MatchGame:
             default.
         opponents, egos : Policy or sequence of B (Policy or None), optional
             Drivers of car 1 and of car 0 from outside the archive, as in :meth:`RaceGame.reset`.
-
-        Raises
-        ------
-        InputError
-            If a number, shape, start or driver is impossible; the index is named.
         """
         game, races, count = self.game, self.config.races, len(keys)
         first = check_policies(game.archive, policies, count)

@@ -10,8 +10,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import Chooser, competitor_name
 from pcs_racing.game.match import KEEP, MatchGame, MatchState
 
-__all__ = ["ask_choices"]
-
 
 def ask_choices(
     competitor: Any,
@@ -27,9 +25,6 @@ def ask_choices(
     Parameters
     ----------
     competitor : Competitor
-    match : MatchGame
-    state : MatchState
-    car : int
     rows : ndarray of int, optional
         Matches to ask about, all by default.
     memory : ndarray, shape (B, D), optional
@@ -39,11 +34,6 @@ def ask_choices(
     -------
     ndarray of int, shape (B,)
         Policies of the archive; :data:`KEEP` where nobody is asked, and for a competitor that does not choose.
-
-    Raises
-    ------
-    InputError
-        If the answer is not one policy of the archive for each match; competitor and match are named.
     """
     choices = np.full(state.matches, KEEP, np.int64)
     between = np.flatnonzero(~state.racing & ~match.done(state))

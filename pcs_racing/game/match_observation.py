@@ -10,8 +10,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.characteristics import Characteristic
 from pcs_racing.game.observation import HIGH, LEAD_BOUND, LEAD_SCALE, LOW, ObservationElement
 
-__all__ = ["RaceMemory", "decode_match", "encode_match", "match_elements", "seen_races"]
-
 Floats = NDArray[np.float64]
 
 AFTER_AXES = 3  # lead, score and share of the duration follow the coordinates of a race
@@ -19,26 +17,13 @@ AFTER_RACES = 2  # the share of races left and the place on the grid follow the 
 
 
 class RaceMemory(NamedTuple):
-    """What an observation says of the earlier races of B matches.
+    """What an observation says of the earlier races of B matches."""
 
-    Attributes
-    ----------
-    own : ndarray, shape (B, R, G)
-        Normalised coordinates of the own policy.
-    opponent : ndarray, shape (B, R, G)
-        Normalised coordinates of the opponent, as measured.
-    lead : ndarray, shape (B, R)
-        Own lead at the end, 20 m.
-    score : ndarray, shape (B, R)
-        1 for a race won, 1/2 for a tie.
-    driven : ndarray, shape (B, R)
-        Share of the duration that a race lasted; 0 for races to come, of which all numbers are 0.
-    """
-
-    own: Floats
-    opponent: Floats
-    lead: Floats
-    score: Floats
+    own: Floats  #: shape (B, R, G): Normalised coordinates of the own policy.
+    opponent: Floats  #: shape (B, R, G): Normalised coordinates of the opponent, as measured.
+    lead: Floats  #: shape (B, R): Own lead at the end, 20 m.
+    score: Floats  #: shape (B, R): 1 for a race won, 1/2 for a tie.
+    #: shape (B, R): Share of the duration that a race lasted; 0 for races to come, of which all numbers are 0.
     driven: Floats
 
 
@@ -105,13 +90,7 @@ def decode_match(observation: NDArray[np.float32], races: int, axes: int) -> Rac
 
 
 def seen_races(size: int, axes: int) -> int:
-    """Return the number of races R of a match whose players observe ``size`` numbers between races.
-
-    Raises
-    ------
-    InputError
-        If no match has so many.
-    """
+    """Return the number of races R of a match whose players observe ``size`` numbers between races."""
     races, rest = divmod(size - AFTER_RACES, 2 * axes + AFTER_AXES)
     if rest or races < 1:
         raise InputError(

@@ -14,19 +14,6 @@ from pcs_racing.base.checks import as_array, check_whole_array, is_flag, is_numb
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 
-__all__ = [
-    "EPSILON",
-    "STAY",
-    "check_epsilon",
-    "check_moves",
-    "duplicate_moves",
-    "duplicate_share",
-    "move",
-    "move_names",
-    "move_table",
-    "no_op_share",
-]
-
 Indices = NDArray[np.int64]
 
 EPSILON = 0.5
@@ -43,7 +30,6 @@ def move(archive: PolicyArchive, index: ArrayLike, axis: ArrayLike, sign: ArrayL
 
     Parameters
     ----------
-    archive : PolicyArchive
     index : int
         Policy in use.
     axis : int
@@ -52,11 +38,6 @@ def move(archive: PolicyArchive, index: ArrayLike, axis: ArrayLike, sign: ArrayL
         More or less of it.
     epsilon : float
         By how much, in normalised units.
-
-    Raises
-    ------
-    InputError
-        If an index, a sign or an epsilon is out of its range.
     """
     arrays = np.broadcast_arrays(index, axis, sign, epsilon)
     policies = check_whole_array("index", arrays[0], least=0, most=len(archive) - 1)
@@ -121,13 +102,7 @@ def duplicate_moves(table: Indices) -> NDArray[np.bool_]:
 
 
 def check_epsilon(epsilon: Any) -> tuple[float, ...]:
-    """Return the step sizes of the moves as a tuple of different positive numbers.
-
-    Raises
-    ------
-    InputError
-        If they are anything else.
-    """
+    """Return the step sizes of the moves as a tuple of different positive numbers."""
     given = list(epsilon) if isinstance(epsilon, list | tuple) or np.ndim(epsilon) == 1 else [epsilon]
     lengths = [length.item() if isinstance(length, np.ndarray) and length.ndim == 0 else length for length in given]
     steps = tuple(float(length) for length in lengths if is_number(length) and 0.0 < length <= 10.0)
@@ -161,11 +136,6 @@ def check_moves(
         Number of the game that each entry of the first axis belongs to, for errors.
     player : str
         Who made the moves, for errors.
-
-    Raises
-    ------
-    InputError
-        If they have another shape or type, or one is not among those that there are; game and car are named.
     """
     given = as_array(moves)
     if isinstance(moves, list | tuple) and any(is_flag(move) for move in moves):

@@ -8,16 +8,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.game.characteristics import Characteristic
 
-__all__ = [
-    "HIGH",
-    "LEAD_SCALE",
-    "LOW",
-    "ObservationElement",
-    "encode_observation",
-    "observation_elements",
-    "observation_table",
-]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
@@ -29,21 +19,12 @@ LEAD_BOUND = 5.0
 
 
 class ObservationElement(NamedTuple):
-    """What one number of an observation is: spaces and documentation are made of these.
-
-    Attributes
-    ----------
-    name : str
-    unit : str
-    low, high : float
-        Bounds, inclusive.
-    meaning : str
-    """
+    """What one number of an observation is: spaces and documentation are made of these."""
 
     name: str
     unit: str
-    low: float
-    high: float
+    low: float  #: Smallest value, inclusive.
+    high: float  #: Largest value, inclusive.
     meaning: str
 
 

@@ -12,8 +12,6 @@ from pcs_racing.game.config import GameConfig
 from pcs_racing.race.races import TIE_WITHIN, winners
 from pcs_racing.race.state import RaceState
 
-__all__ = ["reward", "step_reward", "win_sign"]
-
 
 def reward(config: GameConfig, races: RaceState, moves: ArrayLike) -> NDArray[np.float64]:
     """Reward of car 0 for games that ended like this, shape (B,); car 1 gets the negative of it.

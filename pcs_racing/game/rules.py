@@ -48,8 +48,6 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track
 
-__all__ = ["GameState", "RaceGame"]
-
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
@@ -65,25 +63,6 @@ PAPER_GAME = GameConfig()
 class RaceGame:
     """The game on one track with one archive.
 
-    Attributes
-    ----------
-    track : Track
-    archive : PolicyArchive
-        Where both players' policies come from.
-    config : GameConfig
-        The rules.
-    opponent_planner : Planner or str, optional
-        Planner of car 1, where its drivers come from outside the archive (``reset(opponents=...)``); by default the
-        archive's.
-    threads : int, optional
-        Threads to share the races of a batch; all cores by default. It does not change the result.
-    ego_planner : Planner or str, optional
-        The same for car 0 (``reset(egos=...)``).
-    vehicles : tuple of two VehicleParams
-        Car 0 and car 1.
-    most_delay : float
-        Longest ``steer_delay`` of a car in a game that has cars of its own (``conditions``), s.
-
     Raises
     ------
     InputError
@@ -93,13 +72,16 @@ class RaceGame:
     """
 
     track: Track
-    archive: PolicyArchive
-    config: GameConfig = PAPER_GAME
+    archive: PolicyArchive  #: Where both players' policies come from.
+    config: GameConfig = PAPER_GAME  #: The rules.
+    #: Planner of car 1, where its drivers come from outside the archive (``reset(opponents=...)``); by default the
+    #: archive's.
     opponent_planner: Planner | str | None = None
+    #: Threads to share the races of a batch; all cores by default. It does not change the result.
     threads: int | None = None
-    ego_planner: Planner | str | None = None
-    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH)
-    most_delay: float = 0.0
+    ego_planner: Planner | str | None = None  #: The same for car 0 (``reset(egos=...)``).
+    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH)  #: Car 0 and car 1.
+    most_delay: float = 0.0  #: Longest ``steer_delay`` of a car in a game that has cars of its own (``conditions``), s.
 
     def __post_init__(self) -> None:
         if self.config.characteristics is not None and self.config.characteristics != self.archive.characteristics:
@@ -282,7 +264,6 @@ class RaceGame:
         ----------
         policy : ndarray of int, shape (B, 2)
             Policy of the archive that each car starts with; -1 for a driver from outside.
-        starts : Starts
         noise : ndarray of uint64, shape (B,)
             Keys of the steering noise.
         theta : ndarray, shape (B, 2, P)
@@ -340,7 +321,6 @@ class RaceGame:
 
         Parameters
         ----------
-        state : GameState
         actions : array of int, shape (B, 2)
             Index of each car's move in :attr:`move_names`; that of a driver from outside the archive does nothing.
 
@@ -428,7 +408,6 @@ class RaceGame:
 
         Parameters
         ----------
-        state : GameState
         rows : ndarray of int
             Games that drove it.
         estimates : ndarray, shape (B, 2, G)

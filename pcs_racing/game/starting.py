@@ -12,20 +12,12 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 
-__all__ = ["DRAW", "check_policies", "driver_parameters", "game_keys", "random_bits"]
-
 DRAW = -1
 """In place of a policy's index: draw one."""
 
 
 def game_keys(seeds: ArrayLike | None, games: int | None, seed: int) -> NDArray[np.uint64]:
-    """Key of each game: the given seeds, or as many as asked for, derived from one seed.
-
-    Raises
-    ------
-    InputError
-        If a seed or the number of games is impossible, or both are given.
-    """
+    """Key of each game: the given seeds, or as many as asked for, derived from one seed."""
     if seeds is None:
         return race_seeds(check_whole("seed", seed), 1 if games is None else check_whole("games", games))
     if games is not None:
@@ -37,13 +29,7 @@ def game_keys(seeds: ArrayLike | None, games: int | None, seed: int) -> NDArray[
 
 
 def check_policies(archive: PolicyArchive, policies: ArrayLike | None, games: int) -> NDArray[np.int64]:
-    """Index of the policy that each car starts with, shape (games, 2); :data:`DRAW` where it is to be drawn.
-
-    Raises
-    ------
-    InputError
-        If the shape is wrong or a policy is not in the archive; game and car are named.
-    """
+    """Index of the policy that each car starts with, shape (games, 2); :data:`DRAW` where it is to be drawn."""
     if policies is None:
         return np.full((games, 2), DRAW, np.int64)
     given = check_whole_array("policies", policies, (2,), (games, 2))
@@ -70,13 +56,10 @@ def driver_parameters(
 
     Parameters
     ----------
-    archive : PolicyArchive
     planner : Planner
         The car's planner.
-    car : int
     drivers : Policy or sequence of (Policy or None), optional
         One for all games or for each; None where a policy of the archive drives.
-    games : int
     size : int
         Numbers in a row of parameters.
 
@@ -85,11 +68,6 @@ def driver_parameters(
     outside : ndarray of bool, shape (games,)
         Whether the driver is from outside the archive.
     theta : ndarray, shape (games, size)
-
-    Raises
-    ------
-    InputError
-        If the number of drivers is wrong or one belongs to another planner; the game's index is named.
     """
     role = ("ego", "opponent")[car]
     given = [drivers] * games if drivers is None or isinstance(drivers, Policy) else list(drivers)

@@ -13,40 +13,25 @@ from pcs_racing.base.reading import read_limited, unpack_arrays
 from pcs_racing.race.state import MAX_BYTES, RaceState, empty_state
 from pcs_racing.race.state import take as take_races
 
-__all__ = ["GameState", "begun_game", "empty_game", "load_game", "put_games", "save_game", "take_games"]
-
 
 class GameState(NamedTuple):
     """A batch of B games at one moment: plain arrays, game axis first.
 
     A game has ``N = moves + 1`` steps of driving; step 0 is the one in which the players only watch.
-
-    Attributes
-    ----------
-    race : RaceState
-        Where the cars are.
-    step : ndarray, shape (B,), int64
-        Moves made so far.
-    policy : ndarray, shape (B, 2), int64
-        Policy in use: its index in the archive, or -1 for a driver from outside the archive.
-    theta : ndarray, shape (B, 2, P)
-        Its parameters.
-    own : ndarray, shape (B, 2, N, G)
-        Normalised archive coordinates of the policy that each car used in each step; for a driver from outside what was
-        estimated.
-    estimates : ndarray, shape (B, 2, N, G)
-        Normalised coordinates of each car as seen from outside: measured on that step of driving alone.
-    leads : ndarray, shape (B, N)
-        Lead of car 0 at the end of each step, m.
     """
 
-    race: RaceState
-    step: NDArray[np.int64]
+    race: RaceState  #: Where the cars are.
+    step: NDArray[np.int64]  #: shape (B,): Moves made so far.
+    #: shape (B, 2): Policy in use: its index in the archive, or -1 for a driver from outside the archive.
     policy: NDArray[np.int64]
-    theta: NDArray[np.float64]
+    theta: NDArray[np.float64]  #: shape (B, 2, P): Its parameters.
+    #: shape (B, 2, N, G): Normalised archive coordinates of the policy that each car used in each step; for a driver
+    #: from outside what was estimated.
     own: NDArray[np.float64]
+    #: shape (B, 2, N, G): Normalised coordinates of each car as seen from outside: measured on that step of driving
+    #: alone.
     estimates: NDArray[np.float64]
-    leads: NDArray[np.float64]
+    leads: NDArray[np.float64]  #: shape (B, N): Lead of car 0 at the end of each step, m.
 
     @property
     def games(self) -> int:
@@ -102,13 +87,7 @@ def save_game(state: GameState, path: str | Path) -> None:
 
 
 def load_game(path: str | Path) -> GameState:
-    """Read a state that :func:`save_game` wrote.
-
-    Raises
-    ------
-    InputError
-        If the file is no game state, or its arrays do not fit each other.
-    """
+    """Read a state that :func:`save_game` wrote."""
     try:
         arrays = unpack_arrays(read_limited(path, MAX_BYTES, "a game state"))
     except (OSError, InputError) as error:

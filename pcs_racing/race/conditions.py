@@ -11,22 +11,15 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import PARAMS_SIZE, VehicleParams
 from pcs_racing.track.track import Track
 
-__all__ = ["RaceConditions", "runs_of", "vehicle_rows"]
-
 
 @dataclass(frozen=True, eq=False)
 class RaceConditions:
-    """Cars and tracks of the B races of a batch, where they are not the same in all of them.
+    """Cars and tracks of the B races of a batch, where they are not the same in all of them."""
 
-    Attributes
-    ----------
-    vehicles : ndarray, shape (B, 2, 18), optional
-        Parameter rows of both cars (:meth:`pcs_racing.car.vehicle.VehicleParams.as_row`); None for those of the setup.
-    tracks : tuple of B Track, optional
-        The setup's circuit with obstacles on it; None for the circuit itself.
-    """
-
+    #: shape (B, 2, 18): Parameter rows of both cars (:meth:`pcs_racing.car.vehicle.VehicleParams.as_row`); None for
+    #: those of the setup.
     vehicles: NDArray[np.float64] | None = None
+    #: One for each race: the setup's circuit with obstacles on it; None for the circuit itself.
     tracks: tuple[Track, ...] | None = None
 
     def take(self, indices: ArrayLike) -> "RaceConditions":
@@ -38,13 +31,7 @@ class RaceConditions:
         )
 
     def rows(self, vehicles: tuple[VehicleParams, VehicleParams], races: int) -> NDArray[np.float64]:
-        """Parameter rows of both cars of every race, shape (races, 2, 18), the setup's where there are no others.
-
-        Raises
-        ------
-        InputError
-            If they are of another number of races.
-        """
+        """Parameter rows of both cars of every race, shape (races, 2, 18), the setup's where there are no others."""
         if self.vehicles is None:
             return vehicle_rows(vehicles, races)
         if self.vehicles.shape != (races, 2, PARAMS_SIZE):
@@ -54,13 +41,7 @@ class RaceConditions:
         return self.vehicles
 
     def runs(self, track: Track, races: int) -> list[tuple[Track, int, int]]:
-        """Tracks of runs of neighbouring races, with the first race of each and the one after the last.
-
-        Raises
-        ------
-        InputError
-            If there are tracks of another number of races.
-        """
+        """Tracks of runs of neighbouring races, with the first race of each and the one after the last."""
         if self.tracks is None:
             return [(track, 0, races)]
         if len(self.tracks) != races:

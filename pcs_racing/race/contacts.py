@@ -6,8 +6,6 @@ from pcs_racing.car.collision import contact_fault, hits_wall, rectangles_overla
 from pcs_racing.race import state as _state
 from pcs_racing.track.frenet import locate
 
-__all__ = ["collide", "place_cars"]
-
 
 @inner_kernel
 def _latch(cars, crash, fault, race, vehicles, wall0, wall1):  # type: ignore[no-untyped-def]

@@ -24,8 +24,6 @@ from pcs_racing.track.track import Track
 
 Run = tuple[Track, int, int]  # a track, the first of the races on it, and the one after the last
 
-__all__ = ["default_threads", "drive", "kernel_settings", "pad_parameters"]
-
 # Counted in steps of 0.01 s of one race, of about 1 us each.
 PIECE = 3000  # that a thread drives at a time
 WORTH_A_THREAD = 500  # that are worth handing over
@@ -79,8 +77,6 @@ def drive(
 
     Parameters
     ----------
-    track : Track
-    settings : KernelSettings
     planners : tuple of two Planner
         Of car 0 and car 1.
     vehicles : tuple of two VehicleParams
@@ -95,11 +91,6 @@ def drive(
         Threads to share the races; all cores by default, one where a driver is plain Python.
     conditions : RaceConditions
         Cars and tracks of single races.
-
-    Raises
-    ------
-    InputError
-        If ``ticks`` is odd or negative, or ``theta`` or the conditions do not fit the batch.
     """
     cars, runs = conditions.rows(vehicles, state.races), conditions.runs(track, state.races)
     if ticks < 0 or ticks % CONTROL_EVERY:
@@ -149,7 +140,7 @@ def _drive_compiled(
             np.empty(WORK_SIZE),
         )
 
-    with first_call(advance_races, "the planners and the race kernel", 10) as compiling:
+    with first_call(advance_races, "the planners and the race kernel", 14) as compiling:
         plan0, control0 = planners[0].pointers()
         plan1, control1 = planners[1].pointers()
         if compiling and runs:

@@ -14,8 +14,6 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.replay import Replay
 
-__all__ = ["replay_frames", "write_gif"]
-
 _TRAIL = 2.0  # s
 
 
@@ -26,7 +24,6 @@ def replay_frames(
 
     Parameters
     ----------
-    replay : Replay
     renderer : Renderer, optional
         In mode ``"rgb_array"``; one of the whole track if left out.
     fps : float
@@ -39,11 +36,6 @@ def replay_frames(
     Yields
     ------
     ndarray of uint8, shape (height, width, 3)
-
-    Raises
-    ------
-    InputError
-        If ``fps`` or ``speed`` is not positive, or the renderer shows a window.
     """
     check_number("fps", fps, most=1000.0, above=0.0)
     check_number("speed", speed, most=1000.0, above=0.0)
@@ -92,7 +84,6 @@ def write_gif(
 
     Parameters
     ----------
-    replay : Replay
     path : path
         Ends in ``.gif``; an existing file is replaced in one step.
     renderer : Renderer, optional
@@ -103,15 +94,6 @@ def write_gif(
         Race seconds per second.
     candidates : bool
         Whether to draw the paths considered.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    InputError
-        If an argument is impossible or the folder does not exist.
     """
     path = Path(path)
     if path.suffix != ".gif":

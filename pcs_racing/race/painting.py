@@ -11,20 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image, ImageChops, ImageDraw
 
-__all__ = [
-    "FINER",
-    "THEMES",
-    "Camera",
-    "Colours",
-    "paint_candidates",
-    "paint_car",
-    "paint_names",
-    "paint_plan",
-    "paint_track",
-    "paint_trails",
-    "theme_colours",
-]
-
 FINER = 2
 """Fine pixels across a pixel of the frame."""
 

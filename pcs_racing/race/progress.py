@@ -6,8 +6,6 @@ from pcs_racing.race import state as _state
 from pcs_racing.race.rates import CONTROL_EVERY, DT
 from pcs_racing.track.frenet import foot
 
-__all__ = ["count_crossing", "update_progress"]
-
 
 @inner_kernel
 def _cross_line(laps, race, car, time):  # type: ignore[no-untyped-def]

@@ -23,42 +23,18 @@ from pcs_racing.race.start_places import places_of, split_places
 from pcs_racing.race.state import RaceState, concatenate, empty_state, take
 from pcs_racing.track.track import Track
 
-__all__ = [
-    "TIE_WITHIN",
-    "RaceResult",
-    "RaceSetup",
-    "advance",
-    "draw_starts",
-    "run_races",
-    "start_lines",
-    "start_races",
-    "starts_of",
-    "winners",
-]
-
 TIE_WITHIN = 0.01  # m of lead
 
 
 @dataclass(frozen=True, eq=False)
 class RaceSetup:
-    """What stays the same during a batch of races: track, rules, the two planners and the two cars.
-
-    Attributes
-    ----------
-    track : Track
-    config : RaceConfig
-    planners : tuple of two Planner
-        Family of car 0's and car 1's policies.
-    vehicles : tuple of two VehicleParams
-        Car 0 and car 1.
-    most_delay : float
-        Longest ``steer_delay`` of a car in a race that has cars of its own (:class:`RaceConditions`), s.
-    """
+    """What stays the same during a batch of races: track, rules, the two planners and the two cars."""
 
     track: Track
     config: RaceConfig
-    planners: tuple[Planner, Planner]
-    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH)
+    planners: tuple[Planner, Planner]  #: Family of car 0's and car 1's policies.
+    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH)  #: Car 0 and car 1.
+    #: Longest ``steer_delay`` of a car in a race that has cars of its own (:class:`RaceConditions`), s.
     most_delay: float = 0.0
 
     @cached_property
@@ -97,9 +73,6 @@ def start_lines(
 
     Parameters
     ----------
-    track : Track
-    config : RaceConfig
-    seed : int or SeedSequence
     split : {"train", "test"}
         Games of training start from other places than races of tables
         (:func:`pcs_racing.race.start_places.split_places`).
@@ -108,11 +81,6 @@ def start_lines(
     -------
     ndarray, shape (config.start_lines,)
         In random order. Lines repeat where the circuit has fewer places.
-
-    Raises
-    ------
-    InputError
-        If the circuit has no place for the start that the configuration asks for.
     """
     rng = np.random.default_rng(seed)
     known = starts_for(track, config)
@@ -193,7 +161,6 @@ def advance(
 
     Parameters
     ----------
-    setup : RaceSetup
     state : RaceState
         Overwritten.
     theta : ndarray, shape (B, 2, P)
@@ -229,18 +196,10 @@ def advance(
 
 @dataclass(frozen=True, eq=False)
 class RaceResult:
-    """What came of a batch of races.
-
-    Attributes
-    ----------
-    config : RaceConfig
-    state : RaceState
-        Where every race ended.
-    starts : Starts
-    """
+    """What came of a batch of races."""
 
     config: RaceConfig
-    state: RaceState
+    state: RaceState  #: Where every race ended.
     starts: Starts
 
     @property
@@ -310,7 +269,6 @@ def run_races(
 
     Parameters
     ----------
-    track : Track
     egos, opponents : Policy or sequence of Policy
         Drivers of car 0 and car 1 in each race; a single policy drives in all of them. Planners may differ from race to
         race.
@@ -324,10 +282,6 @@ def run_races(
         The cars.
     threads : int, optional
         Threads to share the races; all cores by default. It does not change the result.
-
-    Returns
-    -------
-    RaceResult
 
     Raises
     ------

@@ -18,8 +18,6 @@ from pcs_racing.track.mapping.circuits import generate_circuit
 from pcs_racing.track.mapping.shapes import STYLES
 from pcs_racing.track.track import Calibration, Track, build_track
 
-__all__ = ["CircuitBuilder", "RandomCircuits", "random_circuit"]
-
 SPEED_RANGES = {"paper": (0.66, 0.86), "contest": (0.65, 0.97)}
 """Speed scales of pace 0 and 1: those of the shipped circuits with the least room to drive fast in."""
 BENDS = 0.12  # 1/m: start places are where the line bends less than this ...
@@ -55,11 +53,6 @@ def random_circuit(settings: RandomCircuits, index: int) -> Track:
 
     Its speed ranges are fixed, and its start places lie where the race line is nearly straight; ``pcs-racing track
     generate`` makes circuits for which both are found by driving.
-
-    Raises
-    ------
-    MapError
-        If the settings allow no circuit.
     """
     refusal: MapError | None = None
     for attempt in range(TRIES):
@@ -112,7 +105,6 @@ class CircuitBuilder:
 
     Parameters
     ----------
-    settings : RandomCircuits
     room : int
         Circuits in use at the same time.
     """
@@ -142,13 +134,7 @@ class CircuitBuilder:
             return found
 
     def get(self, index: int) -> Track:
-        """Return a circuit; waits until it is built.
-
-        Raises
-        ------
-        MapError
-            If the settings allow no circuit.
-        """
+        """Return a circuit; waits until it is built."""
         return self.ahead(index).result()
 
     def close(self) -> None:

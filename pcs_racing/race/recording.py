@@ -28,8 +28,6 @@ from pcs_racing.race.state import ITTC, ITTC_SAMPLES, WALL_CRASH, RaceState
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.track import Track
 
-__all__ = ["LAST_INDEX", "record_drive", "record_race", "tell_apart"]
-
 LAST_INDEX = 2**32 - 1
 """Largest number of a race: it is one 32-bit word of the key of the race's noise."""
 
@@ -52,7 +50,6 @@ def record_race(
 
     Parameters
     ----------
-    track : Track
     ego, opponent : Policy
         Drivers of car 0 and car 1.
     config : RaceConfig
@@ -97,7 +94,6 @@ def record_drive(
 
     Parameters
     ----------
-    setup : RaceSetup
     start : Starts
         Of one race.
     noise : uint64
@@ -110,15 +106,6 @@ def record_drive(
         Length of a step in ticks of 0.01 s; a multiple of 10, as plans are made. Not needed for a single step.
     candidates : bool
         Whether to keep the paths that each planner chose from (if it can tell).
-
-    Returns
-    -------
-    Replay
-
-    Raises
-    ------
-    InputError
-        If there is more than one race, the steps have no length, or the start is impossible.
     """
     if len(start) != 1:
         raise InputError(f"there are {len(start)} starts; a recording is of one race")

@@ -34,8 +34,6 @@ from pcs_racing.track.frenet import SPEED
 if TYPE_CHECKING:
     from pcs_racing.track.track import Track
 
-__all__ = ["MODES", "VIEWS", "Renderer", "half_sizes"]
-
 MODES = ("rgb_array", "human")
 VIEWS = ("track", "both", "car_0", "car_1")
 
@@ -66,8 +64,6 @@ class Renderer:
 
     Raises
     ------
-    InputError
-        If an argument is none of these.
     ImportError
         If ``mode="human"`` and pygame-ce is not installed.
     """
@@ -139,11 +135,6 @@ class Renderer:
         -------
         ndarray of uint8, shape (height, width, 3), or None
             None in a window (``mode="human"``).
-
-        Raises
-        ------
-        InputError
-            If ``cars`` has another shape or is not finite.
         """
         cars = np.asarray(cars, float)
         if cars.ndim != 2 or cars.shape[0] not in (1, 2) or cars.shape[1] != 7 or not np.all(np.isfinite(cars)):

@@ -7,75 +7,23 @@ import numpy as np
 from pcs_racing.base.checks import check_number, check_whole
 from pcs_racing.base.errors import InputError
 
-__all__ = ["Replay", "ReplayEvent"]
-
 _LARGEST = 1e9
 _LONGEST_TEXT = 500
 
 
 @dataclass(frozen=True)
 class ReplayEvent:
-    """Something that happened at one moment of a race.
+    """Something that happened at one moment of a race."""
 
-    Attributes
-    ----------
-    time : float
-        Seconds since the start.
-    car : int
-        0 or 1: whose event it is.
-    kind : str
-        ``"crash"``, ``"overtake"`` and ``"move"`` have signs of their own; any other word is allowed.
-    text : str
-        What to tell the viewer, such as ``"aggressiveness +"``.
-    """
-
-    time: float
-    car: int
-    kind: str
-    text: str = ""
+    time: float  #: Seconds since the start.
+    car: int  #: 0 or 1: whose event it is.
+    kind: str  #: ``"crash"``, ``"overtake"`` and ``"move"`` have signs of their own; any other word is allowed.
+    text: str = ""  #: What to tell the viewer, such as ``"aggressiveness +"``.
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
     """A race as it was driven: nothing but values, checked and copied when it is made; the arrays are read-only.
-
-    Attributes
-    ----------
-    title, track_name : str
-        Shown in the page's header.
-    car_names : tuple of two str
-        Names of the drivers.
-    cars : ndarray, shape (T, 2, 7)
-        States x, y, delta, v, psi, psi_dot, beta of both cars every ``frame_dt`` (m, rad, s).
-    progress : ndarray, shape (T, 2)
-        Cumulative arc length driven along the line in m; its difference is the lead.
-    walls : ndarray, shape (S, 4)
-        Wall segments x0, y0, x1, y1 in m. Where they close to loops, the track is filled between them.
-    line : ndarray, shape (N, 2)
-        The closed race line in m.
-    line_speed : ndarray, shape (N,), optional
-        Speed along it in m/s; colours it.
-    frame_dt : float
-        Seconds between two rows of ``cars``.
-    ittc : ndarray, shape (T, 2), optional
-        Smallest instantaneous time to collision of each car in s; infinite is allowed (stored as 60 s).
-    plan_dt : float
-        Seconds between two plans; plan k is made at ``k * plan_dt``.
-    paths : ndarray, shape (K, 2, P, 4), optional
-        The plan each car follows: points x, y (m), speed (m/s) and time (s, from the moment of the plan); rows after
-        its last point are NaN.
-    candidate_steps : ndarray of int, shape (J,), optional
-        The plans whose candidates are kept, increasing; all of them if left out.
-    candidates : ndarray, shape (J, 2, C, P', 2), optional
-        Points x, y of every path that was considered; rows after its last point are NaN.
-    costs : ndarray, shape (J, 2, C), optional
-        Their costs; infinite for a rejected one. Goes with ``candidates``.
-    events : tuple of ReplayEvent
-        In any order; kept sorted by time.
-    outcome : str
-        How it ended, in words.
-    half_sizes : ndarray, shape (2, 2)
-        Half length and half width of each car in m.
 
     Raises
     ------
@@ -83,23 +31,32 @@ class Replay:
         If a shape does not fit, a number is not finite where it must be, or a text is too long.
     """
 
-    title: str
+    title: str  #: Shown in the page's header, as is the track's name.
     track_name: str
-    car_names: tuple[str, str]
+    car_names: tuple[str, str]  #: Names of the drivers.
+    #: shape (T, 2, 7): States x, y, delta, v, psi, psi_dot, beta of both cars every ``frame_dt`` (m, rad, s).
     cars: np.ndarray
-    progress: np.ndarray
+    progress: np.ndarray  #: shape (T, 2): Cumulative arc length driven along the line in m; its difference is the lead.
+    #: shape (S, 4): Wall segments x0, y0, x1, y1 in m. Where they close to loops, the track is filled between them.
     walls: np.ndarray
-    line: np.ndarray
-    line_speed: np.ndarray | None = None
-    frame_dt: float = 0.05
+    line: np.ndarray  #: shape (N, 2): The closed race line in m.
+    line_speed: np.ndarray | None = None  #: shape (N,): Speed along it in m/s; colours it.
+    frame_dt: float = 0.05  #: Seconds between two rows of ``cars``.
+    #: shape (T, 2): Smallest instantaneous time to collision of each car in s; infinite is allowed (stored as 60 s).
     ittc: np.ndarray | None = None
-    plan_dt: float = 0.1
+    plan_dt: float = 0.1  #: Seconds between two plans; plan k is made at ``k * plan_dt``.
+    #: shape (K, 2, P, 4): The plan each car follows: points x, y (m), speed (m/s) and time (s, from the moment of the
+    #: plan); rows after its last point are NaN.
     paths: np.ndarray | None = None
+    #: shape (J,), int: The plans whose candidates are kept, increasing; all of them if left out.
     candidate_steps: np.ndarray | None = None
+    #: shape (J, 2, C, P', 2): Points x, y of every path that was considered; rows after its last point are NaN.
     candidates: np.ndarray | None = None
+    #: shape (J, 2, C): Their costs; infinite for a rejected one. Goes with ``candidates``.
     costs: np.ndarray | None = None
-    events: tuple[ReplayEvent, ...] = ()
-    outcome: str = ""
+    events: tuple[ReplayEvent, ...] = ()  #: In any order; kept sorted by time.
+    outcome: str = ""  #: How it ended, in words.
+    #: shape (2, 2): Half length and half width of each car in m.
     half_sizes: np.ndarray | tuple[tuple[float, float], ...] = ((0.29, 0.155), (0.29, 0.155))
 
     def __post_init__(self) -> None:

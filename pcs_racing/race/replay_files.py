@@ -31,8 +31,6 @@ from pcs_racing.base.packing import (
 from pcs_racing.base.reading import read_limited
 from pcs_racing.race.replay import Replay, ReplayEvent
 
-__all__ = ["plain_parts", "read_replay", "replay_page", "safe_json", "save_replay", "write_html"]
-
 FORMAT = "pcs-racing replay 1"
 
 LONGEST_ITTC = 60.0
@@ -49,13 +47,8 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
 
     Parameters
     ----------
-    replay : Replay
     path : path
         Where to write; an existing file is replaced in one step.
-
-    Returns
-    -------
-    Path
 
     Raises
     ------
@@ -79,18 +72,8 @@ def write_html(replay: Replay, path: str | os.PathLike[str]) -> Path:
 
     Parameters
     ----------
-    replay : Replay
     path : path
         Where to write; an existing file is replaced in one step.
-
-    Returns
-    -------
-    Path
-
-    Raises
-    ------
-    InputError
-        If the folder does not exist.
     """
     path = Path(path)
     page = replay_page(replay)
@@ -113,10 +96,6 @@ def read_replay(path: str | os.PathLike[str]) -> Replay:
     ----------
     path : path
         A file that `save_replay` wrote.
-
-    Returns
-    -------
-    Replay
 
     Raises
     ------

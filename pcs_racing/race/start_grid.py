@@ -15,22 +15,13 @@ from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.track import Track
 
-__all__ = ["Starts", "place_on_grid", "settle"]
-
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Where the cars of a batch of races start.
+    """Where the cars of a batch of races start."""
 
-    Attributes
-    ----------
-    s : ndarray, shape (B,)
-        Arc length of the start line, m.
-    side : ndarray, shape (B,), int64
-        0 when car 0 starts on the left (side by side) or in front (staggered, rolling), 1 when car 1 does.
-    """
-
-    s: NDArray[np.float64]
+    s: NDArray[np.float64]  #: shape (B,): Arc length of the start line, m.
+    #: shape (B,): 0 when car 0 starts on the left (side by side) or in front (staggered, rolling), 1 when car 1 does.
     side: NDArray[np.int64]
 
     def __len__(self) -> int:
@@ -59,24 +50,16 @@ def place_on_grid(
 
     Parameters
     ----------
-    track : Track
     config : RaceConfig
         Kind of start, gap and speed.
     spacing : float
         Distance between the cars' centres across the track, m.
     slowest : float
         Speed scale of pace 0: no car starts faster than the race line at that scale.
-    vehicles : tuple of two VehicleParams
-    starts : Starts
     memory_size : int
         Numbers of memory for each driver.
     conditions : RaceConditions, optional
         Cars and tracks of single races.
-
-    Raises
-    ------
-    InputError
-        If a start line lies off the track, or a side is neither 0 nor 1; the race's index is named.
     """
     arrays = track.arrays
     outside = ~((starts.s >= 0.0) & (starts.s < arrays.length))

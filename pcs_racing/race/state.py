@@ -11,8 +11,6 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited, unpack_arrays
 from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS
 
-__all__ = ["SUMS", "RaceState", "concatenate", "empty_state", "load_state", "save_state", "take"]
-
 SUMS: dict[str, str] = {
     "ITTC": "sum of the minimum time to collision over its samples, s",
     "ITTC_SAMPLES": "number of those samples (20 per second)",
@@ -44,55 +42,29 @@ class RaceState(NamedTuple):
 
     Nothing else is needed to go on: two races with equal states, policies and rules continue identically to the last
     bit.
-
-    Attributes
-    ----------
-    tick : ndarray, shape (B,), int64
-        Simulation steps of 0.01 s driven so far.
-    seed : ndarray, shape (B,), uint64
-        Key of each race's own noise; the noise is a function of (seed, car, tick), there is no stream to carry.
-    cars : ndarray, shape (B, 2, 7)
-        Vehicle states (:mod:`pcs_racing.car.vehicle`).
-    frenet : ndarray, shape (B, 2, 2)
-        Arc length in [0, length) and distance from the race line, m.
-    progress : ndarray, shape (B, 2)
-        Cumulative arc length since the start line, m; a lap adds the length of the track.
-    command : ndarray, shape (B, 2, 2)
-        Target steering angle (rad) and speed (m/s) in force, the noise included.
-    disturbance : ndarray, shape (B, 2)
-        AR(1) steering disturbance, rad.
-    path : ndarray, shape (B, 2, 12, 4)
-        Path that each driver follows: x, y (m), speed (m/s), curvature (1/m).
-    memory : ndarray, shape (B, 2, M)
-        What the planners remember.
-    sums : ndarray, shape (B, 2, 7)
-        Running sums (:data:`SUMS`).
-    crash : ndarray, shape (B, 2), int8
-        0 none, 1 into a wall, 2 with the other car; latched, and the race stands still from then on.
-    fault : ndarray, shape (B, 2), int8
-        1 for a car that is to blame for the crash.
-    leader : ndarray, shape (B,), int8
-        Car that last led by more than a car's length (-1 none yet).
-    overtakes : ndarray, shape (B, 2), int64
-        How often each car passed the other.
-    laps : ndarray, shape (B, 2, 5)
-        What :attr:`lap_count`, :attr:`lap_time` and :attr:`best_lap` are read from.
     """
 
-    tick: NDArray[np.int64]
+    tick: NDArray[np.int64]  #: shape (B,): Simulation steps of 0.01 s driven so far.
+    #: shape (B,): Key of each race's own noise; the noise is a function of (seed, car, tick), there is no stream to
+    #: carry.
     seed: NDArray[np.uint64]
-    cars: NDArray[np.float64]
-    frenet: NDArray[np.float64]
+    cars: NDArray[np.float64]  #: shape (B, 2, 7): Vehicle states (:mod:`pcs_racing.car.vehicle`).
+    frenet: NDArray[np.float64]  #: shape (B, 2, 2): Arc length in [0, length) and distance from the race line, m.
+    #: shape (B, 2): Cumulative arc length since the start line, m; a lap adds the length of the track.
     progress: NDArray[np.float64]
+    #: shape (B, 2, 2): Target steering angle (rad) and speed (m/s) in force, the noise included.
     command: NDArray[np.float64]
-    disturbance: NDArray[np.float64]
+    disturbance: NDArray[np.float64]  #: shape (B, 2): AR(1) steering disturbance, rad.
+    #: shape (B, 2, 12, 4): Path that each driver follows: x, y (m), speed (m/s), curvature (1/m).
     path: NDArray[np.float64]
-    memory: NDArray[np.float64]
-    sums: NDArray[np.float64]
+    memory: NDArray[np.float64]  #: shape (B, 2, M): What the planners remember.
+    sums: NDArray[np.float64]  #: shape (B, 2, 7): Running sums (:data:`SUMS`).
+    #: shape (B, 2): 0 none, 1 into a wall, 2 with the other car; latched, and the race stands still from then on.
     crash: NDArray[np.int8]
-    fault: NDArray[np.int8]
-    leader: NDArray[np.int8]
-    overtakes: NDArray[np.int64]
+    fault: NDArray[np.int8]  #: shape (B, 2): 1 for a car that is to blame for the crash.
+    leader: NDArray[np.int8]  #: shape (B,): Car that last led by more than a car's length (-1 none yet).
+    overtakes: NDArray[np.int64]  #: shape (B, 2): How often each car passed the other.
+    #: shape (B, 2, 5): What :attr:`lap_count`, :attr:`lap_time` and :attr:`best_lap` are read from.
     laps: NDArray[np.float64]
 
     @property

@@ -6,8 +6,6 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.race.rates import CONTROL_EVERY
 
-__all__ = ["delayed", "steering_noise", "steering_sd"]
-
 
 @inner_kernel(forceinline=True)
 def _mix(key):  # type: ignore[no-untyped-def]

@@ -26,8 +26,6 @@ from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
 from pcs_racing.race.state import SUMS, RaceState, take
 from pcs_racing.track.track import Track
 
-__all__ = ["check_archive", "check_characteristic", "check_planner"]
-
 RACES = 6
 
 
@@ -40,11 +38,8 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
 
     Parameters
     ----------
-    planner : Planner
-    track : Track
     seconds : float
         Length of the races, a multiple of 0.4.
-    seed : int
 
     Raises
     ------
@@ -111,7 +106,6 @@ def check_archive(archive: PolicyArchive, track: Track | None = None) -> None:
 
     Parameters
     ----------
-    archive : PolicyArchive
     track : Track, optional
         Where to play a short game between its first and its last policy.
 
@@ -147,11 +141,6 @@ def check_archive(archive: PolicyArchive, track: Track | None = None) -> None:
 
 def check_characteristic(characteristic: Characteristic, *, seed: int = 0) -> None:
     """Check that a characteristic gives one finite number for each race and car, and treats all of them alike.
-
-    Parameters
-    ----------
-    characteristic : Characteristic
-    seed : int
 
     Raises
     ------

@@ -19,8 +19,6 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.reading import read_limited, unpack_arrays
 
-__all__ = ["CALIBRATION", "TRACK", "cache_folder", "cache_key", "load_cached", "store"]
-
 TRACK, CALIBRATION = "track", "calibration"  # kinds of results
 
 MAX_BYTES = 256_000_000
@@ -39,7 +37,6 @@ _TRACK_CODE = (
     "track/building/centerline.py",
     "track/building/clearance.py",
     "track/building/curves.py",
-    "track/building/fourier.py",
     "track/building/raceline.py",
     "track/building/speed.py",
 )

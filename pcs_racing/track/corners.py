@@ -3,8 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["corner_lists", "corners_along"]
-
 TOGETHER = 16
 """Lists of corners have a multiple of this length, so that the processor's vectors are full."""
 

@@ -11,97 +11,46 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 
-__all__ = [
-    "COS",
-    "KAPPA",
-    "LEFT",
-    "LINE_COLUMNS",
-    "PSI",
-    "RIGHT",
-    "SIN",
-    "SPEED",
-    "TrackArrays",
-    "X",
-    "Y",
-    "angle_between",
-    "foot",
-    "interpolate",
-    "locate",
-    "offset",
-    "project",
-    "to_cartesian",
-    "wall_distance",
-    "wrap_s",
-]
-
 # Columns of ``TrackArrays.line``.
 X, Y, COS, SIN, PSI, KAPPA, SPEED, RIGHT, LEFT = range(9)
 LINE_COLUMNS = ("x", "y", "cos", "sin", "psi", "kappa", "speed", "right", "left")
 
 
 class TrackArrays(NamedTuple):
-    """The data of a track that compiled kernels read, as plain arrays.
+    """The data of a track that compiled kernels read, as plain arrays."""
 
-    Attributes
-    ----------
-    length : float
-        Length of the closed race line in m.
-    ds : float
-        Spacing of its samples in m (``length / len(line)``).
-    line : ndarray, shape (N, 9), float64
-        Samples of the race line at ``s = i * ds``: x, y (m), cos and sin of the heading, the heading psi (rad,
-        continuous along the line), curvature kappa (1/m, positive to the left), speed (m/s, at speed scale 1), and the
-        free width to the right and to the left wall (m, both positive). The last sample lies one ``ds`` before the
-        first.
-    distance : ndarray, shape (H, W), float32
-        Distance in m from the centre of each cell to the nearest face of a wall cell, exact; 0 in walls and off the
-        track, and there only. Row 0 is the bottom.
-    origin_x, origin_y : float
-        Lower left corner of cell [0, 0] in m.
-    cell : float
-        Side of a cell of ``distance`` and ``nearest`` in m.
-    walls : ndarray, shape (S, 4), float64
-        Wall segments x0, y0, x1, y1 in m, the drivable side on their left.
-    seen_start : ndarray, shape (M + 1,), int32
-        Where the list of each stretch of the line begins in ``seen``.
-    seen : ndarray, int32
-        For each stretch of ``seen_stretch`` metres, the wall segments that can be seen from anywhere on it (across the
-        whole width of the track), near ones first.
-    seen_distance : ndarray, shape of ``seen``, float32
-        Distance in m, rounded down, of each listed segment from ``seen_middle`` of its stretch; rises along a list.
-    seen_middle : ndarray, shape (M, 2), float64
-        A point of each stretch, in m, about half way along it and half way between the walls.
-    seen_stretch : float
-        Length of such a stretch in m (``length / M``).
-    corners_start : ndarray, shape (M + 1,), int32
-        Where the list of each stretch begins in ``corners``, and where the last one ends.
-    corners : ndarray, shape (2, C), float64
-        For each stretch, x and y in m of the corners of the walls in its list of ``seen``, along the walls: between two
-        successive corners there is a wall segment, between a corner and NaN there is none. After the last list come
-        the corners of what every stretch sees: obstacles.
-    lookup : ndarray, shape (h, w), int32
-        Index of the line sample nearest to the centre of each coarse cell.
-    lookup_cell : float
-        Side of a cell of ``lookup`` in m; it shares the origin of ``distance``.
-    """
-
-    length: float
-    ds: float
+    length: float  #: Length of the closed race line in m.
+    ds: float  #: Spacing of its samples in m (``length / len(line)``).
+    #: shape (N, 9), float64: Samples of the race line at ``s = i * ds``: x, y (m), cos and sin of the heading, the
+    #: heading psi (rad, continuous along the line), curvature kappa (1/m, positive to the left), speed (m/s, at speed
+    #: scale 1), and the free width to the right and to the left wall (m, both positive). The last sample lies one
+    #: ``ds`` before the first.
     line: np.ndarray
+    #: shape (H, W), float32: Distance in m from the centre of each cell to the nearest face of a wall cell, exact; 0 in
+    #: walls and off the track, and there only. Row 0 is the bottom.
     distance: np.ndarray
-    origin_x: float
-    origin_y: float
-    cell: float
-    walls: np.ndarray
-    seen_start: np.ndarray
+    origin_x: float  #: Lower left corner of cell [0, 0] in m: x.
+    origin_y: float  #: The same: y.
+    cell: float  #: Side of a cell of ``distance`` and ``nearest`` in m.
+    walls: np.ndarray  #: shape (S, 4), float64: Wall segments x0, y0, x1, y1 in m, the drivable side on their left.
+    seen_start: np.ndarray  #: shape (M + 1,), int32: Where the list of each stretch of the line begins in ``seen``.
+    #: int32: For each stretch of ``seen_stretch`` metres, the wall segments that can be seen from anywhere on it
+    #: (across the whole width of the track), near ones first.
     seen: np.ndarray
+    #: shape of ``seen``, float32: Distance in m, rounded down, of each listed segment from ``seen_middle`` of its
+    #: stretch; rises along a list.
     seen_distance: np.ndarray
+    #: shape (M, 2), float64: A point of each stretch, in m, about half way along it and half way between the walls.
     seen_middle: np.ndarray
-    seen_stretch: float
+    seen_stretch: float  #: Length of such a stretch in m (``length / M``).
+    #: shape (M + 1,), int32: Where the list of each stretch begins in ``corners``, and where the last one ends.
     corners_start: np.ndarray
+    #: shape (2, C), float64: For each stretch, x and y in m of the corners of the walls in its list of ``seen``, along
+    #: the walls: between two successive corners there is a wall segment, between a corner and NaN there is none. After
+    #: the last list come the corners of what every stretch sees: obstacles.
     corners: np.ndarray
-    lookup: np.ndarray
-    lookup_cell: float
+    lookup: np.ndarray  #: shape (h, w), int32: Index of the line sample nearest to the centre of each coarse cell.
+    lookup_cell: float  #: Side of a cell of ``lookup`` in m; it shares the origin of ``distance``.
 
 
 # Functions that many kernels call take the track, but only hand its parts on to another function that does the work: a

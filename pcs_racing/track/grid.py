@@ -10,8 +10,6 @@ import numpy as np
 
 from pcs_racing.base.compilation import compiled
 
-__all__ = ["cast", "distance_to_walls", "flood", "lookup_grid", "spread_labels", "way_out"]
-
 
 @compiled
 def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]

@@ -21,8 +21,6 @@ from pcs_racing.track.grid import distance_to_walls
 from pcs_racing.track.maps import MapFiles, MapFolder, find_map, find_shipped, parse_map, read_bytes
 from pcs_racing.track.track import Track, build_track, calibration_from_values, calibration_values
 
-__all__ = ["as_track", "load_track"]
-
 Floats = NDArray[np.float64]
 
 CLEARANCE = 0.305

@@ -18,17 +18,6 @@ from pcs_racing.base.checks import check_number, check_whole, is_number
 from pcs_racing.base.errors import InputError, MapError
 from pcs_racing.base.reading import plain_yaml
 
-__all__ = [
-    "CENTERLINE_COLUMNS",
-    "INFO_KEYS",
-    "RACELINE_COLUMNS",
-    "parse_csv",
-    "parse_grid",
-    "parse_info",
-    "parse_ros_yaml",
-    "parse_yaml",
-]
-
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 

@@ -35,19 +35,6 @@ from pcs_racing.track.map_files import (
     parse_yaml,
 )
 
-__all__ = [
-    "MapFiles",
-    "MapFolder",
-    "find_map",
-    "find_shipped",
-    "list_tracks",
-    "parse_map",
-    "read_bytes",
-    "read_map",
-    "shipped_folder",
-    "write_map",
-]
-
 Floats = NDArray[np.float64]
 
 MAX_BYTES = 256_000_000  # of a picture
@@ -55,56 +42,28 @@ MAX_LINE = 8_000_000  # of a csv file
 
 
 class MapFiles(NamedTuple):
-    """Paths of the files of a map folder.
+    """Paths of the files of a map folder."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the circuit.
-    folder : Path
-    yaml : Path
-        The map's yaml file.
-    centerline, raceline, info : Path or None
-        The optional files, None if missing.
-    """
-
-    name: str
+    name: str  #: Name of the circuit.
     folder: Path
-    yaml: Path
-    centerline: Path | None
+    yaml: Path  #: The map's yaml file.
+    centerline: Path | None  #: None if this optional file is missing, as for the next two.
     raceline: Path | None
     info: Path | None
 
 
 class MapFolder(NamedTuple):
-    """The content of a map folder, in the units of its files.
-
-    Attributes
-    ----------
-    name : str
-    folder : Path
-    occupied : ndarray of bool, shape (H, W)
-        True where a wall is; row 0 is the bottom.
-    resolution : float
-        Side of a cell in m.
-    origin : tuple of float
-        Lower left corner of cell [0, 0] in m.
-    centerline : ndarray, shape (M, 4), or None
-        x, y, width to the right, width to the left, in m.
-    raceline : ndarray, shape (N, 7), or None
-        s, x, y, psi, kappa, vx, ax in m, rad and s; the last row repeats the first.
-    info : dict
-        Content of ``NAME_track.yaml``, see `map_files.INFO_KEYS`.
-    """
+    """The content of a map folder, in the units of its files."""
 
     name: str
     folder: Path
-    occupied: NDArray[np.bool_]
-    resolution: float
-    origin: tuple[float, float]
-    centerline: Floats | None
+    occupied: NDArray[np.bool_]  #: shape (H, W): True where a wall is; row 0 is the bottom.
+    resolution: float  #: Side of a cell in m.
+    origin: tuple[float, float]  #: Lower left corner of cell [0, 0] in m.
+    centerline: Floats | None  #: shape (M, 4): x, y, width to the right, width to the left, in m.
+    #: shape (N, 7): s, x, y, psi, kappa, vx, ax in m, rad and s; the last row repeats the first.
     raceline: Floats | None
-    info: dict[str, Any]
+    info: dict[str, Any]  #: Content of ``NAME_track.yaml``, see `map_files.INFO_KEYS`.
 
 
 def shipped_folder() -> Path:
@@ -121,13 +80,7 @@ def list_tracks() -> list[str]:
 
 
 def find_shipped(name: str) -> Path:
-    """Return the folder of a circuit that ships with the package; case does not matter.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no circuit of that name; the message lists all names.
-    """
+    """Return the folder of a circuit that ships with the package; case does not matter."""
     tracks = list_tracks()
     for candidate in tracks:
         if candidate.lower() == name.lower():
@@ -144,11 +97,6 @@ def find_map(path: str | os.PathLike[str]) -> MapFiles:
     ----------
     path : path-like
         The folder, or the map's yaml file in it.
-
-    Raises
-    ------
-    MapError
-        If the folder or the map's yaml file does not exist, or if several yaml files are possible.
     """
     folder = Path(path)
     # The functions of os answer no where those of Path raise errors: for names that no file can have.
@@ -173,11 +121,6 @@ def read_map(path: str | os.PathLike[str]) -> MapFolder:
     ----------
     path : path-like
         The folder, or the map's yaml file in it.
-
-    Raises
-    ------
-    MapError
-        If a file is missing or invalid; the message names the file, the value and the correct form.
     """
     files = find_map(path)
     return parse_map(files, read_bytes(files))
@@ -227,11 +170,6 @@ def write_map(content: MapFolder) -> Path:
     -------
     Path
         The folder.
-
-    Raises
-    ------
-    MapError
-        If a value is not allowed, the folder has other content, or a file can't be written.
     """
     name, folder = content.name, Path(content.folder)
     if not name.isprintable() or name != name.strip(" .") or not name or set(name) & set('/\\:*?"<>|'):

@@ -12,8 +12,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.track.corners import corners_along
 from pcs_racing.track.track import Track
 
-__all__ = ["BOX", "MOST_BOXES", "with_obstacles"]
-
 BOX = ("x", "y", "heading", "length", "width")
 """The numbers of an obstacle: its centre in m, the direction of its length in rad, and its sides in m.
 
@@ -34,7 +32,6 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
 
     Parameters
     ----------
-    track : Track
     boxes : array_like, shape (K, 5)
         Centre x, y (m), heading (rad), length and width (m, from 0.05 to 10) of each box; at most 100. With a width of
         0 it is a circle of that length as its diameter, of which walls and lidar know a polygon of 16 corners.
@@ -43,11 +40,6 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
     -------
     Track
         The track itself if there are no boxes.
-
-    Raises
-    ------
-    InputError
-        If the boxes have another shape or impossible sides, or there are too many.
     """
     given = check_array("obstacles", boxes if np.size(boxes) else np.empty((0, 5)), (None, len(BOX)))
     if len(given) > MOST_BOXES:

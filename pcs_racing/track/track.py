@@ -14,37 +14,19 @@ from pcs_racing.track import frenet
 from pcs_racing.track.building.build import build_arrays, check_centerline, check_grid, check_line
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
 
-__all__ = [
-    "Calibration",
-    "Track",
-    "build_track",
-    "calibration_from_values",
-    "calibration_values",
-]
-
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Speed range and start positions of a circuit under a race preset, from `pcs_racing.race.calibration`.
+    """Speed range and start positions of a circuit under a race preset, from `pcs_racing.race.calibration`."""
 
-    Attributes
-    ----------
-    speed_range : tuple of two floats
-        Scales of the speed profile that stand for pace 0 and pace 1.
-    start_spacing : float
-        Distance between the cars across the track at the start, m.
-    start_places : dict
-        Stretches of start positions for each side that they favour ("left" and "right", or "front"): arc lengths of the
-        first and the last position, m, ascending.
-    left_share : float
-        Share of start lines that are drawn from positions that favour the left car, so that neither side wins more.
-    """
-
-    speed_range: tuple[float, float]
-    start_spacing: float
+    speed_range: tuple[float, float]  #: Scales of the speed profile that stand for pace 0 and pace 1.
+    start_spacing: float  #: Distance between the cars across the track at the start, m.
+    #: Stretches of start positions for each side that they favour ("left" and "right", or "front"): arc lengths of the
+    #: first and the last position, m, ascending.
     start_places: dict[str, tuple[tuple[float, float], ...]]
+    #: Share of start lines that are drawn from positions that favour the left car, so that neither side wins more.
     left_share: float = 0.5
 
 
@@ -75,29 +57,18 @@ class Track:
     """A circuit: race line, walls, distance field.
 
     Immutable and shared: any number of races, environments and threads use one Track at the same time.
-
-    Attributes
-    ----------
-    name : str
-    arrays : TrackArrays
-        The data that compiled kernels read. Its arrays are technically writeable, so that all tracks have the same
-        compiled type, but no code writes to them.
-    centerline : ndarray, shape (M, 4)
-        x, y, width to the right, width to the left, in m; as given, read-only.
-    calibration : dict
-        The calibration of each race preset that the map's files contain; may be empty.
-    folder : Path or None
-        The map folder of the circuit.
-    content_hash : str
-        SHA-256 of the drivable region and the lines, in hexadecimal. Equal tracks have equal hashes, also if their
-        files differ.
     """
 
     name: str
+    #: The data that compiled kernels read. Its arrays are technically writeable, so that all tracks have the same
+    #: compiled type, but no code writes to them.
     arrays: TrackArrays
-    centerline: Floats
+    centerline: Floats  #: shape (M, 4): x, y, width to the right, width to the left, in m; as given, read-only.
+    #: The calibration of each race preset that the map's files contain; may be empty.
     calibration: dict[str, Calibration] = field(default_factory=dict)
-    folder: Path | None = None
+    folder: Path | None = None  #: The map folder of the circuit.
+    #: SHA-256 of the drivable region and the lines, in hexadecimal. Equal tracks have equal hashes, also if their files
+    #: differ.
     content_hash: str = ""
 
     def __repr__(self) -> str:
@@ -171,7 +142,6 @@ def build_track(
 
     Parameters
     ----------
-    name : str
     occupied : array_like of bool, shape (H, W)
         Occupancy grid, True where a wall is; row 0 is the bottom.
     resolution : float
@@ -186,10 +156,6 @@ def build_track(
         Speed range and start positions for each race preset, as far as they are known.
     folder : Path, optional
         The map folder of the circuit.
-
-    Returns
-    -------
-    Track
 
     Raises
     ------

@@ -11,7 +11,7 @@ from PIL import Image
 from pcs_racing import GameConfig, InputError, RaceConfig, load_archive, load_race_config, load_track, make_game
 from pcs_racing.envs.batch import check_seed
 from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.envs.head_to_head import HeadToHeadEnv
+from pcs_racing.envs.duel import HeadToHeadEnv
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing.track.map_files import CENTERLINE_COLUMNS, parse_csv, parse_grid

@@ -15,8 +15,6 @@ from pcs_racing.track.corners import corner_lists
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, LINE_COLUMNS, PSI, RIGHT, SIN, SPEED, TrackArrays, X, Y
 from pcs_racing.track.grid import cast, distance_to_walls, flood, lookup_grid, way_out
 
-__all__ = ["build_arrays", "check_centerline", "check_grid", "check_line", "drivable_region"]
-
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 
@@ -38,14 +36,7 @@ LEAK = 1.4  # a region larger than this many times length x mean width is more t
 def check_grid(
     occupied: ArrayLike, resolution: float, origin: ArrayLike, label: str
 ) -> tuple[Grid, float, tuple[float, float]]:
-    """Check an occupancy grid, its cell size and its lower left corner, and convert them to the right types.
-
-    Raises
-    ------
-    MapError
-        If the grid is not a boolean array of at least 8 x 8 cells, if the resolution is not in (0, 1] m, or if the
-        origin is not two finite numbers.
-    """
+    """Check an occupancy grid, its cell size and its lower left corner, and convert them to the right types."""
     grid = np.ascontiguousarray(occupied)
     if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 8:
         raise MapError(f"{label}: the grid must be a boolean array of at least 8 x 8, got {grid.dtype} {grid.shape}")
@@ -69,11 +60,6 @@ def check_line(points: ArrayLike, label: str) -> Floats:
     Returns
     -------
     ndarray, shape (L, 2)
-
-    Raises
-    ------
-    MapError
-        If the line has fewer than 10 different points, contains NaN or infinity, is open, or crosses itself.
     """
     xy = np.array(points, dtype=np.float64)
     if xy.ndim != 2 or xy.shape[1] != 2:
@@ -125,8 +111,6 @@ def drivable_region(
     Parameters
     ----------
     occupied : ndarray of bool, shape (H, W)
-    resolution : float
-    origin : tuple of float
     samples : LineSamples
         The race line.
     label : str
@@ -138,11 +122,6 @@ def drivable_region(
         Its outermost rows and columns are False.
     row, col : int
         Row and column of the grid at which the crop begins (negative if the margin is outside the grid).
-
-    Raises
-    ------
-    MapError
-        If the line leaves the map or crosses a wall, or if the region is larger than the track.
     """
     rows, cols = _cells(samples.xy, occupied, resolution, origin, f"{label}: the race line")
     reached, (bottom, top, left, right) = flood(occupied, rows, cols)
@@ -192,11 +171,6 @@ def build_arrays(
     arrays : TrackArrays
     drivable : ndarray of bool, shape of ``arrays.distance``
         The drivable region.
-
-    Raises
-    ------
-    MapError
-        If the race line and the grid don't fit together.
     """
     from pcs_racing.track.building.speed import speed_profile
 

@@ -13,8 +13,6 @@ from pcs_racing.track.building.clearance import checked_grid
 from pcs_racing.track.building.curves import curve_length, resample, signed_area, smooth
 from pcs_racing.track.grid import distance_to_walls
 
-__all__ = ["centerline_from_grid"]
-
 SPACING = 0.3  # of the result, m
 SMOOTHING = 1.0  # waves of this length are halved, m: far above a cell, below the tightest hairpin
 RIM = 3  # cells of wall around the track, so that the rim itself never counts as the nearer wall
@@ -56,11 +54,6 @@ def centerline_from_grid(
     ndarray, shape (M, 4)
         x, y and the widths to the right and to the left wall, all in m, evenly spaced about 0.3 m apart; the last point
         lies one step before the first. A width is the distance to the nearest point of the wall on that side.
-
-    Raises
-    ------
-    MapError
-        If the seed point is off the map or in a wall, if there is no closed loop, or if there are several.
     """
     require("skimage")
     from scipy import ndimage

@@ -7,8 +7,6 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.frenet import interpolate
 
-__all__ = ["checked_grid", "corridor", "room_at", "wall_clearance"]
-
 
 def checked_grid(
     occupied: np.ndarray, resolution: float, origin: np.ndarray | tuple[float, float]
@@ -23,11 +21,6 @@ def checked_grid(
         Side of a cell in m.
     origin : array_like, shape (2,) or longer
         Lower left corner of cell [0, 0] in m; further elements (the yaw of ROS maps) are ignored.
-
-    Raises
-    ------
-    MapError
-        If the grid isn't a two-dimensional boolean array, the resolution is not above 0, or the origin is not finite.
     """
     grid = np.ascontiguousarray(occupied)
     if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 3:

@@ -14,8 +14,6 @@ from pcs_racing.track.building.speed import ACCELERATION, BRAKING, LATERAL, TOP_
 from pcs_racing.track.building.splines import sample_closed
 from pcs_racing.track.grid import distance_to_walls
 
-__all__ = ["CLEARANCE", "minimum_curvature_raceline", "raceline_rows"]
-
 CLEARANCE = 0.305
 """Default distance in m between line and wall: half the width of a car (0.155 m) and 0.15 m of air."""
 
@@ -72,13 +70,6 @@ def minimum_curvature_raceline(
     ndarray, shape (N, 2)
         Evenly spaced points in m, in the direction of ``centerline`` and beginning beside its first point; the last one
         lies one step before the first.
-
-    Raises
-    ------
-    InputError
-        If a parameter is out of its range.
-    MapError
-        If the line can't keep that clearance somewhere; the message says where.
     """
     require("clarabel")
     grid, resolution, corner = checked_grid(occupied, resolution, origin)
@@ -145,11 +136,6 @@ def raceline_rows(
         The columns of a race line file: arc length, x, y (m), heading (rad, in [-pi, pi)), curvature (1/m, positive to
         the left), speed (m/s) and acceleration to the next row (m/s^2). As in f1tenth_racetracks the last row repeats
         the first one, at s = length.
-
-    Raises
-    ------
-    MapError
-        If the line is open or not finite.
     """
     line = sample_closed(checked_curve(xy, "race line"), spacing)
     ds = line.length / len(line.xy)

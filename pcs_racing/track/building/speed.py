@@ -6,8 +6,6 @@ from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import InputError
 
-__all__ = ["ACCELERATION", "BRAKING", "LATERAL", "TOP_SPEED", "lap_time", "speed_profile"]
-
 LATERAL = 5.0
 """Default limit of the lateral acceleration in m/s^2."""
 BRAKING = 4.5
@@ -49,11 +47,6 @@ def speed_profile(
     -------
     ndarray, shape (N,)
         Speed in m/s, in (0, top_speed].
-
-    Raises
-    ------
-    InputError
-        If a curvature is not finite, a distance is not positive, or a limit is not positive and finite.
     """
     limits = {"lateral": lateral, "braking": braking, "acceleration": acceleration, "top_speed": top_speed}
     for name, value in limits.items():
@@ -77,11 +70,6 @@ def lap_time(v: np.ndarray, ds: float | np.ndarray) -> float:
         Speed at the samples of the closed line, m/s, positive.
     ds : float or array_like, shape (N,)
         Distance in m from each sample to the next one (from the last to the first).
-
-    Raises
-    ------
-    InputError
-        If a speed or a distance is not positive and finite.
     """
     v = np.asarray(v, dtype=np.float64)
     if v.ndim != 1 or v.size == 0 or not (np.isfinite(v).all() and (v > 0.0).all()):

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import headings, lengths
 
-__all__ = ["LineSamples", "clean_closed", "sample_closed", "solve_cyclic"]
-
 Floats = NDArray[np.float64]
 
 # Gauss and Legendre's rule of five points on [0, 1], to the last bit (numpy's function finds it by LAPACK): exact for
@@ -24,27 +22,13 @@ _WEIGHTS = (0.11846344252809454, 0.23931433524968324, 0.28444444444444444, 0.239
 
 
 class LineSamples(NamedTuple):
-    """A closed line sampled at equal arc length.
+    """A closed line sampled at equal arc length."""
 
-    Attributes
-    ----------
-    length : float
-        Length of the closed line in m.
-    xy : ndarray, shape (N, 2)
-        Points at ``s = i * length / N``, in m.
-    tangent : ndarray, shape (N, 2)
-        Unit tangents.
-    psi : ndarray, shape (N,)
-        Heading in rad, continuous along the line.
-    kappa : ndarray, shape (N,)
-        Curvature in 1/m, positive to the left.
-    """
-
-    length: float
-    xy: Floats
-    tangent: Floats
-    psi: Floats
-    kappa: Floats
+    length: float  #: Length of the closed line in m.
+    xy: Floats  #: shape (N, 2): Points at ``s = i * length / N``, in m.
+    tangent: Floats  #: shape (N, 2): Unit tangents.
+    psi: Floats  #: shape (N,): Heading in rad, continuous along the line.
+    kappa: Floats  #: shape (N,): Curvature in 1/m, positive to the left.
 
 
 @compiled

@@ -9,25 +9,14 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.track.grid import cast
 
-__all__ = ["Outlines", "seen_lists", "simplify", "trace_outlines"]
-
 
 class Outlines(NamedTuple):
-    """The faces between drivable and other cells, ordered along closed outlines.
+    """The faces between drivable and other cells, ordered along closed outlines."""
 
-    Attributes
-    ----------
-    row, col : ndarray, shape (E,), int32
-        The drivable cell of each face.
-    side : ndarray, shape (E,), int8
-        The face's side of that cell: 0 bottom, 1 right, 2 top, 3 left.
-    start : ndarray, shape (L + 1,), int32
-        Index of the first face of each outline; the drivable side is on its left.
-    """
-
-    row: NDArray[np.int32]
-    col: NDArray[np.int32]
-    side: NDArray[np.int8]
+    row: NDArray[np.int32]  #: shape (E,): Row of the drivable cell of each face.
+    col: NDArray[np.int32]  #: shape (E,): Its column.
+    side: NDArray[np.int8]  #: shape (E,): The face's side of that cell: 0 bottom, 1 right, 2 top, 3 left.
+    #: shape (L + 1,): Index of the first face of each outline; the drivable side is on its left.
     start: NDArray[np.int32]
 
 
@@ -80,10 +69,6 @@ def trace_outlines(drivable: NDArray[np.bool_]) -> Outlines:
     ----------
     drivable : ndarray of bool, shape (H, W)
         Four-connected region; its outermost rows and columns must be False.
-
-    Returns
-    -------
-    Outlines
     """
     return Outlines(*_trace(drivable))
 

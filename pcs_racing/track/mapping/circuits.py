@@ -15,8 +15,6 @@ from pcs_racing.track.building.raceline import minimum_curvature_raceline, racel
 from pcs_racing.track.building.splines import sample_closed
 from pcs_racing.track.mapping.shapes import STYLES, rounded
 
-__all__ = ["Circuit", "braking_zones", "generate_circuit", "straights", "walls_to_grid"]
-
 WALL = 0.1  # thickness of the drawn walls, m
 RADIUS_RATIO = 1.2  # least radius of the centre line in half widths: below 1 the inner wall would fold
 STRAIGHT = 8.0  # a circuit needs one straight of this length, m
@@ -27,37 +25,18 @@ EASING = 2.5  # waves of this length are halved in the rounded outline, so that 
 
 @dataclass(frozen=True, eq=False)
 class Circuit:
-    """A generated circuit: the content of a map folder.
-
-    Attributes
-    ----------
-    seed : int
-    style : str
-    attempt : int
-        Number of rejected drafts of this seed before this circuit.
-    width : float
-        Width of the track in m.
-    centerline : ndarray, shape (M, 4)
-        x, y, width to the right and to the left (m), evenly spaced about 0.3 m apart.
-    raceline : ndarray, shape (N, 2)
-        Points of the race line, m, evenly spaced about 0.2 m apart.
-    occupied : ndarray, shape (H, W), bool
-        True where a wall is; row 0 is the bottom.
-    resolution : float
-        Side of a cell in m.
-    origin : ndarray, shape (2,)
-        Lower left corner of cell [0, 0], m.
-    """
+    """A generated circuit: the content of a map folder."""
 
     seed: int
     style: str
-    attempt: int
-    width: float
+    attempt: int  #: Number of rejected drafts of this seed before this circuit.
+    width: float  #: Width of the track in m.
+    #: shape (M, 4): x, y, width to the right and to the left (m), evenly spaced about 0.3 m apart.
     centerline: np.ndarray
-    raceline: np.ndarray
-    occupied: np.ndarray
-    resolution: float
-    origin: np.ndarray
+    raceline: np.ndarray  #: shape (N, 2): Points of the race line, m, evenly spaced about 0.2 m apart.
+    occupied: np.ndarray  #: shape (H, W), bool: True where a wall is; row 0 is the bottom.
+    resolution: float  #: Side of a cell in m.
+    origin: np.ndarray  #: shape (2,): Lower left corner of cell [0, 0], m.
 
     @property
     def length(self) -> float:
@@ -97,19 +76,6 @@ def generate_circuit(
         Side of a cell of the grid in m, from 0.02 to 0.2.
     attempts : int
         Maximum number of drafts.
-
-    Returns
-    -------
-    Circuit
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such style.
-    InputError
-        If another parameter is out of its range.
-    MapError
-        If no draft was accepted; the message counts the reasons.
     """
     require("clarabel")
     if style not in STYLES:

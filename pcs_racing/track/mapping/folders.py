@@ -13,8 +13,6 @@ from pcs_racing.track.mapping.pictures import show_track
 from pcs_racing.track.maps import MapFolder, read_map, write_map
 from pcs_racing.track.track import Track, build_track
 
-__all__ = ["generate_map", "import_map"]
-
 
 def generate_map(
     folder: str | Path,
@@ -35,7 +33,6 @@ def generate_map(
     ----------
     folder : path-like
         The map folder to write.
-    seed : int
     style : {"hull", "voronoi", "hairpin"}
     name : str, optional
         Name of the circuit and of its files. Default: the folder's own name.
@@ -45,17 +42,6 @@ def generate_map(
         See ``generate_circuit``.
     picture : bool
         Also draw ``NAME.png`` (needs matplotlib).
-
-    Returns
-    -------
-    Track
-
-    Raises
-    ------
-    InputError
-        If a parameter is out of its range, before anything is written.
-    MapError
-        If the seed gives no circuit, or the folder can't be written.
     """
     settings: dict[str, Any] = {
         "seed": seed,
@@ -102,15 +88,6 @@ def import_map(
         Distance in m that the race line keeps from the walls.
     picture : bool
         Also draw ``NAME.png`` (needs matplotlib).
-
-    Returns
-    -------
-    Track
-
-    Raises
-    ------
-    MapError
-        If the source can't be read, holds no closed loop, or is too narrow; nothing is written then.
     """
     target = Path(destination)
     if target.resolve() == Path(source).resolve():

@@ -14,15 +14,12 @@ from pcs_racing.track.frenet import LEFT, PSI, RIGHT, SPEED, X, Y
 if TYPE_CHECKING:
     from pcs_racing.track.track import Track
 
-__all__ = ["show_track"]
-
 
 def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8.0, dpi: int = 90) -> None:
     """Draw a track to a file in the format of the file name (png, svg, pdf).
 
     Parameters
     ----------
-    track : Track
     path : path-like
         File to write; an existing file is replaced, completely or not at all.
     width : float
@@ -32,8 +29,6 @@ def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8
 
     Raises
     ------
-    ModuleNotFoundError
-        If matplotlib is not installed.
     OSError
         If the file can't be written.
     """

@@ -10,15 +10,9 @@ import numpy as np
 
 from pcs_racing.base.elementary import headings, lengths, sine_cosine, sines_cosines
 
-__all__ = ["STYLES", "hairpin_polygon", "hull_polygon", "rounded", "voronoi_polygon"]
-
 
 def hull_polygon(rng: np.random.Generator) -> np.ndarray:
     """Convex hull of random points with its long sides bent in or out in the middle: natural, flowing circuits.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
 
     Returns
     -------
@@ -41,10 +35,6 @@ def hull_polygon(rng: np.random.Generator) -> np.ndarray:
 
 def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
     """Outline of a few neighbouring Voronoi cells of random points: angular circuits with the most braking zones.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
 
     Returns
     -------
@@ -91,10 +81,6 @@ def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
 
 def hairpin_polygon(rng: np.random.Generator) -> np.ndarray:
     """Star of two to four slim arms with blunt tips: long straights into hairpins.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
 
     Returns
     -------

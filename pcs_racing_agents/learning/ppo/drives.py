@@ -132,7 +132,7 @@ class Drives(BatchVectorEnv):
             "leading": leading,
             "crash_penalty": crash_penalty,
         }
-        super().__init__(races, arguments, autoreset_mode=AutoresetMode.SAME_STEP, threads=1)
+        self._begin(arguments=arguments, num_envs=races, autoreset_mode=AutoresetMode.SAME_STEP, threads=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,12 +5,9 @@ from collections import defaultdict
 
 import pytest
 
-from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
-from pcs_racing.envs.head_to_head import HeadToHeadEnv
-from pcs_racing.envs.head_to_head_match import HeadToHeadMatchEnv
-from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
+from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv
 
 SCALAR = (DriveEnv, DuelEnv, MatchEnv, HeadToHeadEnv, HeadToHeadMatchEnv, DriveHeadToHeadEnv)
 BATCHES = {
@@ -47,3 +44,25 @@ def test_what_is_documented_of_the_defaults():
     assert defaults(DriveHeadToHeadEnv)["time_step"] == 0.02
     assert {defaults(kind)["render_size"] for kind in SCALAR} == {(960, 640)}
     assert {defaults(kind)["race"] for kind in SCALAR} == {"paper"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "by_place"),
+    [
+        (DriveEnv, ["track", "opponent", "race"]),
+        (DuelEnv, ["track", "archive", "opponent", "race"]),
+        (MatchEnv, ["track", "archive", "opponent", "race"]),
+        (HeadToHeadEnv, ["track", "archive", "race"]),
+        (HeadToHeadMatchEnv, ["track", "archive", "race"]),
+        (DriveHeadToHeadEnv, ["track", "race"]),
+        (DriveVectorEnv, ["num_envs"]),
+        (MatchVectorEnv, ["num_envs"]),
+    ],
+)
+def test_what_may_be_given_by_place(kind, by_place):
+    parameters = inspect.signature(kind).parameters
+    assert [name for name, p in parameters.items() if p.kind is p.POSITIONAL_OR_KEYWORD] == by_place
+    with pytest.raises(TypeError, match="too many positional"):
+        kind(*(parameters[name].default for name in by_place), "one more")
+    with pytest.raises(TypeError, match=f"multiple values for argument '{by_place[0]}'"):
+        kind(parameters[by_place[0]].default, **{by_place[0]: parameters[by_place[0]].default})

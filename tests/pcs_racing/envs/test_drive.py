@@ -1,20 +1,14 @@
-import copy
 import gc
 import inspect
-import pickle
 import re
 import tracemalloc
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 
 from pcs_racing import InputError, Lidar, Planner, UnknownNameError, get_planner, load_race_config
-from pcs_racing.envs import drive_batch
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.infos import Crash
-from pcs_racing.envs.registration import register_environments
 
 SHORT = load_race_config("contest", duration=3.0)
 
@@ -36,26 +30,6 @@ def episode(env, seed, steps=400, policy=follow_the_line):
         if terminated or truncated:
             break
     return np.array(observations), np.array(rewards), terminated, truncated, info
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [{}, {"opponent": None, "beams": 20, "lidar_noise": 0.02}, {"normalize": True, "beams": 5, "race": "contest"}],
-)
-def test_the_checkers_of_gymnasium_and_sb3_are_content(arguments):
-    env = DriveEnv(render_mode="rgb_array", **arguments)
-    check_env(env, skip_render_check=True)
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    checker.check_env(env)
-
-
-def test_it_is_made_by_name():
-    register_environments()
-    env = gym.make("pcs_racing/Drive-v1", opponent=None)
-    assert isinstance(env.unwrapped, DriveEnv)
-    envs = gym.make_vec("pcs_racing/Drive-v1", num_envs=3, opponent=None)
-    assert isinstance(envs, DriveVectorEnv)
-    assert envs.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
 
 
 def test_a_driver_that_reads_the_observation_gets_around(oval):
@@ -125,46 +99,6 @@ def test_alone_means_alone():
     assert (seen[:, 32:41] == 0.0).all()
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"race": SHORT, "beams": 12, "lidar_noise": 0.05},
-        {"race": SHORT, "opponent": ["lattice:pace=0.1", "lattice:pace=0.9"], "time_step": 0.06},
-        {"race": SHORT, "opponent": None, "normalize": True},
-    ],
-)
-def test_vector_and_scalar_environment_agree_to_the_last_bit(arguments, monkeypatch):
-    monkeypatch.setattr(drive_batch, "WORTH_A_THREAD", 10.0)
-    count = 37
-    envs = DriveVectorEnv(count, threads=2, autoreset_mode="SAME_STEP", **arguments)
-    assert envs.batch.threads == 2
-    single = [DriveEnv(**arguments) for _ in range(count)]
-    batch, info = envs.reset(seed=11)
-    alone = [env.reset(seed=11 + i) for i, env in enumerate(single)]
-    np.testing.assert_array_equal(batch, [seen for seen, _ in alone])
-    assert info["opponent"].tolist() == [facts["opponent"] for _, facts in alone]
-    rng = np.random.default_rng(0)
-    ends = 0
-    for _ in range(60):
-        actions = rng.uniform(-0.5, 1.0, (count, 2)).astype(np.float32)
-        batch, rewards, terminated, truncated, info = envs.step(actions)
-        for i, env in enumerate(single):
-            seen, reward, end, late, facts = env.step(actions[i])
-            assert (reward, end, late) == (rewards[i], terminated[i], truncated[i])
-            where = info
-            if end or late:
-                ends += 1
-                np.testing.assert_array_equal(info["final_obs"][i], seen)
-                where = info["final_info"]
-                for name, value in facts.items():
-                    assert where[name][i] == value
-                seen, facts = env.reset()
-            np.testing.assert_array_equal(batch[i], seen)
-            for name, value in facts.items():
-                assert info[name][i] == value
-    assert ends > count
-
-
 def test_threads_share_a_step_that_is_long_enough():
     for count, threads, arguments, expected in [
         (64, 4, {}, 1),
@@ -179,15 +113,6 @@ def test_threads_share_a_step_that_is_long_enough():
         assert envs.batch.threads == 1
 
 
-def test_whole_episodes_repeat():
-    for arguments in ({"race": "contest"}, {"opponent": None, "beams": 7, "lidar_noise": 0.1, "race": "contest"}):
-        first, second = (episode(DriveEnv(**arguments), 9) for _ in range(2))
-        np.testing.assert_array_equal(first[0], second[0])
-        np.testing.assert_array_equal(first[1], second[1])
-        other = episode(DriveEnv(**arguments), 10)
-        assert first[0].shape != other[0].shape or (first[0] != other[0]).any()
-
-
 def test_a_python_driver_may_be_the_opponent(oval):
     planner = Planner("crawler", (), drive=lambda track, theta, view, memory: (0.0, 0.5))
     env = DriveEnv(oval, planner.policy(), duration=1.0)
@@ -195,26 +120,6 @@ def test_a_python_driver_may_be_the_opponent(oval):
     assert env.outcome()["opponent"] == "crawler"
     assert info["lead"] > 1.0
     assert rewards.sum() > 1.0
-
-
-@pytest.mark.parametrize("kind", [DriveEnv, lambda **arguments: DriveVectorEnv(5, **arguments)])
-def test_a_moment_can_be_kept_copied_and_pickled(kind):
-    env = kind(race=SHORT, beams=3, lidar_noise=0.1)
-    shape = env.action_space.shape
-    env.reset(seed=1)
-    env.step(np.full(shape, 0.1))
-    state = pickle.loads(pickle.dumps(env.get_state()))
-    others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), kind(race=SHORT, beams=3, lidar_noise=0.1)]
-    others[2].reset(seed=77)
-    others[2].set_state(state)
-    for _ in range(5):
-        expected = env.step(np.full(shape, -0.2))
-        for other in others:
-            for left, right in zip(other.step(np.full(shape, -0.2))[:4], expected[:4], strict=True):
-                np.testing.assert_array_equal(left, right)
-    expected = env.reset()[0]  # the random stream went along, as a copy
-    for other in others:
-        np.testing.assert_array_equal(other.reset()[0], expected)
 
 
 def test_two_tracks_in_one_process_do_not_disturb_each_other(oval):

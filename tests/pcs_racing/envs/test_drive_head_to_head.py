@@ -4,29 +4,21 @@ import copy
 import inspect
 import pickle
 import re
-import warnings
 
 import numpy as np
-import pettingzoo
 import pytest
 
 from pcs_racing import InputError, Lidar, UnknownNameError
 from pcs_racing.base.errors import UnknownArgumentError
-from pcs_racing.envs import drive_batch, drive_head_to_head
-from pcs_racing.envs.drive import DriveEnv
-from pcs_racing.envs.drive_head_to_head import AGENTS, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
+from pcs_racing.envs import drive, drive_batch
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.infos import Crash, Result
-from pcs_racing.envs.parallel import ParallelState
-from pcs_racing.envs.registration import PETTINGZOO_IDS
+from pcs_racing.envs.parallel import AGENTS, ParallelState
 from pcs_racing.game.reward import win_sign
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.races import winners
 from pcs_racing.race.state import empty_state
-
-with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
-    warnings.simplefilter("ignore")
-    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
 
 X, Y, _, V, PSI = range(5)
 SLOW = {agent: np.array([0.0, -0.6], np.float32) for agent in AGENTS}
@@ -75,25 +67,7 @@ def episode(env, seed, steps=25):
     return answers
 
 
-# The checkers of PettingZoo, warnings being errors
-
-
-@pytest.mark.parametrize(
-    "options", [{}, {"race": "contest", "beams": 9, "see_opponent": "in sight", "win_reward": 1.0}]
-)
-def test_the_checkers_of_pettingzoo_are_content(coarse_oval, options):
-    arguments = {"track": coarse_oval, "time_step": 0.1, "duration": 3.0, **options}
-    parallel_api_test(drive_head_to_head.parallel_env(**arguments), num_cycles=60)
-    api_test(drive_head_to_head.env(**arguments), num_cycles=60)
-    parallel_seed_test(lambda: drive_head_to_head.parallel_env(**arguments), num_cycles=30)
-    seed_test(lambda: drive_head_to_head.env(**arguments), num_cycles=30)
-
-
-def test_rendering(coarse_oval, monkeypatch):
-    pytest.importorskip("pygame", reason="the extra 'window' is not installed")
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    options = {"track": coarse_oval, "duration": 0.3, "time_step": 0.1, "render_size": (160, 120)}
-    render_test(lambda **more: drive_head_to_head.env(**options, **more))
+def test_without_a_render_mode_there_is_no_frame(coarse_oval):
     assert make(coarse_oval).render() is None
 
 
@@ -112,17 +86,6 @@ def test_a_frame_shows_both_cars(coarse_oval):
 
 
 # Names and documentation
-
-
-@pytest.mark.parametrize("kind", ["parallel", "aec"])
-def test_made_by_name(kind, coarse_oval):
-    if not hasattr(pettingzoo, "make"):
-        pytest.skip("this release of PettingZoo has no registry")
-    assert "pcs_racing/drive_head_to_head-v0" in PETTINGZOO_IDS
-    env = pettingzoo.make(kind, "pcs_racing/drive_head_to_head-v0", track=coarse_oval, beams=3)
-    assert env.unwrapped.possible_agents == ["car_0", "car_1"]
-    assert isinstance(env, pettingzoo.ParallelEnv if kind == "parallel" else pettingzoo.AECEnv)
-    assert str(env) == "drive_head_to_head_v0"
 
 
 def test_the_class_documents_itself(coarse_oval):
@@ -401,7 +364,7 @@ def test_after_the_end_no_agent_is_left(coarse_oval):
     with pytest.raises(InputError, match="the episode is over"):
         env.step(SLOW)
     # Turn by turn, dead agents step with None, once each.
-    turns = drive_head_to_head.env(track=coarse_oval, duration=0.3, time_step=0.1)
+    turns = drive.env(track=coarse_oval, duration=0.3, time_step=0.1)
     turns.reset(seed=0)
     last = []
     for agent in turns.agent_iter():

@@ -1,8 +1,6 @@
-import copy
 import importlib
 import inspect
 import itertools
-import pickle
 import re
 import sys
 import types
@@ -10,12 +8,10 @@ import types
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import vector as vector_wrappers
 
 from pcs_racing import InputError, UnknownNameError, advance, get_planner
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, SelfPlayVectorEnv
-from pcs_racing.envs.registration import register_environments
 from pcs_racing.envs.video import RecordRaces
 from pcs_racing.game.make import make_game
 
@@ -34,19 +30,6 @@ class Careful:
         return np.full(len(observation), 2), None
 
 
-class Counting:
-    """One that remembers: its k-th move in a game is move k."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        assert (state is None) == bool(episode_start[0])
-        count = 0 if state is None else state
-        return np.full(len(observation), count % 4), count + 1
-
-
-def by_lead(observation, generator):
-    return int(observation[4] < 0.0) + 2 * int(generator.integers(2))
-
-
 def episode(env, seed, action=1):
     observation, info = env.reset(seed=seed)
     rows = [(observation, 0.0, info)]
@@ -56,22 +39,6 @@ def episode(env, seed, action=1):
         assert not truncated
         if terminated:
             return rows
-
-
-@pytest.mark.parametrize("opponent", ["random-moves", "lane-switcher:3", MIXTURE])
-def test_the_checkers_of_gymnasium_and_sb3_are_content(opponent):
-    env = DuelEnv(opponent=opponent, render_mode="rgb_array", **SHORT)
-    check_env(env, skip_render_check=True)
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    checker.check_env(env)
-
-
-def test_it_is_made_by_name():
-    register_environments()
-    assert isinstance(gym.make("pcs_racing/Duel-v1", **SHORT).unwrapped, DuelEnv)
-    envs = gym.make_vec("pcs_racing/Duel-v1", num_envs=3, **SHORT)
-    assert isinstance(envs, DuelVectorEnv)
-    assert envs.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
 
 
 def test_it_is_the_view_of_car_0():
@@ -109,34 +76,6 @@ def test_the_table_of_its_page_is_its_space():
     assert all(env.observation_space.contains(one) for one in seen)
 
 
-@pytest.mark.parametrize("opponent", ["random-moves", MIXTURE, by_lead, Counting(), "lane-switcher:3"])
-def test_vector_and_scalar_environment_agree_to_the_last_bit(opponent):
-    count = 6
-    envs = DuelVectorEnv(count, opponent=opponent, race="contest", autoreset_mode="SAME_STEP", **SHORT)
-    single = [DuelEnv(opponent=opponent, race="contest", **SHORT) for _ in range(count)]
-    batch, info = envs.reset(seed=21)
-    np.testing.assert_array_equal(batch, [env.reset(seed=21 + i)[0] for i, env in enumerate(single)])
-    rng = np.random.default_rng(1)
-    ends = 0
-    for _ in range(7):
-        actions = rng.integers(0, 5, count)
-        batch, rewards, terminated, truncated, info = envs.step(actions)
-        for i, env in enumerate(single):
-            seen, reward, end, late, facts = env.step(actions[i])
-            assert (reward, end, late) == (rewards[i], terminated[i], truncated[i])
-            where = info
-            if end:
-                ends += 1
-                np.testing.assert_array_equal(info["final_obs"][i], seen)
-                for name, value in facts.items():
-                    np.testing.assert_array_equal(info["final_info"][name][i], value)
-                seen, facts = env.reset()
-            np.testing.assert_array_equal(batch[i], seen)
-            for name, value in facts.items():
-                np.testing.assert_array_equal(where[name][i], value)
-    assert ends >= count
-
-
 def test_opponents_do_what_they_are_called():
     for name, expected in (("always-restraint -", 3), ("never-switch", -1)):
         env = DuelEnv(opponent=name, **SHORT)
@@ -154,33 +93,6 @@ def test_a_mixture_is_drawn_by_weight():
     envs = DuelVectorEnv(60, opponent=[(1, "random-moves"), (3, "never-switch")], step_seconds=0.2, moves=1)
     drawn = envs.reset(seed=0)[1]["opponent"].tolist()
     assert 34 < drawn.count(1) < 56
-
-
-def test_whole_episodes_repeat():
-    first, second = (episode(DuelEnv(opponent=MIXTURE, race="contest", **SHORT), 5) for _ in range(2))
-    assert len(first) == len(second)
-    for left, right in zip(first, second, strict=True):
-        np.testing.assert_array_equal(left[0], right[0])
-        assert left[1] == right[1]
-
-
-@pytest.mark.parametrize("kind", [DuelEnv, lambda **a: DuelVectorEnv(3, **a), lambda **a: SelfPlayVectorEnv(4, **a)])
-def test_a_moment_can_be_kept_copied_and_pickled(kind):
-    extra = {} if kind is not DuelEnv else {"opponent": Counting()}
-    env = kind(**extra, **SHORT)
-    actions = np.full(env.action_space.shape, 1)
-    env.reset(seed=1)
-    env.step(actions)
-    others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), kind(**extra, **SHORT)]
-    others[2].reset(seed=9)
-    others[2].set_state(pickle.loads(pickle.dumps(env.get_state())))
-    expected = env.step(actions)
-    for other in others:
-        for left, right in zip(other.step(actions)[:4], expected[:4], strict=True):
-            np.testing.assert_array_equal(left, right)
-    expected = env.reset()[0]
-    for other in others:
-        np.testing.assert_array_equal(other.reset()[0], expected)
 
 
 def test_in_self_play_the_rows_of_a_pair_are_the_two_cars():

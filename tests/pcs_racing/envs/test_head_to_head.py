@@ -8,21 +8,19 @@ import sys
 import warnings
 
 import numpy as np
-import pettingzoo
 import pytest
 from repository import REPOSITORY
 
-import pcs_racing
 from pcs_racing import GameConfig, InputError, PolicyArchive, UnknownNameError, load_archive, load_track, make_game
 from pcs_racing.envs import registration
-from pcs_racing.envs.head_to_head import AGENTS, HeadToHeadEnv
+from pcs_racing.envs.duel import HeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
-from pcs_racing.envs.parallel import ParallelState
+from pcs_racing.envs.parallel import AGENTS, ParallelState
 from pcs_racing.game.observation import observation_table
 
 with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
     warnings.simplefilter("ignore")
-    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
+    from pettingzoo.test import parallel_api_test
 
 FAST = {"step_seconds": 1.0}
 HEADINGS = [
@@ -72,29 +70,6 @@ def begin_a_whole_game(env) -> None:
     pytest.fail("100 games, and all end in a crash")
 
 
-# The checkers of PettingZoo, warnings being errors
-
-
-def test_parallel_api():
-    parallel_api_test(HeadToHeadEnv(**FAST), num_cycles=50)
-
-
-def test_aec_api():
-    api_test(pcs_racing.env(**FAST), num_cycles=50)
-
-
-def test_seeds():
-    parallel_seed_test(lambda: HeadToHeadEnv(**FAST), num_cycles=50)
-    seed_test(lambda: pcs_racing.env(**FAST), num_cycles=50)
-
-
-def test_rendering(monkeypatch):
-    pytest.importorskip("pygame", reason="the extra 'window' is not installed")
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.setitem(HeadToHeadEnv.metadata, "render_fps", 1000.0)
-    render_test(lambda **options: pcs_racing.env(**FAST, render_size=(160, 120), **options))
-
-
 def test_a_frame_has_the_size_that_is_documented():
     env = HeadToHeadEnv(render_mode="rgb_array", **FAST)
     env.reset(seed=0)
@@ -103,14 +78,6 @@ def test_a_frame_has_the_size_that_is_documented():
 
 
 # Names and documentation
-
-
-@pytest.mark.parametrize("kind", ["parallel", "aec"])
-def test_made_by_name(kind):
-    env = pettingzoo.make(kind, "pcs_racing/head_to_head-v1", track="Pipkin", archive="default", max_cycles=3)
-    assert env.unwrapped.possible_agents == ["car_0", "car_1"]
-    assert isinstance(env, pettingzoo.ParallelEnv if kind == "parallel" else pettingzoo.AECEnv)
-    assert str(env) == "head_to_head_v1"
 
 
 def test_registering_again_changes_nothing():

@@ -23,10 +23,8 @@ from pcs_racing import (
 )
 from pcs_racing.envs import circuits
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
-from pcs_racing.envs.head_to_head import HeadToHeadEnv
-from pcs_racing.envs.head_to_head_match import HeadToHeadMatchEnv
-from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
+from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv
 from pcs_racing.envs.obstacles import Obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.envs.variety import Variety

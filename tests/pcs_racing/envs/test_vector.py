@@ -12,13 +12,10 @@ from gymnasium.wrappers import vector as vector_wrappers
 import pcs_racing  # noqa: F401
 from pcs_racing import InputError, UnknownNameError
 from pcs_racing.envs import infos
-from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.drive_head_to_head import DriveHeadToHeadEnv
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, SelfPlayVectorEnv
-from pcs_racing.envs.head_to_head import HeadToHeadEnv
-from pcs_racing.envs.head_to_head_match import HeadToHeadMatchEnv
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
 from pcs_racing.envs.infos import Crash, Result
-from pcs_racing.envs.match import MatchEnv
+from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 
 DUEL = {"step_seconds": 0.2, "moves": 2}
@@ -209,8 +206,7 @@ def test_the_specification_says_how_long_an_episode_is(name, steps, changes):
 def test_an_unknown_argument_is_a_type_error_as_pythons(kind):
     with pytest.raises(TypeError, match=r"'trak'; did you mean 'track'\?"):
         kind(trak="Pipkin") if kind is not SelfPlayVectorEnv else kind(2, trak="Pipkin")
-    name = "DuelVectorEnv" if kind is SelfPlayVectorEnv else kind.__name__
-    with pytest.raises(InputError, match=re.escape(f"{name}()")):
+    with pytest.raises(InputError, match=re.escape(f"{kind.__name__}()")):
         kind(viw="both")
 
 

@@ -9,8 +9,7 @@ import pytest
 import pcs_racing
 from pcs_racing import get_planner
 from pcs_racing.envs import game_batch
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
-from pcs_racing.envs.head_to_head import HeadToHeadEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.game import competitor as competitors
 from pcs_racing.game import rules
 from pcs_racing.game.archive import PolicyArchive

@@ -11,8 +11,7 @@ from slow_follower import slow_follower
 import pcs_racing_agents
 from pcs_racing import UnknownNameError, make_game
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.duel import DuelEnv
-from pcs_racing.envs.head_to_head import HeadToHeadEnv
+from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 from pcs_racing.game.competitor_names import competitor_names, make_competitor
 from pcs_racing_agents.agents.drivers import planner_driver
 

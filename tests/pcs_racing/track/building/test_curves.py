@@ -6,7 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing.base.errors import MapError
-from pcs_racing.track.building.curves import checked_curve, curve_length, first_crossing, resample, signed_area, smooth
+from pcs_racing.track.building.curves import (
+    checked_curve,
+    curve_length,
+    first_crossing,
+    resample,
+    signed_area,
+    smooth,
+    transform,
+)
 
 
 def circle(radius: float, points: int = 200) -> np.ndarray:
@@ -66,3 +74,11 @@ def test_a_repeated_first_point_is_dropped():
 def test_impossible_curves_are_refused(points, words):
     with pytest.raises(MapError, match=words):
         checked_curve(points, "line")
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 6, 12, 30, 97, 360, 1801, 3072])
+def test_the_transform_is_numpys(count):
+    rng = np.random.default_rng(count)
+    x = rng.normal(size=count) + 1j * rng.normal(size=count)
+    real, imaginary = transform(x.real.copy(), x.imag.copy())
+    np.testing.assert_allclose(real + 1j * imaginary, np.fft.fft(x), rtol=0, atol=1e-15 * count * np.abs(x).max())
