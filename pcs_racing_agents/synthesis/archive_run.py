@@ -172,9 +172,7 @@ def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats,
     """
     config = races.config
     theta, explored = races.explored()
-    rows = np.arange(races.comparable, len(theta))
-    # Points evaluated several times race once.
-    rows = rows[np.sort(np.unique(theta[rows], axis=0, return_index=True)[1])]
+    rows = np.sort(np.unique(theta, axis=0, return_index=True)[1])  # points evaluated several times race once
     crashing = explored.own_crash > config.search_crash_limit
     allowed = rows[races.violation(explored)[rows] <= 0.0]
     if len(allowed) == 0:

@@ -1,8 +1,7 @@
 """The races of a synthesis: the objective function of the search, and the record of its results.
 
-The opponents are random policies, fixed for the run as in the paper, whose limitation is that random policies are no
-competition. As an option, some of them give way to policies of the archive before stated generations. The archive is
-then raced again, so that old and new policies are compared against the same opponents.
+The opponents are random policies, fixed for the run as in the paper. Its authors call that a limitation, but opponents
+from the growing archive did not help (``docs/synthesis.md``).
 """
 
 from collections import deque
@@ -21,7 +20,6 @@ from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.synthesis.config import ArchiveConfig
-from pcs_racing_agents.synthesis.diverse import greedy_map, similarity
 from pcs_racing_agents.synthesis.evaluate import Evaluation, join, on_worker, summarise
 from pcs_racing_agents.synthesis.pareto_archive import Scale
 from pcs_racing_agents.synthesis.scenarios import Scenarios
@@ -43,8 +41,7 @@ class ArchiveProgress(NamedTuple):
     generation: int  #: ``generation``, ``generations``: Generations done, and asked for.
     generations: int
     evaluations: int  #: Policies raced in the search so far.
-    #: Of the search's front, in units of the scouts' range; it may fall when opponents are replaced.
-    hypervolume: float
+    hypervolume: float  #: Of the search's front, in units of the scouts' range.
     front: int  #: Policies in that front.
     own_crash: float  #: Mean own crash rate of the policies raced last.
     done: float  #: Share of all the racing that is done, 0 to 1.
@@ -62,11 +59,10 @@ class PolicyRaces:
     job: Job
     executor: Executor | None
     callback: ArchiveCallback
-    scenarios: Scenarios  #: Of the search, as they are now.
+    scenarios: Scenarios  #: Of the search.
     scale: Scale = field(init=False)  #: Range of the scouts, once they have raced.
     #: Parameters, shape (n, P), and results of all policies of the search, in the order of the races.
     raced: list[tuple[Floats, Evaluation]] = field(default_factory=list)
-    comparable: int = 0  #: Policies from here on were raced against the same opponents.
     history: list[ArchiveProgress] = field(default_factory=list)
     _names: deque[str] = field(default_factory=lambda: deque(["scouts"]))  # of the next evaluations
 
@@ -82,28 +78,10 @@ class PolicyRaces:
         self.raced.append((parameters, evaluation))
         return Evaluated(evaluation.coordinates, self.violation(evaluation))
 
-    def after_generation(self, generation: Generation) -> bool:
-        """Record the progress, and replace opponents if this is due; return whether they were replaced."""
+    def after_generation(self, generation: Generation) -> None:
+        """Record the progress."""
         self.note("search", generation.generation, generation.hypervolume, generation.archive_size, self.raced[-1][1])
-        following = generation.generation + 1
-        replaced = following in self.config.refresh_generations and self._replace_opponents(generation)
-        if replaced:
-            self._names.append(f"refresh-{following:05d}")
-        self._names.append(f"generation-{following:05d}")
-        return replaced
-
-    def _replace_opponents(self, generation: Generation) -> bool:
-        """Replace the last opponents by policies spread along the front; return whether there were any."""
-        share = round(self.config.refresh_share * len(self.scenarios.opponents))
-        count = min(share, generation.archive_size)
-        if count == 0:
-            return False
-        spread = np.sort(greedy_map(similarity(self.scale(generation.front), 0.2), count))
-        opponents = self.scenarios.opponents.copy()
-        opponents[len(opponents) - count :] = self._complete(generation.front_parameters[spread])
-        self.scenarios = self.scenarios.against(opponents)
-        self.comparable = self.evaluations
-        return True
+        self._names.append(f"generation-{generation.generation + 1:05d}")
 
     def race(self, stage: str, name: str, scenarios: Scenarios, parameters: Floats) -> Arrays:
         """Race policies, given by the parameters that vary, or read what an earlier run of the job has left."""

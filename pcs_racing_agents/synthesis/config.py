@@ -7,7 +7,7 @@ from typing import Any
 
 from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Settings, checked, choice, names, number, setting, text, whole, wholes
+from pcs_racing.base.settings import Settings, checked, choice, names, number, setting, text, whole
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig, load_race_config
@@ -134,13 +134,6 @@ class ArchiveConfig(Settings):
     most: int = setting(80, whole(2, 10_000), "Maximum number of policies; with more, the spacing is widened.")
     final_opponents: int = setting(12, whole(1, 1000), "Opponents in the measurement, which gives the coordinates.")
     final_starts: int = setting(3, whole(1, 1000), "Start lines on each track in the measurement.")
-    refresh_generations: tuple[int, ...] = setting(
-        (),
-        wholes(1, 99_999, different=True),
-        "Generations before which some opponents are replaced by policies of the current archive. The archive races "
-        "again against them, and the search evaluates as many new policies fewer.",
-    )
-    refresh_share: float = setting(0.5, number(0.0, 1.0), "Share of the opponents that is replaced.")
     seed: int = setting(0, whole(0, 2**63 - 1), "Seed of all random draws.")
 
     def __post_init__(self) -> None:
@@ -156,12 +149,6 @@ class ArchiveConfig(Settings):
             raise ConfigError(f"fewest is {self.fewest}, above most, {self.most}")
         if self.choose == "headroom":
             self._check_headroom()
-        if self.refresh_generations and max(self.refresh_generations) >= self.generations:
-            raise ConfigError(
-                f"refresh_generations is {self.refresh_generations!r}; it must be a list of different generations from "
-                f"1 to {self.generations - 1}"
-            )
-        object.__setattr__(self, "refresh_generations", tuple(sorted(self.refresh_generations)))
         if not self.varied:
             raise ConfigError(f"fixed names all parameters of planner {self.planner!r}; at least one must vary")
         get_characteristics(self.axes)

@@ -74,17 +74,6 @@ class ParetoArchive:
             violations[row] += (excess - violations[row]) / counts[row]
         return replace(self, objectives=means, violation=violations, evaluations=counts)
 
-    def replaced(self, objectives: Floats, violation: Floats) -> "ParetoArchive":
-        """Return this with other values of the front's points; members outside the front leave the archive.
-
-        For objectives that have changed their meaning: values from before can't be compared with those from after.
-        """
-        means, violations, member = self.objectives.copy(), self.violation.copy(), np.zeros_like(self.member)
-        means[self.front], violations[self.front], member[self.front] = objectives, violation, True
-        counts = self.evaluations.copy()
-        counts[self.front] = 1
-        return replace(self, objectives=means, violation=violations, evaluations=counts, member=member)
-
     def scale(self, ideal: Floats | None = None, nadir: Floats | None = None) -> Scale:
         """Return the range of the front, or what is stated instead.
 

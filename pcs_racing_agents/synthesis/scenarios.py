@@ -44,12 +44,6 @@ class Scenarios:
     def __len__(self) -> int:
         return len(self.track)
 
-    def against(self, opponents: Floats) -> "Scenarios":
-        """Return the same races against other opponents, as many as before."""
-        if opponents.shape != self.opponents.shape:
-            raise InputError(f"opponents have shape {opponents.shape}; these races need {self.opponents.shape}")
-        return replace(self, opponents=opponents)
-
 
 def draw_scenarios(
     tracks: Sequence[Track | str],

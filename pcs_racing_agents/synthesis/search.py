@@ -232,17 +232,6 @@ class Search:
             raise InputError(f"{name} lie outside the bounds")
         return values
 
-    def replace(self, objectives: ArrayLike, violation: ArrayLike | None = None) -> None:
-        """Replace the values of the archive's front (``archive``, in its order), between ``tell`` and ``ask``.
-
-        For objectives that change their meaning during the search, such as results against other opponents. Everything
-        else evaluated so far stays explored, but can't return to the archive: its values are of the old kind.
-        """
-        self._check_results_in()
-        values, violations = self._checked(objectives, violation, self.archive)
-        self._evaluations += len(values)
-        self._explored = self._explored.replaced(values, violations)
-
     def result(self) -> Synthesis:
         """Return the archive and everything evaluated so far."""
         explored, front = self._explored, self._explored.front

@@ -65,9 +65,7 @@ def synthesize(
         ``(objectives, violation)`` or :class:`Evaluated` each, such as a :class:`Generation` holds. They stand in
         for calls of ``evaluate``, and the search goes on from there as if it had never stopped.
     callback : callable, optional
-        Called with the :class:`Generation` after each, and after the initial sample. If it returns True, objectives
-        have changed their meaning (opponents were replaced, say): the archive's front is evaluated again, and other
-        points leave the archive.
+        Called with the :class:`Generation` after each, and after the initial sample.
     reevaluation : float
         Share of the generations, the last ones, that evaluate the archive's points once more instead of new ones
         (:meth:`Search.ask_again`), 0 to 0.9: for noisy objectives.
@@ -78,7 +76,7 @@ def synthesize(
     check_whole("generations", generations, 1 if initial is None else 0, 1_000_000)
     most = np.inf if evaluations is None else check_whole("evaluations", evaluations, 1)
     check_number("reevaluation", reevaluation, 0.0, 0.9)
-    most_results = (generations + (initial is not None)) * (1 if callback is None else 2)
+    most_results = generations + (initial is not None)
     if len(evaluated) > most_results:
         raise InputError(f"evaluated holds {len(evaluated)} results; this search needs at most {most_results}")
     search = Search(bounds, **options)  # checks the options before anything is evaluated
@@ -100,28 +98,25 @@ def synthesize(
             )
         return result
 
-    def changed(generation: Generation) -> bool:
-        return callback is not None and callback(generation) is True
+    def tell(generation: Generation) -> None:
+        if callback is not None:
+            callback(generation)
 
-    renew = False  # whether objectives have changed their meaning since the archive was evaluated
     if initial is not None:
         sample = search.check_points("initial", initial)
         result = results(sample, np.zeros(len(sample), np.int64))
         if options.get("ideal") is None:  # the range of the sample normalises all that follows
             values = check_array("objectives", result.objectives, (len(sample), None))
             search = Search(bounds, **{**options, "ideal": values.max(axis=0), "nadir": values.min(axis=0)})
-        renew = changed(search.add(sample, result.objectives, result.violation))
+        tell(search.add(sample, result.objectives, result.violation))
     proposing = generations - round(reevaluation * generations)
     for number in range(generations):
-        if renew and len(search.archive):
-            result = results(search.archive, np.zeros(len(search.archive), np.int64))
-            search.replace(result.objectives, result.violation)
         if spent + search.population > most:
             break
         old = number >= max(proposing, 1) and len(search.archive) > 0
         asked = search.ask_again() if old else search.ask()
         result = results(asked, search.repeats)
-        renew = changed(search.tell(result.objectives, result.violation))
+        tell(search.tell(result.objectives, result.violation))
     return search.result()
 
 

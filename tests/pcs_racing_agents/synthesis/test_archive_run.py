@@ -226,24 +226,6 @@ def test_policies_below_the_least_coordinates_stay_out(tmp_path, made):
     assert (archive.explored.coordinates[:, 0] < 0.0).any()
 
 
-def test_opponents_are_refreshed_from_the_front_and_the_front_is_raced_again(tmp_path):
-    """As elite_ratio is 1, everything raced is in the optimiser's archive."""
-    config = with_(refresh_generations=(2,), refresh_share=0.5, elite_ratio=1.0, crash_limit=1.0)
-    archive = make_archive(config, tmp_path)
-    chunks = sorted((tmp_path / "job" / "chunks").glob("refresh-00002-*.npz"))
-    assert chunks
-    explored, coordinates = archive.explored.parameters, archive.explored.coordinates
-    first = 12 + 6
-    front = np.flatnonzero(front_layers(coordinates[:first]) == 0).tolist()
-    again = len(front)  # the front before the second generation is raced once more
-    rows = [
-        int(np.flatnonzero((explored[:first] == theta).all(axis=1))[0]) for theta in explored[first : first + again]
-    ]
-    assert sorted(rows) == front
-    assert (coordinates[rows] != coordinates[first : first + again]).any(axis=1).all()  # half of the opponents are new
-    assert len(explored) <= config.evaluations  # at no more cost
-
-
 def test_too_few_policies_are_told(tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
         archive = make_archive(with_(fewest=60), tmp_path)
@@ -284,11 +266,6 @@ def test_another_run_is_refused(made):
         ({"least": (1.0,)}, "least is .*"),
         ({"least": (1.0, "x")}, "least is"),
         ({"fewest": 90}, "fewest is 90"),
-        (
-            {"refresh_generations": (3,)},
-            "refresh_generations is .*",
-        ),
-        ({"refresh_generations": (True,)}, "refresh_generations is"),
         ({"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
         ({"planner": "nobody"}, "nobody"),
         ({"preset": "nothing"}, "race settings 'nothing' are unknown"),

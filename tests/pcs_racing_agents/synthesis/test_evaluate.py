@@ -124,14 +124,6 @@ def test_the_spread_is_that_of_a_mean_over_races():
     assert cut.spread.mean() == pytest.approx(cut.coordinates.std(), rel=0.06)
 
 
-def test_a_refreshed_set_of_opponents(scenarios):
-    fresh = scenarios.against(policies(3, 9))
-    np.testing.assert_array_equal(fresh.start_s, scenarios.start_s)
-    assert (fresh.opponents != scenarios.opponents).any()
-    with pytest.raises(InputError, match=r"opponents .*\(2, 17\)"):
-        scenarios.against(policies(2))
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

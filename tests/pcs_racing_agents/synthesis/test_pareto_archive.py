@@ -64,21 +64,6 @@ def test_values_are_means_over_all_evaluations():
     np.testing.assert_array_equal(explored.objectives[3:], known().objectives[3:])
 
 
-def test_other_values_are_given_to_the_front_and_the_rest_leaves_the_archive():
-    explored = known().averaged(np.array([0]), np.zeros((1, 2)), np.zeros(1))
-    front = explored.front
-    values = np.arange(2.0 * len(front)).reshape(-1, 2)
-    after = explored.replaced(values, np.full(len(front), -2.0))
-    np.testing.assert_array_equal(after.objectives[front], values)
-    np.testing.assert_array_equal(after.violation[front], -2.0)
-    np.testing.assert_array_equal(np.flatnonzero(after.member), front)
-    others = np.setdiff1d(np.arange(len(explored)), front)
-    np.testing.assert_array_equal(after.objectives[others], explored.objectives[others])
-    np.testing.assert_array_equal(after.evaluations[front], 1)
-    np.testing.assert_array_equal(after.evaluations[others], explored.evaluations[others])
-    assert after.front.tolist() == [front[-1]]  # the largest on both axes
-
-
 def test_the_scale_runs_from_the_worst_to_the_best_of_the_front():
     explored = known(1)
     scale = explored.scale()

@@ -306,14 +306,6 @@ def test_known_points_join_the_archive():
     np.testing.assert_array_equal(search.result().parameters[:5], line)
 
 
-def test_the_front_can_be_given_other_values():
-    search = Search(UNIT[:2], population=4, elite_ratio=1.0)
-    first = search.ask()
-    search.tell([[0.0, 3.0], [2.0, 2.0], [1.0, 1.0], [3.0, 0.0]])
-    search.replace([[0.0, 3.0], [0.5, 0.5], [1.0, 1.0]])
-    np.testing.assert_array_equal(search.archive, first[[0, 3]])  # point 2 does not come back: its values are old
-
-
 def test_an_initial_sample_is_the_first_archive_and_the_scale():
     sample, news = np.tile(np.linspace(0.2, 0.8, 7)[:, None], 6), []
     options = {**SMALL, "initial": sample}
@@ -334,24 +326,6 @@ def test_an_initial_sample_is_the_first_archive_and_the_scale():
 def test_no_generation_is_begun_that_would_exceed_the_evaluations():
     for most, generations in ((11, 0), (12, 1), (35, 2), (10_000, 6)):
         assert len(synthesize(spheres, UNIT, evaluations=most, **SMALL).generations) == generations
-
-
-def test_where_objectives_change_the_front_is_evaluated_again():
-    shift, asked = [0.0], []
-
-    def evaluate(points):
-        asked.append(points)
-        return spheres(points) + shift[0]
-
-    def change(generation):
-        shift[0] = -1.0 * (generation.generation >= 3)
-        return generation.generation == 3
-
-    result = synthesize(evaluate, UNIT, callback=change, elite_ratio=1.0, **SMALL)
-    assert len(asked) == 6 + 1
-    np.testing.assert_array_equal(asked[3], result.generations[2].front_parameters)
-    np.testing.assert_array_equal(result.objectives, spheres(result.parameters) - 1.0)
-    assert result.generations[-1].evaluations == 6 * 12 + len(asked[3])
 
 
 # Bad input
@@ -455,7 +429,7 @@ def test_asking_and_telling_take_turns():
     with pytest.raises(InputError, match="nothing to evaluate again"):
         search.ask_again()
     search.ask()
-    for call in (search.ask, search.ask_again, lambda: search.replace([]), lambda: search.add(UNIT[:, :1].T, [[0, 0]])):
+    for call in (search.ask, search.ask_again, lambda: search.add(UNIT[:, :1].T, [[0, 0]])):
         with pytest.raises(InputError, match="were not told yet"):
             call()
 
@@ -466,19 +440,6 @@ def test_without_the_library_the_error_says_what_to_install(monkeypatch):
         Search(UNIT)
     with pytest.raises(ModuleNotFoundError, match=r'pip install "pcs-racing\[baselines\]"'):
         Search(UNIT, method="nsga2")
-
-
-def test_an_archive_whose_objectives_have_changed_is_evaluated_as_for_the_first_time():
-    calls = []
-
-    def evaluate(points, repeats):
-        calls.append((points, repeats))
-        return spheres(points)
-
-    synthesize(evaluate, UNIT, callback=lambda _: True, reevaluation=0.3, **SMALL)
-    (first, _), (again, repeats) = calls[:2]
-    assert {tuple(point) for point in again} <= {tuple(point) for point in first}
-    assert not repeats.any()
 
 
 def test_what_violates_a_constraint_lies_below_all_that_does_not_the_lower_the_more():
