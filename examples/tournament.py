@@ -45,7 +45,7 @@ def drivers() -> list[Policy]:
     return [
         lattice.policy({"pace": 0.1, "side_margin": 0.3, "walls": 0.5}, name="careful"),
         lattice.policy({"pace": 0.45}, name="steady"),
-        lattice.policy({"pace": 0.65, "overtaking": 0.7, "late_braking": 0.08, "side_margin": 0.08}, name="attacker"),
+        lattice.policy({"pace": 0.65, "overtaking": 0.7, "attack": 0.18, "side_margin": 0.25}, name="attacker"),
         lattice.policy({"pace": 1.0, "walls": -1.5}, name="reckless"),
     ]
 

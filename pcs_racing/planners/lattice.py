@@ -48,6 +48,8 @@ HORIZON_STEPS = 10
 HORIZON_STEP = 0.25  # s
 ALONE_STEPS = 5  # enough to compare speeds when there is nobody to meet
 REJECT_STEPS = 7  # overlaps within 1.75 s reject a candidate: on a straight that is time enough to fall back again
+WRONG_WAY = 10.0  # times as bad is an overlap for a car that speeds on where it must give way, or brakes where not
+RIGHT_STEPS = 3  # the same for a car with the right of way
 REJECTED = 1e6  # costs from here on mean that a candidate was rejected
 LATER = 30.0  # cost of a later overlap, per m of its depth
 
@@ -71,7 +73,7 @@ SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
 BUMPER_AIR = 0.3  # m to keep in front of an opponent that was passed, and behind one
 MOVE_TIME = 0.4  # s for which an opponent goes on moving sideways
-FOLLOW_GAP, FOLLOW_GAIN = 1.0, 1.2  # m between the middles of the cars, and closing speed per m beyond it, 1/s
+FOLLOW_GAP, FOLLOW_GAIN, YIELD_GAIN = 1.0, 1.2, 3.0  # m between the middles of the cars; 1/s, closing speed per m
 LEVEL = 1.0  # m of lead from wholly ahead to wholly behind
 
 ATTACKS, FOLLOWS = 0, SPEEDS - 1  # candidates' speeds: an attack (the profile if there is nobody to pass) is the first
@@ -87,7 +89,7 @@ _WEIGHTS = (
     ("braking", -2.0, 0.5, -1.5, "change of speed along the candidate, in 10 m/s^2"),
     ("similarity", -1.0, 1.0, 0.0, "squared distance to the previous plan, m^2"),
     ("progress", 0.0, 2.0, 1.0, "time per metre of progress, relative to the fastest profile"),
-    ("deviation", -1.0, 1.0, 0.0, "mean distance from the race line, m"),
+    ("deviation", -0.7, 1.0, 0.0, "mean distance from the race line, m"),
     ("walls", -1.5, 1.0, -0.5, "nearness to walls: mean of 0.1 / (air + 0.1 m)"),
     (
         "proximity",
@@ -119,8 +121,8 @@ PACE, ATTACK, SIDE_MARGIN, PACE_BEHIND = range(len(_WEIGHTS), len(_WEIGHTS) + 4)
 PARAMETERS = (
     *(Parameter(name, low, high, default, f"log10 weight of {what}") for name, low, high, default, what in _WEIGHTS),
     Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
-    Parameter("attack", 0.0, 0.25, 0.12, "share by which a car that wants to pass tops the profile on straights"),
-    Parameter("side_margin", 0.05, 0.45, 0.32, "air to keep beside the opponent, m"),
+    Parameter("attack", 0.0, 0.2, 0.12, "share by which a car that wants to pass tops the profile on straights"),
+    Parameter("side_margin", 0.2, 0.45, 0.32, "air to keep beside the opponent, m"),
     Parameter(
         "pace_behind", -0.5, 0.5, 0.25, "what is added to the pace while the opponent leads; the sum stays in [0, 1]"
     ),
@@ -272,6 +274,13 @@ def _pace_now(pace, pace_behind, gap):  # type: ignore[no-untyped-def]
     return min(max(pace + behind * pace_behind, 0.0), 1.0)
 
 
+@inner_kernel(forceinline=True)
+def _closing(gap):  # type: ignore[no-untyped-def]
+    """Speed above the opponent's at which a car follows it at a gap, m/s; one that is too near falls back faster."""
+    beyond = gap - FOLLOW_GAP
+    return beyond * (FOLLOW_GAIN if beyond > 0.0 else YIELD_GAIN)
+
+
 @inner_kernel
 def _plan_by_now(memory, s0, length, d0, slope0):  # type: ignore[no-untyped-def]
     """Where the last plan is by now: distance from the line (m), slope, and change of slope (1/m).
@@ -408,7 +417,7 @@ def _predict(line, per_ds, s, v, attack, follows, keep, steps, scratch):  # type
             else:
                 target = scratch[_SCALE + f] * _speed_at(line, per_ds, own_s)
             if f == FOLLOWS and follows:
-                target = min(target, scratch[_OPP_V + k] + FOLLOW_GAIN * (scratch[_OPP_S + k] - own_s - FOLLOW_GAP))
+                target = min(target, scratch[_OPP_V + k] + _closing(scratch[_OPP_S + k] - own_s))
             own_v += min(max(max(target, 0.0) - own_v, -OWN_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
             own_s += own_v * HORIZON_STEP
             i = _sample_at(line, per_ds, own_s)
@@ -448,7 +457,7 @@ def _predict_opponent(line, per_ds, view, s, scale, gives_way, beside, scratch):
 
 
 @inner_kernel
-def _meet_opponent(scratch, f, s0, long_reach, side_reach, soft_side):  # type: ignore[no-untyped-def]
+def _meet_opponent(scratch, f, s0, long_reach, side_reach, soft_side, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
     """Trouble (overlap within a second) and proximity of all moves at one speed with the predicted opponent."""
     for g in range(GOALS):
         scratch[_TROUBLE + g] = 0.0
@@ -462,7 +471,7 @@ def _meet_opponent(scratch, f, s0, long_reach, side_reach, soft_side):  # type: 
         # Where the track will push the car sideways.
         low = scratch[_OWN_LOW + k * SPEEDS + f]
         high = scratch[_OWN_HIGH + k * SPEEDS + f]
-        hard = fade * (REJECTED if k < REJECT_STEPS else LATER if f != FOLLOWS else 0.0)
+        hard = fade * (REJECTED * wrong if k < reject_steps else later)
         soft = fade * 0.3
         fade *= 0.85
         if abs(driven - ahead) > CLOSE + 2.0:
@@ -613,13 +622,17 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
         _predict_opponent(line, per_ds, view, s0 + gap, scale, gives_way, beside, scratch)
         if gap > 0.0 or (gives_way and gap > -long_reach):
             follow = 1.0
-            cap = max(view[_view.OPP_V] + FOLLOW_GAIN * (gap - FOLLOW_GAP), 0.0)
+            cap = max(view[_view.OPP_V] + _closing(gap), 0.0)
     for f in range(SPEEDS):
         scratch[_SCALE + f] = scale * (_SPEED_FACTORS[f] if f < FOLLOWS else follow)
     steps = HORIZON_STEPS if meets else ALONE_STEPS
     attack = theta[ATTACK] if meets and gap > 0.0 else 0.0
     _predict(line, per_ds, s0, v, attack, cap < np.inf, 0.5 * view[_view.OWN_WIDTH] + BODY_AIR, steps, scratch)
-    margin = theta[SIDE_MARGIN]
+    # Who has the right of way goes on, and only keeps out of what is about to happen: if both held back, they would
+    # stay side by side into the next bend.
+    margin = theta[SIDE_MARGIN] if gives_way else 0.5 * theta[SIDE_MARGIN]
+    reject_steps = REJECT_STEPS if gives_way else RIGHT_STEPS
+    later = LATER if gives_way else 0.0
     defend = 0.0
     if -4.0 < gap < 0.0:
         closing = view[_view.OPP_V] - view[_view.OWN_V]
@@ -665,7 +678,11 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
         if hopeful == 0:
             continue
         if meets:
-            _meet_opponent(scratch, f, s0, long_reach, body + margin, body)
+            # In a pinch one falls back and the other goes on.
+            wrong = WRONG_WAY if gives_way != (f == FOLLOWS) else 1.0
+            _meet_opponent(
+                scratch, f, s0, long_reach, body + margin, body, reject_steps, wrong, later if f != FOLLOWS else 0.0
+            )
             for g in range(GOALS):
                 scratch[costs + g] += w_proximity * scratch[_PROXIMITY + g] + scratch[_TROUBLE + g]
         for g in range(GOALS):

@@ -54,7 +54,7 @@ def steady_course(view, kappa):  # type: ignore[no-untyped-def]
     """Direction in which the car would move in a steady bend: its heading plus the slip that belongs to it, rad.
 
     The slip of the moment says less: it lags the steering. A driver that steers by it weaves, above 6.5 m/s ever more:
-    the linearised car and pursuit then have eigenvalues outside the unit circle (``benchmarks/driving.py --stability``).
+    the linearised car and its pursuit have eigenvalues outside the unit circle there (``benchmarks/driving.py``).
 
     Parameters
     ----------

@@ -178,8 +178,8 @@ def calibrate(
     """Find the speed range of a circuit for a race configuration, and the places to start from.
 
     Pace 1 is the scale at which a car alone crashes in 50 % of 40 s, and pace 0 lies 0.40 below. Without steering noise
-    (preset ``paper``) the hazard is nearly a step: there pace 1 is the scale of 10 %, and pace 0 lies 0.30 below. Pace 1 never asks for more than the friction of the
-    tyres: the vehicle model would give it, a road would not.
+    (preset ``paper``) the hazard is nearly a step: there pace 1 is the scale of 10 %, and pace 0 lies 0.30 below. No
+    pace asks for more than the friction of the tyres: the vehicle model would give it, a road would not.
 
     Start places are those from which pairs of drivers get away (`pcs_racing.race.start_places`). Where none is left
     with the configuration's distance across the track, the nearest distance that works is taken.
