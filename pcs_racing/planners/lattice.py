@@ -73,7 +73,7 @@ SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
 BUMPER_AIR = 0.3  # m to keep in front of an opponent that was passed, and behind one
 MOVE_TIME = 0.4  # s for which an opponent goes on moving sideways
-FOLLOW_GAP, FOLLOW_GAIN, YIELD_GAIN = 1.0, 1.2, 3.0  # m between the middles of the cars; 1/s, closing speed per m
+FOLLOW_GAP, FOLLOW_GAIN, YIELD_GAIN = 1.3, 1.2, 3.0  # m between the middles of the cars; 1/s, closing speed per m
 LEVEL = 1.0  # m of lead from wholly ahead to wholly behind
 
 ATTACKS, FOLLOWS = 0, SPEEDS - 1  # candidates' speeds: an attack (the profile if there is nobody to pass) is the first
@@ -121,10 +121,10 @@ PACE, ATTACK, SIDE_MARGIN, PACE_BEHIND = range(len(_WEIGHTS), len(_WEIGHTS) + 4)
 PARAMETERS = (
     *(Parameter(name, low, high, default, f"log10 weight of {what}") for name, low, high, default, what in _WEIGHTS),
     Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
-    Parameter("attack", 0.0, 0.2, 0.12, "share by which a car that wants to pass tops the profile on straights"),
+    Parameter("attack", 0.0, 0.2, 0.05, "share by which a car that wants to pass tops the profile on straights"),
     Parameter("side_margin", 0.2, 0.45, 0.32, "air to keep beside the opponent, m"),
     Parameter(
-        "pace_behind", -0.5, 0.5, 0.25, "what is added to the pace while the opponent leads; the sum stays in [0, 1]"
+        "pace_behind", -0.5, 0.5, 0.0, "what is added to the pace while the opponent leads; the sum stays in [0, 1]"
     ),
 )
 
@@ -417,7 +417,8 @@ def _predict(line, per_ds, s, v, attack, follows, keep, steps, scratch):  # type
             else:
                 target = scratch[_SCALE + f] * _speed_at(line, per_ds, own_s)
             if f == FOLLOWS and follows:
-                target = min(target, scratch[_OPP_V + k] + _closing(scratch[_OPP_S + k] - own_s))
+                gap = scratch[_OPP_S + k] - HORIZON_STEP * scratch[_OPP_V + k] - own_s  # both before this step
+                target = min(target, scratch[_OPP_V + k] + _closing(gap))
             own_v += min(max(max(target, 0.0) - own_v, -OWN_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
             own_s += own_v * HORIZON_STEP
             i = _sample_at(line, per_ds, own_s)
@@ -458,7 +459,7 @@ def _predict_opponent(line, per_ds, view, s, scale, gives_way, beside, scratch):
 
 @inner_kernel
 def _meet_opponent(scratch, f, s0, long_reach, side_reach, soft_side, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
-    """Trouble (overlap within a second) and proximity of all moves at one speed with the predicted opponent."""
+    """Trouble (overlap within about two seconds) and proximity of all moves at one speed with the predicted opponent."""
     for g in range(GOALS):
         scratch[_TROUBLE + g] = 0.0
         scratch[_DEEPEST + g] = 0.0
