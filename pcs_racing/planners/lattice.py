@@ -458,8 +458,8 @@ def _predict_opponent(line, per_ds, view, s, scale, gives_way, beside, scratch):
 
 
 @inner_kernel
-def _meet_opponent(scratch, f, s0, long_reach, side_reach, soft_side, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
-    """Trouble (overlap within about two seconds) and proximity of all moves at one speed with the predicted opponent."""
+def _meet_opponent(scratch, f, s0, reach, side_reach, body, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
+    """Trouble (overlaps ahead) and proximity of all moves at one speed with the predicted opponent."""
     for g in range(GOALS):
         scratch[_TROUBLE + g] = 0.0
         scratch[_DEEPEST + g] = 0.0
@@ -483,16 +483,16 @@ def _meet_opponent(scratch, f, s0, long_reach, side_reach, soft_side, reject_ste
                 length = scratch[_LENGTH + g]
                 own = driven + (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(driven, length)
                 gap = abs(own - ahead)
-                long_air = max(gap - long_reach, 0.0)
+                long_air = max(gap - reach, 0.0)
                 long_square = long_air * long_air + 0.3
                 u = own * per_length
                 d = _lateral(u, scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g])
                 across = abs(min(max(d, low), high) - opp_d)
                 # A move cannot lead through the other car: what overlapped once is no better on the other side.
-                deep = max(scratch[_DEEPEST + g], side_reach - across if gap < long_reach else 0.0)
+                deep = max(scratch[_DEEPEST + g], side_reach - across if gap < reach else 0.0)
                 scratch[_DEEPEST + g] = deep
                 scratch[_TROUBLE + g] += hard * deep * (1.0 + deep)
-                side_air = max(across - soft_side, 0.0)
+                side_air = max(across - body, 0.0)
                 near = soft / (long_square + side_air * side_air)
                 scratch[_PROXIMITY + g] += near if gap < CLOSE else 0.0
 
