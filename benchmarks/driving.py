@@ -6,6 +6,7 @@
 
 Each section prints a row for each circuit and the mean:
 
+stability  largest eigenvalue of the car on a straight and its pursuit, by what the pursuit takes for the car's course
 alone      own crashes in 40 s of a car alone, and its mean speed, beside pure pursuit at the same speed scales
 smooth     steering rate and speed around the profile on straights, over that of pure pursuit
 laps       best lap alone at pace 1 of the contest's range, over that of `ppo-drive`
@@ -242,6 +243,35 @@ def paces(track: Track) -> Row:
     }
 
 
+def _straight(car: Floats, v: float, measured_slip: bool) -> Floats:
+    """One control period of a car that pursues a straight line: y, steering angle, heading, yaw rate, slip."""
+    y, delta, psi, rate, beta = car
+    reach = 0.3 + 0.1 * v  # as follow_path looks ahead
+    course = psi + (beta if measured_slip else 0.0)
+    across = -np.sqrt(reach * reach - y * y) * np.sin(course) - y * np.cos(course)
+    steer = np.arctan(F1TENTH.wheelbase * 2.0 * across / (reach * reach))
+    state, params = np.array([0.0, y, delta, v, psi, rate, beta]), F1TENTH.as_row()
+    for _ in range(2):
+        wanted = (steer - state[_vehicle.DELTA]) / 0.01
+        _vehicle.step(state, np.clip(wanted, -F1TENTH.steer_rate_max, F1TENTH.steer_rate_max), 0.0, params, 0.01)
+    heading = np.mod(state[_vehicle.PSI] + np.pi, 2.0 * np.pi) - np.pi
+    return np.array([state[1], state[_vehicle.DELTA], heading, state[_vehicle.PSI_DOT], state[_vehicle.BETA]])
+
+
+def stability() -> list[Row]:
+    """Above 1 every stray grows from one control period to the next."""
+    rows = []
+    for v in (5.0, 6.0, 6.5, 7.0, 8.0, 10.0):
+        row: Row = {"track": f"{v:g} m/s"}
+        for name, measured in (("slip of a steady bend", False), ("slip of the moment", True)):
+            ahead, back = (
+                np.array([_straight(sign * 1e-6 * e, v, measured) for e in np.eye(5)]) for sign in (1.0, -1.0)
+            )
+            row[name] = float(np.abs(np.linalg.eigvals((ahead - back).T / 2e-6)).max())
+        rows.append(row)
+    return rows
+
+
 SECTIONS: dict[str, Callable[[Track], Row]] = {
     "alone": alone, "smooth": smooth, "laps": laps, "grip": grip, "default": default, "paces": paces,
 }  # fmt: skip
@@ -271,14 +301,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--maps", type=Path, help="folder of map folders, beside the circuits that ship")
     parser.add_argument("--tracks", nargs="+", help="names of circuits")
-    parser.add_argument("--only", nargs="+", choices=[*SECTIONS, "search"], help="sections (default: all)")
+    parser.add_argument("--only", nargs="+", choices=["stability", *SECTIONS, "search"], help="sections (default: all)")
     parser.add_argument("--csv", type=Path, help="file to write all rows to")
     arguments = parser.parse_args()
     tracks = circuits(arguments.maps, arguments.tracks)
     written = []
-    for section in arguments.only or [*SECTIONS, "search"]:
+    for section in arguments.only or ["stability", *SECTIONS, "search"]:
         if section == "search":
             rows = search(tracks)
+        elif section == "stability":
+            rows = stability()
         else:
             rows = [{"track": track.name} | SECTIONS[section](track) for track in tracks]
         show(section, rows)

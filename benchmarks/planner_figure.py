@@ -3,8 +3,8 @@
     python benchmarks/planner_figure.py
     python benchmarks/planner_figure.py --track Saltmere --at 40 --out planner.png
 
-Each thin line is one spiral at full speed, coloured by how much more it costs than the best candidate, red if it is
-rejected. The planner weighs each spiral at three lower speeds too; the bold one is driven, at the speed that its label
+Each thin line is one move at the speed of an attack, coloured by how much more it costs than the best candidate, red if
+it is rejected. The planner weighs each move at three more speeds; the bold one is driven, at the speed that its label
 says. Needs matplotlib: pip install ".[plots]".
 """
 
@@ -23,18 +23,12 @@ from pcs_racing.race.races import start_races
 
 Floats = NDArray[np.float64]
 
-BEHIND, AHEAD = -0.9, 5.3  # m of road in the picture
+BEHIND, AHEAD = -0.7, 7.0  # m of road in the picture
 SPEEDS = 4
-SPEED_LABELS = ("full speed", "at 94 %", "at 84 %", "follows")
+SPEED_LABELS = ("attacks", "at its own pace", "at 85 % of it", "follows")
 WEIGHTINGS = (
-    (
-        "Little weight on the distance from the race line",
-        {"deviation": -1.5, "overtaking": 0.6, "progress": 0.8, "pace": 1.0},
-    ),
-    (
-        "Much weight on the distance from the race line",
-        {"deviation": 1.0, "overtaking": 0.6, "progress": 0.8, "pace": 1.0},
-    ),
+    ("Much weight on passing, little on the race line", {"overtaking": 2.0, "deviation": -0.7}),
+    ("Little weight on passing, much on the race line", {"overtaking": -1.0, "deviation": 1.0, "progress": 0.0}),
 )
 INK, PAPER_COLOUR, ROAD = "#1d2530", "#ffffff", "#eef0f3"
 OWN, OTHER, REJECTED = "#1f6fd6", "#f0a202", "#d7263d"
@@ -88,7 +82,7 @@ def draw(axes, track: Track, policy: Policy, view: Floats, turn: float, title: s
         return (points - origin) @ rotation.T
 
     # The road: everything between the walls.
-    s = np.linspace(-3.0, 9.0, 241) + track.to_frenet(origin)[0]
+    s = np.linspace(-3.0, 11.0, 281) + track.to_frenet(origin)[0]
     row = (np.mod(s, track.length) / track.arrays.ds).astype(int) % len(track.line)
     edges = [place(track.to_cartesian(np.column_stack([s % track.length, d]))[:, :2]) for d in side_widths(track, row)]
     axes.fill(*np.vstack([edges[0], edges[1][::-1]]).T, color=ROAD, zorder=0)
@@ -99,24 +93,24 @@ def draw(axes, track: Track, policy: Policy, view: Floats, turn: float, title: s
 
     # The candidates: the worst first, so that the good ones lie on top.
     points, costs = LATTICE.candidates(track.arrays, policy.parameters, view, np.zeros(LATTICE.memory_size))
-    spirals = len(points) // SPEEDS
-    best, full_speed = int(np.argmin(costs)), costs[:spirals]
+    moves = len(points) // SPEEDS
+    best, attacks = int(np.argmin(costs)), costs[:moves]
     scale = PowerNorm(0.5, 0.0, most)
     colours = colormaps["viridis_r"]
-    for g in np.argsort(-np.nan_to_num(full_speed, posinf=1e9)):
+    for g in np.argsort(-np.nan_to_num(attacks, posinf=1e9)):
         curve = smooth(place(points[g]))
-        if np.isinf(full_speed[g]):
+        if np.isinf(attacks[g]):
             axes.plot(*curve.T, color=REJECTED, linewidth=1.4, alpha=0.75, zorder=2)
             axes.plot(*curve[-1], "x", color=REJECTED, markersize=5, zorder=2)
         else:
-            colour = colours(scale(full_speed[g] - costs[best]))
+            colour = colours(scale(attacks[g] - costs[best]))
             axes.plot(*curve.T, color=colour, linewidth=1.8, zorder=3, solid_capstyle="round")
             axes.plot(*curve[-1], "o", color=colour, markersize=3.5, zorder=3)
     chosen = smooth(place(points[best]))
     halo = [patheffects.Stroke(linewidth=7.5, foreground="white"), patheffects.Normal()]
     axes.plot(*chosen.T, color=INK, linewidth=4.5, zorder=4, solid_capstyle="round", path_effects=halo)
 
-    speed = SPEED_LABELS[best // spirals]
+    speed = SPEED_LABELS[best // moves]
     axes.annotate(
         speed,
         chosen[-1],
@@ -161,10 +155,10 @@ def side_widths(track: Track, row: NDArray[np.intp]) -> tuple[Floats, Floats]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--track", default="Kestrelheim", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--at", type=float, default=58.0, help="arc length of the car, m")
-    parser.add_argument("--gap", type=float, default=2.7, help="distance to the opponent along the track, m")
-    parser.add_argument("--speeds", type=float, nargs=2, default=(5.0, 3.2), help="own and the opponent's speed, m/s")
+    parser.add_argument("--track", default="Brackwater", help="name of a shipped circuit or a map folder")
+    parser.add_argument("--at", type=float, default=4.0, help="arc length of the car, m")
+    parser.add_argument("--gap", type=float, default=2.5, help="distance to the opponent along the track, m")
+    parser.add_argument("--speeds", type=float, nargs=2, default=(6.0, 5.0), help="own and the opponent's speed, m/s")
     parser.add_argument("--out", type=Path, default=Path("docs/images/planner.png"))
     arguments = parser.parse_args()
     try:
@@ -179,7 +173,7 @@ def main() -> None:
     track = load_track(arguments.track)
     view = look(track, arguments.at, arguments.gap, 0.0, 0.0, arguments.speeds)
     turn = float(track.to_cartesian([(arguments.at + 2.5) % track.length, 0.0])[2])
-    figure, panels = plt.subplots(1, 2, figsize=(11.0, 3.3), dpi=200, facecolor=PAPER_COLOUR, layout="constrained")
+    figure, panels = plt.subplots(1, 2, figsize=(11.0, 3.1), dpi=200, facecolor=PAPER_COLOUR, layout="constrained")
     for axes, (title, parameters) in zip(panels, WEIGHTINGS, strict=True):
         scale, colours = draw(axes, track, LATTICE.policy(parameters), view, turn, title, most=16.0)
     bar = figure.colorbar(

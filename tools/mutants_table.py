@@ -67,7 +67,6 @@ MODULES = {
         "pcs_racing/planners",
         """
         planner pursuit: planner /pcs_racing/race/race_state; /pcs_racing/race/race_kernel
-        spiral: spiral
         pure_pursuit: ; pure_pursuit
         gap_follower: ; gap_follower
         lattice: ; lattice

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.config import PRESETS, RaceConfig, load_race_config
 
-DEFAULT_TRACK = "Quillburg"
+DEFAULT_TRACK = "Brackwater"
 """The circuit that commands and environments use by default."""
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
 POLICY_HELP = "planner, planner:variant or planner:parameter=value,... (see 'pcs-racing policies')"

@@ -15,9 +15,9 @@ from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.options import POLICY_HELP, Commands, add_command, add_rules, add_track, output_file, rules
 
 # The default race. It lasts its full time and has an overtake; `python benchmarks/first_race.py` searched the seed.
-EGO = "lattice:pace=0.8,overtaking=1"
-OPPONENT = "lattice:pace=0.4"
-SEED = 1
+EGO = "lattice:pace=0.7,attack=0.1"
+OPPONENT = "lattice"
+SEED = 7
 
 
 def add(commands: Commands) -> None:

@@ -116,24 +116,20 @@ RACES = """
 import hashlib
 import sys
 
-import numpy as np
+from pcs_racing import CONTEST, load_track, parse_policy, run_races
+from pcs_racing.track import frenet
 
-from pcs_racing import make_game
-from pcs_racing.planners import spiral
-
-if sys.argv[1] == "spirals first":
-    spiral.solve_spirals(np.ones(10_000), 0.1)
-    spiral.sample_spirals(np.ones(10_000), 0.1, 0.0, 0.0, 0.0)
-game = make_game("Pipkin")
-state = game.reset(games=20, seed=1)
-for _ in range(2):
-    state = game.step(state, np.zeros((20, 2), dtype=int))
-print(hashlib.sha256(state.race.cars.tobytes()).hexdigest())
+track = load_track("Pipkin")
+if sys.argv[1] == "projections first":
+    frenet.project(track.arrays, 1.0, 2.0, 0.0)
+    frenet.to_cartesian(track.arrays, 1.0, 0.5)
+result = run_races(track, [parse_policy("pure-pursuit")] * 20, parse_policy("lane-switcher"), CONTEST, seed=1)
+print(hashlib.sha256(result.state.cars.tobytes()).hexdigest())
 """
 
 
 def test_races_do_not_depend_on_what_was_loaded_before():
     """A process binds all callers to the copies of these two functions that it loaded first."""
-    said = [run_python("-c", RACES, before) for before in ("nothing first", "spirals first")]
+    said = [run_python("-c", RACES, before) for before in ("nothing first", "projections first")]
     assert len(said[0]) == 65
     assert said[0] == said[1]

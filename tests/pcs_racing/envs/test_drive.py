@@ -78,7 +78,7 @@ def test_every_element_keeps_to_its_bounds_and_says_what_it_is():
 
 def test_the_observation_says_where_the_cars_are():
     env = DriveEnv(beams=9)
-    env.reset(seed=5)
+    env.reset(seed=4)
     for _ in range(8):
         seen, _, _, _, info = env.step([0.0, 0.2])
     at = {element.name: value for element, value in zip(env.elements, seen, strict=True)}
@@ -126,7 +126,7 @@ def test_two_tracks_in_one_process_do_not_disturb_each_other(oval):
     alone = episode(DriveEnv(oval, opponent=None), 1, steps=20)[0]
     one, two = DriveEnv(oval, opponent=None), DriveEnv("Pipkin", opponent=None)
     seen, _ = one.reset(seed=1)
-    two.reset(seed=1)
+    two.reset(seed=2)
     for expected in alone:
         np.testing.assert_array_equal(seen, expected)
         seen, *_ = one.step(follow_the_line(seen))

@@ -1,23 +1,34 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from pcs_racing import (
     InputError,
     RaceConfig,
+    RaceSetup,
     Starts,
     UnknownNameError,
+    advance,
     draw_starts,
     list_tracks,
     load_race_config,
     load_track,
     run_races,
+    start_races,
 )
-from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.car.vehicle import DELTA
+from pcs_racing.planners.lattice import GRIP, LATTICE
+from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
-from pcs_racing.planners.view import GAP, OWN_D, OWN_X, OWN_Y, PATH_POINTS
+from pcs_racing.planners.pursuit import COMMAND_SLOTS, hold_command
+from pcs_racing.planners.view import GAP, OPP_V, OWN_D, OWN_X, OWN_Y, PATH_POINTS, SPEED_HIGH, SPEED_LOW, TIME
+from pcs_racing.track.frenet import KAPPA, SPEED
 
 MEMORY = np.zeros(LATTICE.memory_size)
 RANGE = (0.8, 1.0)
+PARKED = Planner("parked", (), control=hold_command, memory_size=COMMAND_SLOTS)
 
 
 def candidates(track, view, parameters=None):
@@ -27,37 +38,42 @@ def candidates(track, view, parameters=None):
 
 def path(track, view, parameters=None):
     """The path that the planner writes, shape (12, 4)."""
-    written = np.full((PATH_POINTS, 4), np.nan)
+    return plan(track, view, parameters=parameters)[0]
+
+
+def plan(track, view, memory=MEMORY, parameters=None):
+    """The path that the planner writes, and its memory after that."""
+    written, memory = np.full((PATH_POINTS, 4), np.nan), memory.copy()
     scratch = np.full(LATTICE.scratch_size, np.nan)  # whatever was left there must not matter
-    LATTICE.plan(track.arrays, LATTICE.policy(parameters).parameters, view, MEMORY.copy(), scratch, written)
-    return written
+    LATTICE.plan(track.arrays, LATTICE.policy(parameters).parameters, view, memory, scratch, written)
+    return written, memory
 
 
 def test_parameters():
-    weights = (
-        "length",
-        "max_curvature",
-        "mean_curvature",
-        "curvature_rate",
-        "lateral_acceleration",
-        "braking",
-        "similarity",
-        "progress",
-        "deviation",
-        "walls",
-        "proximity",
-        "overtaking",
-        "blocking",
-    )
-    assert LATTICE.parameter_names == (*weights, "pace", "late_braking", "side_margin", "pace_behind")
-    np.testing.assert_array_equal(LATTICE.bounds[: len(weights)], np.tile([-2.0, 1.0], (len(weights), 1)))
-    np.testing.assert_array_equal(LATTICE.bounds[len(weights) :], [[0.0, 1.0], [0.0, 0.15], [0.05, 0.35], [-0.5, 0.5]])
+    weights = {
+        "length": (-2.0, 0.0),
+        "max_curvature": (-2.0, 0.0),
+        "mean_curvature": (-2.0, 0.0),
+        "curvature_rate": (-2.0, 0.0),
+        "lateral_acceleration": (-2.0, 0.0),
+        "braking": (-2.0, 0.5),
+        "similarity": (-1.0, 1.0),
+        "progress": (0.0, 2.0),
+        "deviation": (-0.7, 1.0),
+        "walls": (-1.5, 1.0),
+        "proximity": (-1.5, 1.0),
+        "overtaking": (-1.0, 2.0),
+        "blocking": (-2.0, 1.0),
+    }
+    traits = {"pace": (0.0, 1.0), "attack": (0.0, 0.2), "side_margin": (0.2, 0.45), "pace_behind": (-0.5, 0.5)}
+    assert LATTICE.parameter_names == (*weights, *traits)
+    np.testing.assert_array_equal(LATTICE.bounds, [*weights.values(), *traits.values()])
     assert (LATTICE.bounds[:, 0] < LATTICE.default).all()
     assert (LATTICE.default < LATTICE.bounds[:, 1]).all()
     assert all("log10 weight" in parameter.meaning for parameter in LATTICE.parameters[: len(weights)])
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1.5])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -0.1, 2.1])
 def test_impossible_weights_are_refused(value):
     with pytest.raises(InputError, match="parameter 'progress' is"):
         LATTICE.policy({"progress": value})
@@ -78,22 +94,35 @@ def test_candidates_start_at_the_car_and_end_across_the_track(oval, view_at):
     np.testing.assert_allclose(points[:, 0], np.tile(view[[OWN_X, OWN_Y]], (64, 1)), atol=1e-9)
     ends = oval.to_frenet(points[:, -1])
     assert len(np.unique(ends[:, 0].round(2))) == 2
-    assert ends[:, 1].min() < -0.7
-    assert ends[:, 1].max() > 0.7
+    # Eight positions across the track, one of them on the line, at every distance; four speeds of each move.
+    np.testing.assert_array_equal(points.reshape(4, 16, 9, 2), np.tile(points[:16], (4, 1, 1, 1)))
+    for across in ends[:16, 1].reshape(2, 8):
+        assert (np.diff(across) > 0.05).all()
+        assert np.abs(across).min() < 1e-6
+        np.testing.assert_allclose(across[[0, -1]], [-0.695, 0.695], atol=0.02)  # 0.25 m beside the car's body
     assert np.isfinite(costs).sum() > 32
 
 
-def test_the_path_is_the_cheapest_candidate(oval, view_at):
+def test_moves_are_cubics_across_the_track_that_end_along_the_line(oval, view_at):
+    points, _ = candidates(oval, view_at(oval, 3.0, 0.2, turned=0.05, speed=4.0))
+    for move in points[:16]:
+        s, d = oval.to_frenet(move).T
+        cubic = np.polynomial.Polynomial.fit(s, d, 3)
+        np.testing.assert_allclose(cubic(s), d, atol=2e-3)
+        assert cubic.deriv()(s[0]) == pytest.approx(np.tan(0.05), abs=0.01)
+        assert cubic.deriv()(s[-1]) == pytest.approx(0.0, abs=0.01)
+
+
+def test_the_path_is_the_beginning_of_the_cheapest_candidate(oval, view_at):
     view = view_at(oval, 3.0, 0.2)
     points, costs = candidates(oval, view)
-    best = points[np.argmin(costs)]
+    s, d = oval.to_frenet(points[np.argmin(costs)]).T
     written = path(oval, view)
     assert np.isfinite(written).all()
-    np.testing.assert_allclose(written[0, :2], best[0], atol=1e-9)
-    np.testing.assert_allclose(written[-1, :2], best[-1], atol=1e-3)
-    # Points of the path lie between the candidate's points, which are farther apart.
-    step = np.hypot(*np.diff(best, axis=0).T).max()
-    assert np.hypot(*(written[:, None, :2] - best[None]).T).min(axis=0).max() < 0.5 * step + 1e-3
+    np.testing.assert_allclose(written[0, :2], view[[OWN_X, OWN_Y]], atol=1e-9)
+    at, across = oval.to_frenet(written[:, :2]).T
+    assert at[-1] - at[0] == pytest.approx(1.5 + 0.2 * 4.0, abs=0.01)
+    np.testing.assert_allclose(across, np.polynomial.Polynomial.fit(s, d, 3)(at), atol=5e-3)
 
 
 def test_a_wall_in_the_way_rejects_candidates(oval, view_at):
@@ -120,15 +149,16 @@ def test_a_swerve_that_would_spin_the_car_is_rejected(oval, view_at):
 
 
 def test_an_opponent_in_the_way_rejects_candidates(oval, view_at):
-    points, costs = candidates(oval, view_at(oval, 3.0, gap=3.0, opp_d=0.0))
+    """Both cars' half widths and the margin are kept free beside a standing car."""
+    points, costs = candidates(oval, view_at(oval, 3.0, speed=8.0, gap=8.0, opp_d=0.0))
     across = oval.to_frenet(points[:, -1])[:, 1]
     rejected = ~np.isfinite(costs)
     # Of those that are open when nobody is there.
-    open_else = np.isfinite(candidates(oval, view_at(oval, 3.0))[1]) & (np.arange(64) < 16)
-    assert rejected[open_else & (np.abs(across) < 0.4)].all()
-    assert not rejected[open_else & (np.abs(across) > 0.5)].any()
-    assert (open_else & (np.abs(across) > 0.5)).any()
-    assert abs(across[np.argmin(costs)]) > 0.5
+    open_else = np.isfinite(candidates(oval, view_at(oval, 3.0, speed=8.0))[1]) & (np.arange(64) < 16)
+    assert rejected[open_else & (np.abs(across) < 0.31 + 0.32)].all()
+    assert not rejected[open_else & (np.abs(across) > 0.31 + 0.32)].any()
+    assert (open_else & (np.abs(across) > 0.31 + 0.32)).any()
+    assert abs(across[np.argmin(costs)]) > 0.31 + 0.32
 
 
 @pytest.mark.parametrize("opp_d", [-0.5, 0.5])
@@ -154,23 +184,23 @@ def test_a_policy_has_a_second_pace_behind(oval, view_at, gap, expected):
     view = view_at(oval, 3.0, opp_d=0.9)
     view[GAP] = gap
     two = path(oval, view, {"pace": 0.5, "pace_behind": 0.3})
-    np.testing.assert_allclose(two, path(oval, view, {"pace": expected}), rtol=1e-12)
-    one = path(oval, view, {"pace": 0.5, "pace_behind": 0.0})
-    np.testing.assert_array_equal(one, path(oval, view, {"pace": 0.5}))
+    np.testing.assert_allclose(two, path(oval, view, {"pace": expected, "pace_behind": 0.0}), rtol=1e-12)
+    none, default = (path(oval, view, {"pace": 0.5, **more}) for more in ({"pace_behind": 0.0}, {}))
+    np.testing.assert_array_equal(none, default)
 
 
 @pytest.mark.parametrize(("pace", "behind", "expected"), [(0.8, 0.5, 1.0), (0.2, -0.5, 0.0), (0.2, -0.1, 0.1)])
 def test_the_second_pace_stays_in_the_range_of_speeds(oval, view_at, pace, behind, expected):
     view = view_at(oval, 3.0, gap=8.0)
     two = path(oval, view, {"pace": pace, "pace_behind": behind})
-    np.testing.assert_allclose(two, path(oval, view, {"pace": expected}), rtol=1e-12)
+    np.testing.assert_allclose(two, path(oval, view, {"pace": expected, "pace_behind": 0.0}), rtol=1e-12)
 
 
 def test_who_speeds_up_behind_only_ends_in_front_of_who_does_not():
     """The same pace in front; staggered by 3 m, the car behind catches up in every race and gains in the mean."""
     config = load_race_config("paper", duration=16.0, start="rolling", start_gap=3.0, start_spacing=0.45)
     starts = Starts(np.arange(6) * 8.0, np.ones(6, np.int64))  # car 0 behind
-    bold, calm = LATTICE.policy({"pace": 0.3, "pace_behind": 0.5}), LATTICE.policy({"pace": 0.3})
+    bold, calm = (LATTICE.policy({"pace": 0.3, "pace_behind": more}) for more in (0.5, 0.0))
     track = load_track("Tarnfjord")
     plain, reacts = (run_races(track, [ego] * 6, calm, config, starts=starts) for ego in (calm, bold))
     assert reacts.lead.mean() > plain.lead.mean() + 1.0
@@ -227,7 +257,7 @@ def test_more_weight_on_the_deviation_keeps_nearer_to_the_line(views):
     away = []
     for _ in range(4):
         theta = LATTICE.sample(rng)
-        for weight in (-2.0, 1.0):
+        for weight in LATTICE.bounds[LATTICE.parameter_names.index("deviation")]:
             theta[LATTICE.parameter_names.index("deviation")] = weight
             away.append(np.abs(views(track, LATTICE.policy(theta), config, starts)[:, OWN_D]).mean())
     loose, tight = np.array(away).reshape(-1, 2).T
@@ -248,3 +278,150 @@ def test_a_faster_follower_gets_by_a_slower_car(shipped):
     assert len(crashed) >= 40
     assert crashed.mean() <= 0.1
     assert passed[~crashed].mean() > 0.8
+
+
+def test_a_plan_goes_on_where_the_last_one_was(oval, view_at):
+    """A tenth of a second later a car that kept to its plan gets the same one; half of a stray is led back."""
+    first, memory = plan(oval, view_at(oval, 2.0, 0.3, turned=0.1, speed=5.0))
+    s, d = oval.to_frenet(first[:, :2]).T
+    move = CubicSpline(s, d)
+    now = 2.0 + 0.1 * 5.0
+    for stray in (0.0, 0.1, -0.2):
+        view = view_at(oval, now, move(now) + stray, turned=float(np.arctan(move(now, 1))), speed=5.0)
+        later = oval.to_frenet(plan(oval, view, memory)[0][:, :2])
+        assert later[0, 1] - move(now) == pytest.approx(0.5 * stray, abs=2e-3)
+        shared = later[:, 0] < s[-1]
+        assert shared.sum() > 6
+        left = later[shared, 1] - move(later[shared, 0])
+        assert np.abs(left).max() <= 0.5 * abs(stray) + 0.02
+        assert np.abs(left[-1]) < 0.04
+
+
+@pytest.mark.parametrize(("stray", "beyond"), [(0.5, 0.0), (-0.5, 0.0), (0.0, 8.0)])
+def test_a_car_that_lost_its_plan_begins_where_it_is(oval, view_at, stray, beyond):
+    _, memory = plan(oval, view_at(oval, 1.0))
+    view = view_at(oval, 1.3 + beyond, stray)
+    again = plan(oval, view, memory)[0]
+    np.testing.assert_allclose(again[0, :2], view[[OWN_X, OWN_Y]], atol=1e-9)
+    np.testing.assert_array_equal(again, path(oval, view))
+
+
+@pytest.mark.parametrize(("scale", "most"), [(0.7, 1.0), (1.0, 1.0), (1.3, 1.3**2)])
+def test_the_paths_speed_respects_its_own_bends(scale, most, view_at):
+    """Everywhere on a circuit, for cars that stand askew: GRIP, and from scale 1 on with its square, as on the line."""
+    track = load_track("Pipkin")
+    rng = np.random.default_rng(2)
+    asked, profile = [], []
+    for s in np.linspace(0.0, track.length, 150, endpoint=False):
+        view = view_at(track, s, rng.uniform(-0.3, 0.3), turned=rng.uniform(-0.1, 0.1), speed=rng.uniform(3.0, 8.0))
+        view[[SPEED_LOW, SPEED_HIGH]] = scale, scale
+        written = path(track, view)
+        asked.append((written[:, 2] ** 2 * np.abs(written[:, 3])).max())
+        profile.append(written[0, 2] / (scale * track.line[int(s / track.arrays.ds) % len(track.line), SPEED]))
+    assert max(asked) <= GRIP * most * (1.0 + 1e-9)
+    assert max(asked) > 0.95 * GRIP * most  # it is the limit
+    assert np.mean(np.array(profile) > 0.99) > 0.3  # which costs nothing where the line is straight
+
+
+def test_it_attacks_on_straights_while_a_car_is_to_be_passed_and_not_in_bends(oval, view_at):
+    hard, soft = {"attack": 0.2, "pace_behind": 0.0}, {"attack": 0.0, "pace_behind": 0.0}
+    beside = view_at(oval, 2.0, 0.5, speed=7.0, gap=2.0, opp_d=-0.6, opp_speed=6.0)
+    np.testing.assert_allclose(path(oval, beside, hard)[:6, 2], 1.2 * path(oval, beside, soft)[:6, 2], rtol=0.02)
+    bend = view_at(oval, 15.0, 0.3, speed=4.5, gap=2.0, opp_d=-0.6, opp_speed=4.0)
+    np.testing.assert_allclose(path(oval, bend, hard)[:, 2], path(oval, bend, soft)[:, 2], rtol=0.03)
+    alone = view_at(oval, 2.0, 0.5, speed=7.0)
+    np.testing.assert_array_equal(path(oval, alone, hard), path(oval, alone, soft))
+
+
+@pytest.mark.parametrize("gap", [-0.65, -1.0, -2.0])
+def test_a_followed_car_holds_its_place(oval, view_at, gap):
+    """A faster car right behind neither drives it off its line nor makes it brake or flee."""
+    parameters = {"pace_behind": 0.0}
+    view = view_at(oval, 3.0, speed=5.0, gap=gap)
+    alone = path(oval, view, parameters)
+    view[OPP_V] = 6.0
+    np.testing.assert_allclose(path(oval, view, parameters), alone, atol=1e-9)
+    assert np.abs(oval.to_frenet(alone[:, :2])[:, 1]).max() < 0.02
+
+
+def test_it_follows_at_a_distance_where_there_is_no_way_past(oval, view_at):
+    """With so much air to keep there is no room beside the other car: the nearer, the slower."""
+    wide = {"side_margin": 0.45}
+    speeds = np.array(
+        [path(oval, view_at(oval, 3.0, speed=4.0, gap=gap, opp_speed=4.0), wide)[:, 2].min() for gap in (0.8, 1.2, 1.9)]
+    )
+    assert (np.diff(speeds) > 0.0).all()
+    assert speeds[0] < 4.0 < speeds[2] < 5.0
+
+
+def test_alone_it_neither_crashes_nor_falls_behind_pure_pursuit(oval, drive_alone):
+    """At the full speed profile, disturbed, 40 s: the house's measure of a driver that holds its line."""
+    for track in (oval, load_track("Tarnfjord")):
+        ours, theirs = (
+            drive_alone(track, [planner.policy({"pace": 0.0})] * 20, speed_range=(1.0, 1.2), steering_noise=0.01)
+            for planner in (LATTICE, PURE_PURSUIT)
+        )
+        assert not ours.crashed.any()
+        assert ours.state.progress.sum() > 0.985 * theirs.state.progress.sum()
+
+
+def test_alone_it_follows_the_line_as_closely_as_pure_pursuit(oval, views):
+    config = RaceConfig(duration=20.0, start="staggered", start_gap=24.0, start_spacing=0.0, steering_noise=0.01)
+    starts = Starts(np.arange(4) * 12.0, np.zeros(4, np.int64))
+    away = []
+    for planner in (LATTICE, PURE_PURSUIT):
+        seen = views(oval, planner.policy({"pace": 1.0}), config, starts)
+        away.append(np.sqrt(np.mean(seen[seen[:, TIME] > 4.0, OWN_D] ** 2)))
+    assert away[0] < 1.2 * away[1] < 0.06
+
+
+@pytest.mark.parametrize(("scale", "noise"), [(1.0, 0.0), (1.0, 0.01), (1.2, 0.02)])
+def test_it_does_not_weave_on_straights(oval, scale, noise):
+    """Its steering moves no faster than 1.3 times that of pure pursuit."""
+    ours, theirs = (steering_rate(oval, planner, scale, noise) for planner in (LATTICE, PURE_PURSUIT))
+    assert ours < 1.3 * theirs
+
+
+def steering_rate(track, planner, scale, noise):
+    """RMS on straights of cars alone, from the fourth second on, rad/s."""
+    gap = 0.5 * track.length
+    config = RaceConfig(
+        start="staggered", start_gap=gap, start_spacing=0.0, steering_noise=noise, speed_range=(scale, scale + 0.1)
+    )
+    setup = RaceSetup(track, config, (planner, planner))
+    state = start_races(setup, Starts(np.arange(8) * 5.0, np.zeros(8, np.int64)), np.arange(8, dtype=np.uint64))
+    theta = np.tile(planner.policy({"pace": 0.0}).parameters, (8, 2, 1))
+    advance(setup, state, theta, 400)
+    rates, before = [], state.cars[..., DELTA].copy()
+    for _ in range(300):
+        advance(setup, state, theta, 2)
+        bend = track.line[(state.frenet[..., 0] / track.arrays.ds).astype(int) % len(track.line), KAPPA]
+        rates.append(((state.cars[..., DELTA] - before) / 0.02)[np.abs(bend) < 0.05])
+        before = state.cars[..., DELTA].copy()
+    return np.sqrt(np.mean(np.concatenate(rates) ** 2))
+
+
+@pytest.mark.parametrize("name", ["Tarnfjord", "Brackwater"])
+def test_a_faster_car_gets_by_pure_pursuit(name):
+    """From 4 m behind, at thirty places, within 20 s; the car in front drives a fifth slower and keeps to the line."""
+    track = load_track(name)
+    config = RaceConfig(duration=20.0, start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(1.0, 1.25))
+    starts = Starts(np.arange(30) / 30.0 * track.length, np.ones(30, np.int64))
+    fast, slow = LATTICE.policy({"pace": 1.0}), PURE_PURSUIT.policy({"pace": 0.0})
+    result = run_races(track, [fast] * 30, slow, config, starts=starts)
+    assert (result.lead > 0.0).mean() > 0.8
+    assert (result.state.fault[:, 0] == 1).mean() <= 0.15
+
+
+def test_a_car_that_stands_on_the_race_line_is_driven_around():
+    """At forty places of a wide circuit, in bends too, from a standing start 12 m behind."""
+    track = load_track("Tarnfjord")
+    config = RaceConfig(
+        duration=12.0, start="staggered", start_gap=12.0, start_speed=0.0, start_spacing=0.0, speed_range=(1.03, 1.43)
+    )
+    starts = Starts(np.arange(40) / 40.0 * track.length, np.ones(40, np.int64))
+    for noise in (0.0, 0.02):
+        rules = replace(config, steering_noise=noise)
+        result = run_races(track, [LATTICE.policy()] * 40, PARKED.policy(), rules, starts=starts)
+        assert (np.abs(result.state.progress[:, 1]) < 0.1).all()  # it stands
+        assert ((result.lead > 10.0) & ~result.crashed).mean() > 0.9

@@ -102,6 +102,7 @@ def lessons(track, races=12, seconds=12.0):
         start_gap=min(0.5 * track.length, 50.0),
         start_spacing=0.0,
         steering_noise=0.05,
+        speed_range=(0.75, 0.95),  # slow enough for the fastest command of a network
     )
     setup = RaceSetup(track, config, (PURE_PURSUIT, PURE_PURSUIT))
     starts = Starts(np.linspace(0.0, track.length, races, endpoint=False), np.zeros(races, np.int64))

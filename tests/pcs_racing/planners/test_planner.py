@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import InputError, Parameter, Planner, Policy, UnknownNameError
-from pcs_racing.planners.pursuit import COMMAND_SLOTS, calm_speed, follow_path, pursuit_steering
+from pcs_racing.car.vehicle import BETA, DELTA, F1TENTH, PSI, Y, step
+from pcs_racing.planners.pursuit import COMMAND_SLOTS, calm_speed, follow_path, pursuit_steering, steady_course
 from pcs_racing.planners.view import (
     OWN_BETA,
     OWN_PSI,
@@ -16,6 +17,8 @@ from pcs_racing.planners.view import (
     PATH_SPEED,
     PATH_X,
     PATH_Y,
+    REAR_AXLE,
+    REAR_SLIP,
     STEER_MAX,
     UNDERSTEER,
     UNDERSTEER_GAIN,
@@ -148,11 +151,48 @@ def test_pure_pursuit_drives_the_arc_through_the_point(view):
     assert pursuit_steering(view, 0.1, 5.0, 0.0, 0.0) <= 0.4  # the limit of the car
 
 
-def test_pure_pursuit_aims_along_the_velocity(view):
-    """Heading and slip that cancel leave the course, and so the steering, as it was."""
+def test_pure_pursuit_aims_along_the_course_of_a_steady_bend(view):
+    """Heading and slip of the bend that cancel leave the steering as it was; the slip of the moment says nothing."""
+    view[REAR_AXLE], view[REAR_SLIP] = 0.17, 0.02
     usual = pursuit_steering(view, 1.0, 0.2, 0.0, 0.0)
-    view[OWN_PSI], view[OWN_BETA] = 0.1, -0.1
-    assert pursuit_steering(view, 1.0, 0.2, 0.0, 0.0) == pytest.approx(usual)
+    slip = 0.5 * (0.17 - 0.02 * 4.0**2)
+    view[OWN_PSI] = -slip
+    assert steady_course(view, 0.5) == pytest.approx(0.0, abs=1e-12)
+    assert pursuit_steering(view, 1.0, 0.2, 0.5, 0.0) == pytest.approx(usual)
+    view[OWN_BETA] = 0.1
+    assert pursuit_steering(view, 1.0, 0.2, 0.5, 0.0) == pytest.approx(usual)
+
+
+def strays(speed, course, seconds=4.0):
+    """How far a car strays from a straight each second after a push, when it is steered by pursuit from a course, m."""
+    car = F1TENTH.as_row()
+    state = np.array([0.0, 0.02, 0.0, speed, 0.0, 0.0, 0.0])
+    view = np.zeros(VIEW_SIZE)
+    view[WHEELBASE], view[STEER_MAX] = F1TENTH.wheelbase, F1TENTH.steer_max
+    view[REAR_AXLE], view[REAR_SLIP] = F1TENTH.lr, 1.0 / (F1TENTH.mu * 9.81 * F1TENTH.c_sr)
+    ahead, away = 0.3 + 0.1 * speed, []
+    for _ in range(round(50 * seconds)):  # a command every 0.02 s
+        psi = np.mod(state[PSI] + np.pi, 2.0 * np.pi) - np.pi
+        view[OWN_V], view[OWN_PSI], view[OWN_Y] = speed, psi + course(state[BETA]), state[Y]
+        view[OWN_BETA] = state[BETA]
+        x, y = np.sqrt(ahead**2 - min(state[Y] ** 2, 0.9 * ahead**2)), 0.0
+        steer = pursuit_steering(view, x, y, 0.0, 0.0)
+        for _ in range(2):
+            step(state, np.clip((steer - state[DELTA]) / 0.01, -3.2, 3.2), 0.0, car, 0.01)
+        away.append(abs(state[Y]))
+    return np.array(away).reshape(-1, 50).max(axis=1)
+
+
+@pytest.mark.parametrize("speed", [4.0, 6.0, 9.0, 11.0])
+def test_pursuit_along_the_steady_course_is_stable_at_all_speeds(speed):
+    away = strays(speed, lambda slip: 0.0)
+    assert (np.diff(away) < 0.0).all()
+    assert away[-1] < 0.1 * away[0]
+
+
+def test_pursuit_along_the_slip_of_the_moment_would_not_be():
+    assert strays(9.0, lambda slip: slip)[-1] > 0.2
+    assert strays(4.0, lambda slip: slip)[-1] < 0.002
 
 
 def test_understeer_is_made_up_for(view):
@@ -212,7 +252,7 @@ def test_the_default_control_drives_through_a_point_ahead_at_the_speed_that_the_
     rng = np.random.default_rng(seed)
     v = view[OWN_V] = rng.uniform(0.5, 7.0)
     view[OWN_X], view[OWN_Y], view[OWN_PSI], view[OWN_BETA] = rng.uniform(-2.0, 2.0, 4) * [1.0, 1.0, 1.0, 0.1]
-    view[UNDERSTEER], view[UNDERSTEER_GAIN] = 0.0028, -0.0004
+    view[UNDERSTEER], view[UNDERSTEER_GAIN], view[REAR_SLIP], view[REAR_AXLE] = 0.0028, -0.0004, 0.01, 0.17
     course, t = view[OWN_PSI] + view[OWN_BETA], np.linspace(-0.15, rng.uniform(0.2, 0.6), PATH_POINTS) * v
     bend = rng.uniform(-0.3, 0.3)
     x, y = t, 0.5 * bend * t**2 + rng.uniform(-0.05, 0.05)
@@ -229,7 +269,9 @@ def test_the_default_control_drives_through_a_point_ahead_at_the_speed_that_the_
     goal = np.array([at_distance(rest[:, k], away, reach) for k in range(2)])
     past = next((k for k in range(1, len(away)) if away[k] >= reach), None)
     kappa = rest[-1 if past is None else past - 1, PATH_KAPPA]
-    # The circle that touches the course and leads through the goal has the curvature 2 sin(angle) / distance.
+    # The circle that touches the course and leads through the goal has the curvature 2 sin(angle) / distance. In a
+    # steady bend the rear axle moves along the heading, but for the slip of its tyres.
+    course = view[OWN_PSI] + kappa * (0.17 - 0.01 * v**2)
     way = goal - view[[OWN_X, OWN_Y]]
     arc = 2.0 * np.sin(np.arctan2(way[1], way[0]) - course) / np.hypot(*way)
     yielding = 0.0028 - 0.0004 * min(10.0 * (speed - v), 9.5)

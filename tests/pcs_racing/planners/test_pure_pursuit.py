@@ -143,7 +143,7 @@ def twin_drive(track, theta, view, memory):
     kappa = line[int(s / ds) % len(line), KAPPA]
     speed = max(theta[0] * line[int(seen["S"] / ds), SPEED], v - 0.55)
     acceleration = min(10.0 * (speed - v), 9.5)
-    course = seen["PSI"] + seen["BETA"]
+    course = seen["PSI"] + kappa * (seen["REAR_AXLE"] - seen["REAR_SLIP"] * v * v)
     dx, dy = x - seen["X"], y - seen["Y"]
     arc = 2.0 * (dy * math.cos(course) - dx * math.sin(course)) / (dx * dx + dy * dy)
     understeer = seen["UNDERSTEER"] + seen["UNDERSTEER_GAIN"] * acceleration

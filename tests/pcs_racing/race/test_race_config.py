@@ -18,9 +18,9 @@ def test_the_two_presets():
 
 
 def test_contest_starts_one_behind_the_other_with_noise_and_a_fault_rule():
-    """The numbers of docs/racing.md: a gap of 1.4 m along and 0.45 m across, steering noise of 0.01 rad."""
+    """The numbers of docs/racing.md: a gap of 1.4 m along and 0.45 m across, steering noise of 0.02 rad."""
     assert (CONTEST.start, CONTEST.start_gap, CONTEST.start_spacing) == ("staggered", 1.4, 0.45)
-    assert (CONTEST.steering_noise, CONTEST.crash_rule, CONTEST.stay_move) == (0.01, "fault-loses", True)
+    assert (CONTEST.steering_noise, CONTEST.crash_rule, CONTEST.stay_move) == (0.02, "fault-loses", True)
 
 
 def test_the_papers_race():

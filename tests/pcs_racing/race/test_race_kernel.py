@@ -228,6 +228,8 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
             "UNDERSTEER_GAIN": body.h
             * (1.0 / (body.c_sf * body.lr) + 1.0 / (body.c_sr * body.lf))
             / (stiffness * 9.81),
+            "REAR_SLIP": 1.0 / (stiffness * body.c_sr),
+            "REAR_AXLE": body.lr,
             "OPP_LENGTH": rival.length,
             "OPP_WIDTH": rival.width,
             "SPEED_LOW": 0.8,

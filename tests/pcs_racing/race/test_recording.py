@@ -2,6 +2,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from pcs_racing import (
     InputError,
@@ -95,24 +96,34 @@ def test_what_a_replay_holds(oval):
     assert "wins by" in replay.outcome
 
 
-def test_plans_begin_at_the_car_and_run_ahead_in_time(oval):
+def test_plans_begin_near_the_car_and_run_ahead_in_time(oval):
+    """The first at the car itself; the others go on from the plan before, and half of what a car strays is forgiven."""
     replay = record_race(oval, *policies("lattice"), PAPER)
     times = replay.paths[..., 3]
     assert (times[..., 0] == 0.0).all()
     assert (np.diff(times, axis=-1) > 0.0).all()
     every = round(2 * replay.plan_dt / replay.frame_dt)  # frames and plans meet every second plan
     at_plan = replay.cars[::every, :, :2][: len(replay.paths[::2])]
-    np.testing.assert_allclose(replay.paths[::2, :, 0, :2], at_plan, atol=1e-9)
+    away = np.hypot(*(replay.paths[::2, :, 0, :2] - at_plan).T)
+    np.testing.assert_allclose(away[:, 0], 0.0, atol=1e-9)
+    assert away.max() < 0.1
 
 
 def test_the_plan_that_is_followed_is_the_cheapest_candidate(oval):
-    """Candidates are asked for before the plan is made: they show what was on offer."""
+    """Candidates are asked for before the plan is made: they show what was on offer, farther than the path is."""
     replay = record_race(oval, *policies("lattice"), PAPER)
+    compared = 0
     for row, step in enumerate(replay.candidate_steps):
         for car in range(2):
-            best = int(np.argmin(replay.costs[row, car]))
-            end = replay.candidates[row, car, best, -1]
-            np.testing.assert_allclose(replay.paths[step, car, -1, :2], end, atol=0.01)
+            costs = replay.costs[row, car]
+            if np.isinf(costs).all():  # in a pinch it takes the least evil, which the costs no longer tell
+                continue
+            best = replay.candidates[row, car, int(np.argmin(costs)), 1:]
+            curve = CubicSpline(np.arange(8), best)(np.linspace(0.0, 7.0, 400))
+            ahead = replay.paths[step, car, 4:, :2]  # the first of the candidate's pieces begins at the car
+            assert np.hypot(*(ahead[:, None] - curve).T).min(axis=0).max() < 0.03
+            compared += 1
+    assert compared > 0.9 * replay.costs.shape[0] * replay.costs.shape[1]
 
 
 def test_a_driver_without_plans_leaves_them_out(oval):

@@ -60,7 +60,7 @@ def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(run, 
     monkeypatch.chdir(tmp_path)
     code, out, _ = run("race")
     assert code == 0
-    assert out.startswith("Quillburg, ")
+    assert out.startswith("Brackwater, ")
     assert " overtakes\n" in out
     assert re.search(r"\n(\S+) wins by \d+\.\d m after 40 s\n", out)  # no crash
     (again,) = re.findall(r"^to watch it: pcs-racing (.*)$", out, re.MULTILINE)
@@ -68,7 +68,7 @@ def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(run, 
     assert code == 0
     assert watched.splitlines()[:-1] == out.splitlines()[:-1]  # the same race
     assert watched.endswith("replay: race.html\n")
-    assert read_replay(tmp_path / "race.html").track_name == "Quillburg"
+    assert read_replay(tmp_path / "race.html").track_name == "Brackwater"
 
 
 def test_two_cars_of_one_policy_are_told_apart(run):
@@ -372,7 +372,7 @@ WITH_TRACK = [name for name, parser in COMMANDS.items() if "--track" in parser._
 
 @pytest.mark.parametrize("name", WITH_TRACK)
 def test_every_command_that_needs_a_circuit_has_one(name):
-    own = "Tarnfjord, Vellindra, Kestrelheim" if name.endswith("synthesize") else "Quillburg"
+    own = "Tarnfjord, Vellindra, Kestrelheim" if name.endswith("synthesize") else "Brackwater"
     assert f"(default: {own}" in " ".join(COMMANDS[name].format_help().split())
 
 
@@ -385,7 +385,7 @@ def test_a_circuit_that_nobody_named_is_told(run, arguments, monkeypatch):
     monkeypatch.setattr("pcs_racing_agents.cli.track.calibrate", report)
     code, out, _ = run("track", *arguments)
     assert code == 0
-    assert out.startswith("Quillburg")
+    assert out.startswith("Brackwater")
 
 
 def test_as_a_process(tmp_path):

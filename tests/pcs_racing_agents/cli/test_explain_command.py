@@ -102,7 +102,7 @@ def test_a_picture_that_is_left_out_is_told(saved, capsys, tmp_path, monkeypatch
     arguments = ["explain", "--agents", "random-moves", "never-switch", "--duration", "5", "--archive", str(saved)]
     assert main([*arguments, "--races", "2", "--out", str(tmp_path)]) == 0
     out, err = capsys.readouterr()
-    assert " on Quillburg, paper rules: " in out  # the default circuit
+    assert " on Brackwater, paper rules: " in out  # the default circuit
     assert "picture: " not in out
     assert 'the picture of the race is not drawn: pip install "pcs-racing[plots]" draws it' in err
     assert {file.name for file in tmp_path.iterdir()} == {"race.txt", "race.html"}

@@ -23,7 +23,7 @@ def archive() -> PolicyArchive:
     pace = np.linspace(0.05, 0.95, 9)
     odd = np.arange(9) % 2
     theta = [
-        LATTICE.policy({"pace": p, "side_margin": 0.1 + 0.1 * o}).parameters for p, o in zip(pace, odd, strict=True)
+        LATTICE.policy({"pace": p, "side_margin": 0.25 + 0.1 * o}).parameters for p, o in zip(pace, odd, strict=True)
     ]
     coordinates = np.stack([20.0 * pace - 10.0, 2.0 - pace + 0.7 * odd], axis=1)
     names = ("aggressiveness", "restraint")

@@ -44,7 +44,7 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
     with own_randomness():
         learner = make_learner(settings, [drives(track, hold=hold)], 5, "tanh", 10.0)
     envs = learner.model.env.groups[0]
-    seen, _ = envs.reset(seed=9)
+    seen, _ = envs.reset(seed=4)
     batch = envs.batch
     seeds, rivals = batch.state.seed.copy(), batch.theta[:, 1].copy()
     places = [int(np.flatnonzero((batch.grid.cars == car).all(axis=(1, 2)))[0]) for car in batch.state.cars]
@@ -62,7 +62,7 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
         both = np.zeros((6, 2, setup.theta_size))
         both[:, 0, : len(theta)] = theta
         both[:, 1, : rivals.shape[1]] = rivals
-        seen, _ = envs.reset(seed=9)
+        seen, _ = envs.reset(seed=4)
         for _ in range(100 // hold):
             seen, _, terminated, truncated, _ = envs.step(learner.model.predict(seen, deterministic=True)[0])
             advance(setup, state, both, hold)
@@ -79,7 +79,7 @@ def test_races_go_on_from_their_state(track):
     rng = np.random.default_rng(0)
     actions = rng.normal(0.0, 1.0, (60, 6, 2)).astype(np.float32)
     envs, other = drives(track), drives(track)
-    envs.reset(seed=3)
+    envs.reset(seed=4)
     other.reset(seed=4)
     for action in actions[:30]:
         envs.step(action)
@@ -91,7 +91,7 @@ def test_races_go_on_from_their_state(track):
 
 def test_rewards_are_progress_less_a_share_of_the_opponents(track):
     envs = drives(track, hold=10, rivalry=0.5, leading=3.0, crash_penalty=7.0)
-    envs.reset(seed=0)
+    envs.reset(seed=4)
     actions = np.tile(np.array([0.0, 0.5], np.float32), (6, 1))
     crashes = 0
     for _ in range(25):
@@ -111,7 +111,7 @@ def test_rewards_are_progress_less_a_share_of_the_opponents(track):
 
 def test_a_last_observation_is_the_old_races(track):
     envs = drives(track)
-    envs.reset(seed=0)
+    envs.reset(seed=4)
     for _ in range(100):
         seen, _, terminated, truncated, info = envs.step(np.zeros((6, 2), np.float32))
         ended = terminated | truncated

@@ -110,7 +110,7 @@ class RaceTreeArena(TreeArena):
 def test_in_a_short_race_it_loses_little_to_an_opponent_that_knows_it(race, tmp_path):
     """Played as an agent from its observations, on the game tree of a race with four seeds of noise."""
     setting = make_setting(race.archive, race.config)
-    tree = build_tree(race, np.array([4, 6]), Starts(race.start_lines[:1], np.array([1])), [3, 4, 5, 6])
+    tree = build_tree(race, np.array([2, 9]), Starts(race.start_lines[:1], np.array([1])), [3, 4, 5, 6])
     moves = len(race.move_names)
     with_seeds = GameTree.from_payoffs(np.asarray(tree.payoffs).reshape(4, *[moves] * 4), np.full(4, 0.25))
     arena = RaceTreeArena(with_seeds, tree, game_identity(race))
