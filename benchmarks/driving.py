@@ -65,9 +65,8 @@ class Alone:
     def __init__(self, track: Track, planner: Planner, scale: float, noise: float, cars: int, theta: Any = None):
         races = cars // 2
         self.track, self.planner = track, planner
-        self.theta = np.ascontiguousarray(
-            np.broadcast_to(planner.default if theta is None else theta, (races, 2, len(planner.parameters)))
-        )
+        self.theta = np.zeros((races, 2, max(1, len(planner.parameters))))
+        self.theta[:, :, : len(planner.parameters)] = planner.default if theta is None else theta
         config = RaceConfig(steering_noise=noise)
         self.settings = kernel_settings(config, (scale, scale + 1e-6))._replace(ittc_horizon=0.0)
         self.state = empty_state(races, planner.memory_total)

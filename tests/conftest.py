@@ -18,8 +18,8 @@ settings.load_profile("everywhere")
 
 FORMER_ARCHIVES = ("sha256 8f85f6bb3c5c", "sha256 8179219fdb5d")
 FORMER = (
-    "needs a network or fit that was made for an archive of the former driver (commit a58241f); what was made with it is "
-    "made again once, when the drivers of the field are there"
+    "needs a network or fit that was made for an archive of the former driver (commit a58241f); what was made with it "
+    "is made again once, when the drivers of the field are there"
 )
 
 

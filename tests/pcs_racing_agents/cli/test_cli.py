@@ -141,8 +141,8 @@ def test_agents_lists_the_zoo(run):
     code, out, _ = run("agents")
     assert code == 0
     assert {"cfr-argmax", "always-aggressiveness+", "lane-switcher"} <= {line.split()[0] for line in out.splitlines()}
-    code, out, _ = run("agents", "best-fixed")
-    assert code == 0
+    code, out, err = run("agents", "best-fixed")
+    assert code == 0, err
     assert "- Option target, by default None. The policy's index." in out
 
 

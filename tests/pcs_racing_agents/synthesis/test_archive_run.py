@@ -221,7 +221,7 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
 
 
 def test_policies_below_the_least_coordinates_stay_out(tmp_path, made):
-    archive = make_archive(with_(least=(1.0, 0.0), seed=7), tmp_path)
+    archive = make_archive(with_(least=(0.0, 0.0), seed=7), tmp_path)
     assert archive.coordinates[:, 0].min() > made[0].coordinates[:, 0].min() + 0.5
     assert (archive.explored.coordinates[:, 0] < 0.0).any()
 

@@ -9,7 +9,7 @@ from pcs_racing.game.state import GameState
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing_agents.trees import RaceTree
 
-FAR = replace(CONTEST, name="far", start_gap=20.0, steering_noise=0.012)
+FAR = replace(CONTEST, name="far", start_gap=20.0, steering_noise=0.03)
 
 
 @pytest.fixture(scope="session")
@@ -39,7 +39,7 @@ def paper(track, archive) -> RaceGame:
 @pytest.fixture(scope="session")
 def noisy(track, archive) -> RaceGame:
     """Games with noise, in which some crash."""
-    return make_game(track, archive, replace(CONTEST, steering_noise=0.015), moves=2, step_seconds=6.0, epsilon=0.35)
+    return make_game(track, archive, replace(CONTEST, steering_noise=0.03), moves=2, step_seconds=6.0, epsilon=0.35)
 
 
 @pytest.fixture(scope="session")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tree_arena import TreeArena
 
-from pcs_racing import make_game
+from pcs_racing import load_race_config, make_game
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.game.identity import game_identity
 from pcs_racing.race.start_grid import Starts
@@ -88,7 +88,8 @@ def test_the_last_iteration_alone_is_no_equilibrium(tmp_path):
 
 @pytest.fixture(scope="module")
 def race(oval, archive):
-    return make_game(oval, archive, "contest", stay=False, moves=2, step_seconds=1.6, threads=1)
+    rules = load_race_config("contest", speed_range=(1.2, 1.7))  # fast enough for moves to matter in 3.2 s
+    return make_game(oval, archive, rules, stay=False, moves=2, step_seconds=1.6, threads=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +111,7 @@ class RaceTreeArena(TreeArena):
 def test_in_a_short_race_it_loses_little_to_an_opponent_that_knows_it(race, tmp_path):
     """Played as an agent from its observations, on the game tree of a race with four seeds of noise."""
     setting = make_setting(race.archive, race.config)
-    tree = build_tree(race, np.array([2, 9]), Starts(race.start_lines[:1], np.array([1])), [3, 4, 5, 6])
+    tree = build_tree(race, np.array([4, 6]), Starts(race.start_lines[:1], np.array([1])), [3, 4, 5, 6])
     moves = len(race.move_names)
     with_seeds = GameTree.from_payoffs(np.asarray(tree.payoffs).reshape(4, *[moves] * 4), np.full(4, 0.25))
     arena = RaceTreeArena(with_seeds, tree, game_identity(race))
