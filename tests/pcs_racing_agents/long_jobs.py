@@ -47,7 +47,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "tree": ["tree", *TREES, "--pairs", "12"],
         "ego trees": ["tree", *TREES, "--ego", "40"],
         "tournament": [
-            "tournament", "--track", "Pipkin", "--agents", "random-moves", "cfr-argmax", "lane-switcher",
+            "tournament", "--track", "Pipkin", "--agents", "random-moves", "never-switch", "lane-switcher",
             "--races", "4", "--duration", "16",
         ],
         "ppo": ["ppo", "--config", str(ppo), "--seeds", "0", "1", "2", "--checkpoint", "0", "--no-picture"],

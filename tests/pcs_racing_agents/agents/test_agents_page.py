@@ -124,8 +124,9 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
 
 
 def test_the_command_tells_the_same(capsys):
-    assert main(["agents", "cfr-argmax"]) == 0
-    out = capsys.readouterr().out
+    code = main(["agents", "cfr-argmax"])
+    out, err = capsys.readouterr()
+    assert code == 0, err
     for line in facts_of("cfr-argmax", make_setting("default", "paper")):
         assert f"- {line}\n" in out
     assert "With archive default in the paper race:" in out

@@ -132,7 +132,7 @@ COMMANDS = {
     "synthesize": "pcs_racing_agents.cli.synthesize.make_archive",
     "ppo --config duel-paper": "pcs_racing_agents.learning.ppo.train.train_ppo",
     "study paper": "pcs_racing_agents.study.run_study",
-    "tournament --agents never-switch random-moves response nash --track Tarnfjord Pipkin --races 2000": (
+    "tournament --agents never-switch random-moves random-policy lane-switcher --track Tarnfjord Pipkin --races 2000": (
         "pcs_racing_agents.tournament.play_plan"
     ),
 }

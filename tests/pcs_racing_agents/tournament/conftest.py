@@ -14,8 +14,7 @@ MIXED = ["random-moves", "best-fixed:target=3", "lane-switcher", POLICIES[1]]
 @pytest.fixture(scope="session")
 def contest(oval, archive) -> RaceGame:
     """Games with short steps."""
-    rules = load_race_config("contest", steering_noise=0.2)  # so disturbed that some games end in a crash
-    return make_game(oval, archive, rules, step_seconds=0.8)
+    return make_game(oval, archive, "contest", step_seconds=0.8)
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, RaceGame
+from pcs_racing import InputError, RaceGame, load_race_config, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import make_setting
@@ -35,6 +35,12 @@ class Leader:
 
     def decide(self, game, state, car):
         return np.where((state.race.lead > 0.0) == (car == 0), 1, 3)
+
+
+@pytest.fixture(scope="module")
+def contest(oval, archive) -> RaceGame:
+    """Games with short steps, so disturbed that some end in a crash."""
+    return make_game(oval, archive, load_race_config("contest", steering_noise=0.2), step_seconds=0.8)
 
 
 @pytest.fixture(scope="module")
