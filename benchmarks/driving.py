@@ -304,6 +304,8 @@ def main() -> None:
     parser.add_argument("--csv", type=Path, help="file to write all rows to")
     arguments = parser.parse_args()
     tracks = circuits(arguments.maps, arguments.tracks)
+    if not tracks:
+        parser.error(f"none of {', '.join(arguments.tracks or [])} is a shipped circuit or in the folder of --maps")
     written = []
     for section in arguments.only or ["stability", *SECTIONS, "search"]:
         if section == "search":

@@ -1,6 +1,6 @@
 """Learned characteristics: axes that are weighted sums of other characteristics and of their products.
 
-Where the weights come from is not stated here (:mod:`research/axes` learns them from
+Where the weights come from is not stated here (``research/axes`` learns them from
 races); an axis only has to be computable from a :class:`~pcs_racing.game.characteristics.Segment`, as all others are.
 """
 
