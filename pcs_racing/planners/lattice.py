@@ -73,7 +73,7 @@ SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
 BUMPER_AIR = 0.3  # m to keep in front of an opponent that was passed, and behind one
 MOVE_TIME = 0.4  # s for which an opponent goes on moving sideways
-FOLLOW_GAP, FOLLOW_GAIN, YIELD_GAIN = 1.3, 1.2, 3.0  # m between the middles of the cars; 1/s, closing speed per m
+FOLLOW_GAP = 1.0  # m between the middles of the cars
 LEVEL = 1.0  # m of lead from wholly ahead to wholly behind
 
 ATTACKS, FOLLOWS = 0, SPEEDS - 1  # candidates' speeds: an attack (the profile if there is nobody to pass) is the first
@@ -275,11 +275,18 @@ def _pace_now(pace, pace_behind, gap):  # type: ignore[no-untyped-def]
     return min(max(pace + behind * pace_behind, 0.0), 1.0)
 
 
-@inner_kernel(forceinline=True)
-def _closing(gap):  # type: ignore[no-untyped-def]
-    """Speed above the opponent's at which a car follows it at a gap, m/s; one that is too near falls back faster."""
-    beyond = gap - FOLLOW_GAP
-    return beyond * (FOLLOW_GAIN if beyond > 0.0 else YIELD_GAIN)
+@inner_kernel
+def _following_speed(scratch, s, first):  # type: ignore[no-untyped-def]
+    """Speed at ``s`` from which even braking keeps `FOLLOW_GAP` behind the predicted opponent, from step ``first`` on.
+
+    So a car begins to fall back before the one ahead brakes: at half of the speed the same time between two cars is
+    half of the distance.
+    """
+    speed = 1e9
+    for k in range(first, HORIZON_STEPS):
+        room = scratch[_OPP_S + k] - FOLLOW_GAP - s
+        speed = min(speed, 2.0 * room / ((k + 1 - first) * HORIZON_STEP) - scratch[_OPP_V + k])
+    return max(speed, 0.0)
 
 
 @inner_kernel
@@ -421,8 +428,7 @@ def _predict(line, per_ds, s, v, attack, follows, keep, steps, scratch):  # type
             else:
                 target = scratch[_SCALE + f] * _speed_at(line, per_ds, own_s)
             if f == FOLLOWS and follows:
-                gap = scratch[_OPP_S + k] - HORIZON_STEP * scratch[_OPP_V + k] - own_s  # both before this step
-                target = min(target, scratch[_OPP_V + k] + _closing(gap))
+                target = min(target, _following_speed(scratch, own_s, k))
             own_v += min(max(max(target, 0.0) - own_v, -OWN_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
             own_s += own_v * HORIZON_STEP
             i = _sample_at(line, per_ds, own_s)
@@ -628,7 +634,7 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
         _predict_opponent(line, per_ds, view, s0 + gap, scale, gives_way, beside, scratch)
         if gap > 0.0 or (gives_way and gap > -long_reach):
             follow = 1.0
-            cap = max(view[_view.OPP_V] + _closing(gap), 0.0)
+            cap = _following_speed(scratch, s0, 0)
     for f in range(SPEEDS):
         scratch[_SCALE + f] = scale * (_SPEED_FACTORS[f] if f < FOLLOWS else follow)
     steps = HORIZON_STEPS if meets else ALONE_STEPS
