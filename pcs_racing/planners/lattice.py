@@ -73,7 +73,7 @@ SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
 BUMPER_AIR = 0.3  # m to keep in front of an opponent that was passed, and behind one
 MOVE_TIME = 0.4  # s for which an opponent goes on moving sideways
-FOLLOW_GAP = 1.0  # m between the middles of the cars
+FOLLOW_GAP = 0.8  # m between the middles of the cars
 LEVEL = 1.0  # m of lead from wholly ahead to wholly behind
 
 ATTACKS, FOLLOWS = 0, SPEEDS - 1  # candidates' speeds: an attack (the profile if there is nobody to pass) is the first
@@ -129,9 +129,9 @@ PARAMETERS = (
 )
 
 # Memory: the chosen move. Whether there is one, where it began (m of arc length), how long it is (m), where it ends (m
-# from the race line), and two coefficients of its cubic, see `_lateral`.
-_M_VALID, _M_S, _M_LENGTH, _M_GOAL, _M_A, _M_B = range(6)
-MEMORY = 6
+# from the race line), and two coefficients of its cubic, see `_lateral`; and whether the car attacks.
+_M_VALID, _M_S, _M_LENGTH, _M_GOAL, _M_A, _M_B, _M_ATTACKS = range(7)
+MEMORY = 7
 
 # Rows of the scratch, each GOALS wide: where a move ends, its length and coefficients; its curvature, the largest one,
 # the mean, and the largest change along it; the lateral acceleration that it asks for; how much longer it is than the
@@ -638,7 +638,11 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
     for f in range(SPEEDS):
         scratch[_SCALE + f] = scale * (_SPEED_FACTORS[f] if f < FOLLOWS else follow)
     steps = HORIZON_STEPS if meets else ALONE_STEPS
-    attack = theta[ATTACK] if meets and gap > 0.0 else 0.0
+    # An attack begins wholly behind and ends wholly ahead. If who is passed answered it when level, and who passes
+    # stopped there, both would stay side by side into the next bend.
+    attacks = meets and (gap > LEVEL or memory[_M_ATTACKS] > 0.5)
+    memory[_M_ATTACKS] = 1.0 if attacks else 0.0
+    attack = theta[ATTACK] if attacks else 0.0
     _predict(line, per_ds, s0, v, attack, cap < np.inf, 0.5 * view[_view.OWN_WIDTH] + BODY_AIR, steps, scratch)
     # Who has the right of way goes on, and only keeps out of what is about to happen: if both held back, they would
     # stay side by side into the next bend.
