@@ -67,7 +67,7 @@ GRIP = 5.3  # m/s^2 that a move may ask for at speed scales up to 1, and with th
 STRAIN = 0.5  # cost per m/s^2 beyond the grip
 SPIN_BEYOND = 1.0  # m/s^2 beyond the grip, from where on a move is rejected
 BRAKING = 4.5  # m/s^2 with which a car comes down to the speed of a bend
-OWN_BRAKING, OPPONENT_BRAKING, ACCELERATION = 5.5, 5.0, 5.0  # m/s^2 at most in predictions
+OWN_BRAKING, OPPONENT_BRAKING, ACCELERATION = 4.4, 4.4, 5.0  # m/s^2 at most in predictions
 
 SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
@@ -157,9 +157,10 @@ MEMORY = 7
     _BASE,
     _TROUBLE,
     _DEEPEST,
+    _SIDE,
     _PROXIMITY,
     _COSTS,
-) = (GOALS * k for k in range(20))
+) = (GOALS * k for k in range(21))
 _POINT_X = _COSTS + SPEEDS * GOALS
 _POINT_Y = _POINT_X + SEGMENTS * GOALS
 _AIR = _POINT_Y + SEGMENTS * GOALS
@@ -468,9 +469,14 @@ def _predict_opponent(line, per_ds, view, s, scale, gives_way, beside, scratch):
 
 
 @inner_kernel
-def _meet_opponent(scratch, f, s0, reach, side_reach, body, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
-    """Trouble (overlaps ahead) and proximity of all moves at one speed with the predicted opponent."""
+def _meet_opponent(scratch, f, s0, gap, side, reach, side_reach, body, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
+    """Trouble (overlaps ahead) and proximity of all moves at one speed with the predicted opponent.
+
+    ``gap`` and ``side`` are the distances at present, along and across the track.
+    """
+    level = abs(gap) < reach
     for g in range(GOALS):
+        scratch[_SIDE + g] = side if level else 0.0
         scratch[_TROUBLE + g] = 0.0
         scratch[_DEEPEST + g] = 0.0
         scratch[_PROXIMITY + g] = 0.0
@@ -497,9 +503,12 @@ def _meet_opponent(scratch, f, s0, reach, side_reach, body, reject_steps, wrong,
                 long_square = long_air * long_air + 0.3
                 u = own * per_length
                 d = _lateral(u, scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g])
-                across = abs(min(max(d, low), high) - opp_d)
-                # A move cannot lead through the other car: what overlapped once is no better on the other side.
-                deep = max(scratch[_DEEPEST + g], side_reach - across if gap < reach else 0.0)
+                side = min(max(d, low), high) - opp_d
+                # A move cannot lead through the other car: what overlapped once is no better on the other side, and a
+                # change of sides between two steps is an overlap.
+                across = abs(side) if side * scratch[_SIDE + g] >= 0.0 else 0.0
+                scratch[_SIDE + g] = side if gap < reach else 0.0
+                deep = max(scratch[_DEEPEST + g], side_reach - across if gap < reach or across == 0.0 else 0.0)
                 scratch[_DEEPEST + g] = deep
                 scratch[_TROUBLE + g] += hard * deep * (1.0 + deep)
                 side_air = max(across - body, 0.0)
@@ -547,7 +556,7 @@ def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
 def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack, aside, aside_slope, path):  # type: ignore[no-untyped-def]
     """Write the beginning of the chosen move, and the way back onto it, with a speed that its bends allow."""
     per_ds = 1.0 / ds
-    braking = min(BRAKING * grip / GRIP, OWN_BRAKING)  # as the profile brakes at this scale, if the car can
+    braking = min(BRAKING * grip / GRIP, 5.5)  # as the profile brakes at this scale, if the car can
     s0 = view[_view.OWN_S]
     v = view[_view.OWN_V]
     goal, a, b = scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g]
@@ -697,7 +706,17 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
             # In a pinch one falls back and the other goes on.
             wrong = WRONG_WAY if gives_way != (f == FOLLOWS) else 1.0
             _meet_opponent(
-                scratch, f, s0, long_reach, body + margin, body, reject_steps, wrong, later if f != FOLLOWS else 0.0
+                scratch,
+                f,
+                s0,
+                gap,
+                d - view[_view.OPP_D],
+                long_reach,
+                body + margin,
+                body,
+                reject_steps,
+                wrong,
+                later if f != FOLLOWS else 0.0,
             )
             for g in range(GOALS):
                 scratch[costs + g] += w_proximity * scratch[_PROXIMITY + g] + scratch[_TROUBLE + g]
