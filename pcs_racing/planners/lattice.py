@@ -3,7 +3,7 @@
 Ten times a second the planner lays a lattice of goals around the race line ahead (two distances, eight positions across
 the track). A move is a cubic in the distance from the race line, as in [1]_ and [2]_: it begins where the last plan is
 by now and ends at a goal, along the line. So a plan goes on where the last one was, and does not follow every stray of
-the car: half of a stray is forgiven at each plan, and the car is led back from the rest within a few metres. Each move
+the car: a third of a stray is forgiven at each plan, and the car is led back from the rest within a few metres. Each move
 is considered at four speeds, 64 candidates in all: an attack, faster than the profile on straights, while a car is to
 be passed; the profile; a slower one; and the speed that keeps a distance behind the other car. A candidate that comes
 too close to a wall, asks for more grip than there is, or meets the predicted opponent within two seconds is rejected;
@@ -54,7 +54,7 @@ REJECTED = 1e6  # costs from here on mean that a candidate was rejected
 LATER = 30.0  # cost of a later overlap, per m of its depth
 
 NEAR, NEAR_TIME, FAR = 1.2, 0.4, 1.7  # m, s: the near goals are so far away, the far ones so many times as far
-HALF_FORGOTTEN = 0.5  # share of a stray from the plan that the next plan starts from
+LED_BACK = 0.7  # share of a stray from the plan that the car is led back from; the next plan forgives the rest
 LOST = 0.4  # m from the plan, beyond which a new one begins where the car is
 
 BODY_AIR = 0.25  # m to keep from a wall at a goal, unless it lies on the race line
@@ -72,6 +72,7 @@ OWN_BRAKING, OPPONENT_BRAKING, ACCELERATION = 4.4, 4.4, 5.0  # m/s^2 at most in 
 SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
 BUMPER_AIR = 0.3  # m to keep in front of an opponent that was passed, and behind one
+UNSURE = 0.02  # m that a prediction gets less sure at each step, unless the car follows and can correct it
 MOVE_TIME = 0.4  # s for which an opponent goes on moving sideways
 FOLLOW_GAP = 0.8  # m between the middles of the cars
 LEVEL = 1.0  # m of lead from wholly ahead to wholly behind
@@ -121,10 +122,10 @@ PACE, ATTACK, SIDE_MARGIN, PACE_BEHIND = range(len(_WEIGHTS), len(_WEIGHTS) + 4)
 PARAMETERS = (
     *(Parameter(name, low, high, default, f"log10 weight of {what}") for name, low, high, default, what in _WEIGHTS),
     Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
-    Parameter("attack", 0.0, 0.2, 0.05, "share by which a car that wants to pass tops the profile on straights"),
+    Parameter("attack", 0.0, 0.3, 0.2, "share by which a car that wants to pass tops the profile on straights"),
     Parameter("side_margin", 0.2, 0.45, 0.32, "air to keep beside the opponent, m"),
     Parameter(
-        "pace_behind", -0.5, 0.5, 0.0, "what is added to the pace while the opponent leads; the sum stays in [0, 1]"
+        "pace_behind", -0.5, 0.5, 0.15, "what is added to the pace while the opponent leads; the sum stays in [0, 1]"
     ),
 )
 
@@ -469,10 +470,11 @@ def _predict_opponent(line, per_ds, view, s, scale, gives_way, beside, scratch):
 
 
 @inner_kernel
-def _meet_opponent(scratch, f, s0, gap, side, reach, side_reach, body, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
+def _meet_opponent(scratch, f, s0, gap, side, reach, unsure, side_reach, body, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
     """Trouble (overlaps ahead) and proximity of all moves at one speed with the predicted opponent.
 
-    ``gap`` and ``side`` are the distances at present, along and across the track.
+    ``gap`` and ``side`` are the distances at present, along and across the track; ``unsure`` is how much ``reach`` grows
+    at each step.
     """
     level = abs(gap) < reach
     for g in range(GOALS):
@@ -491,6 +493,7 @@ def _meet_opponent(scratch, f, s0, gap, side, reach, side_reach, body, reject_st
         hard = fade * (REJECTED * wrong if k < reject_steps else later)
         soft = fade * 0.3
         fade *= 0.85
+        reach += unsure
         if abs(driven - ahead) > CLOSE + 2.0:
             continue
         for first in range(0, GOALS, ACROSS):
@@ -619,8 +622,8 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
     grip = GRIP * max(scale * scale, 1.0)
 
     d, slope, bend, since, remembered = _plan_by_now(memory, s0, track.length, d0, slope0)
-    aside = HALF_FORGOTTEN * (d0 - d)
-    aside_slope = HALF_FORGOTTEN * (slope0 - slope) * _return_length(v)
+    aside = LED_BACK * (d0 - d)
+    aside_slope = LED_BACK * (slope0 - slope) * _return_length(v)
     _lay_moves(line, track.ds, s0, v, scale, grip, view[_view.OWN_WIDTH], d, slope, bend, aside, aside_slope, scratch)
     _measure_track(track, scratch, 0.5 * view[_view.OWN_WIDTH])
 
@@ -712,6 +715,7 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
                 gap,
                 d - view[_view.OPP_D],
                 long_reach,
+                0.0 if f == FOLLOWS else UNSURE,
                 body + margin,
                 body,
                 reject_steps,
