@@ -158,10 +158,11 @@ MEMORY = 7
     _BASE,
     _TROUBLE,
     _DEEPEST,
+    _ALONG,
     _SIDE,
     _PROXIMITY,
     _COSTS,
-) = (GOALS * k for k in range(21))
+) = (GOALS * k for k in range(22))
 _POINT_X = _COSTS + SPEEDS * GOALS
 _POINT_Y = _POINT_X + SEGMENTS * GOALS
 _AIR = _POINT_Y + SEGMENTS * GOALS
@@ -476,9 +477,9 @@ def _meet_opponent(scratch, f, s0, gap, side, reach, unsure, side_reach, body, r
     ``gap`` and ``side`` are the distances at present, along and across the track; ``unsure`` is how much ``reach`` grows
     at each step.
     """
-    level = abs(gap) < reach
     for g in range(GOALS):
-        scratch[_SIDE + g] = side if level else 0.0
+        scratch[_ALONG + g] = -gap
+        scratch[_SIDE + g] = side
         scratch[_TROUBLE + g] = 0.0
         scratch[_DEEPEST + g] = 0.0
         scratch[_PROXIMITY + g] = 0.0
@@ -501,18 +502,29 @@ def _meet_opponent(scratch, f, s0, gap, side, reach, unsure, side_reach, body, r
             for g in range(first, first + ACROSS):
                 length = scratch[_LENGTH + g]
                 own = driven + (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(driven, length)
-                gap = abs(own - ahead)
+                along = own - ahead
+                before = scratch[_ALONG + g]
+                gap = abs(along)
                 long_air = max(gap - reach, 0.0)
                 long_square = long_air * long_air + 0.3
                 u = own * per_length
                 d = _lateral(u, scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g])
                 side = min(max(d, low), high) - opp_d
-                # A move cannot lead through the other car: what overlapped once is no better on the other side, and a
-                # change of sides between two steps is an overlap.
-                across = abs(side) if side * scratch[_SIDE + g] >= 0.0 else 0.0
-                scratch[_SIDE + g] = side if gap < reach else 0.0
-                deep = max(scratch[_DEEPEST + g], side_reach - across if gap < reach or across == 0.0 else 0.0)
+                across = abs(side)
+                meets = gap < reach
+                if along * before < 0.0:
+                    # One passes the other between two steps: what counts is where both are then.
+                    aside = scratch[_SIDE + g] + (side - scratch[_SIDE + g]) * before / (before - along)
+                    across = min(across, abs(aside)) if meets else abs(aside)
+                    meets = True
+                elif side * scratch[_SIDE + g] < 0.0 and abs(before) < reach:
+                    across, meets = 0.0, True  # it changes sides beside the other car
+                scratch[_ALONG + g] = along
+                scratch[_SIDE + g] = side
+                # A move cannot lead through the other car: what overlapped once is no better on the other side.
+                deep = max(scratch[_DEEPEST + g], side_reach - across if meets else 0.0)
                 scratch[_DEEPEST + g] = deep
+                across = abs(side)
                 scratch[_TROUBLE + g] += hard * deep * (1.0 + deep)
                 side_air = max(across - body, 0.0)
                 near = soft / (long_square + side_air * side_air)
