@@ -218,3 +218,14 @@ def test_the_citation_is_of_this_version():
     assert citation["version"] == PROJECT["project"]["version"]
     assert citation["license"] == PROJECT["project"]["license"]
     assert {"title", "message", "authors", "cff-version", "preferred-citation"} <= set(citation)
+
+
+@pytest.mark.parametrize(
+    "file", sorted((REPOSITORY / ".github" / "workflows").glob("*.yml")), ids=lambda file: file.stem
+)
+def test_every_workflow_can_be_read(file):
+    """One that is no YAML is never run, and nothing says so but a page that nobody opens."""
+    jobs = yaml.safe_load(file.read_text(encoding="utf-8"))["jobs"]
+    for job in jobs.values():
+        assert job["runs-on"]
+        assert all({"run", "uses"} & step.keys() for step in job["steps"])
