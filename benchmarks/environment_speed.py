@@ -143,6 +143,7 @@ def main() -> None:
     best = dict.fromkeys(variants, 0.0)
     for work, _ in variants.values():
         work()  # compiles
+    # All variants in each round: a slow moment of the machine then costs none of them its best.
     for _ in range(ROUNDS):
         for name, (work, steps) in variants.items():
             done, start = 0, time.thread_time()

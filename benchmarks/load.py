@@ -142,6 +142,7 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
         rows.append(Slice(done, time.monotonic() - clock, used, unit, resident_megabytes()))
         tell(rows[-1], "races")
 
+    # The first call compiles; its time belongs neither to the races nor to the yardstick.
     measure()
     apart = 0.0
     clock, processor = time.monotonic(), time.process_time()
@@ -192,6 +193,7 @@ def judge(rows: list[Slice]) -> None:
     if len(rows) < SLICES:
         print("not all of it was done now: there is nothing to compare")
         return
+    # The first quarter fills caches and memory, which is no leak.
     quarter = max(len(rows) // 4, 1)
     early, late = rows[quarter : 2 * quarter], rows[-quarter:]
     memory = np.mean([row.megabytes for row in late]) - np.mean([row.megabytes for row in early])

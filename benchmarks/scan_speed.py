@@ -74,6 +74,7 @@ def median_us(function: Any, *arguments: Any) -> float:
     """Median time of one of the ``POSES`` calls that a compiled loop makes, in microseconds."""
     function(*arguments)
     rounds = []
+    # The median of many short rounds: one interruption must not decide.
     for _ in range(ROUNDS):
         start = time.thread_time()
         for _ in range(5):
@@ -87,6 +88,7 @@ def errors(track: Track, reference: Path) -> dict[str, float]:
     data = np.load(reference / "scans_spielberg.npz")
     exact = np.minimum(data["exact_scans"], 30.0)
     error = np.abs(Lidar(track).scan(data["poses"]) - exact)
+    # What ray marching on a grid loses, beside our error.
     marched = np.abs(data["gym_scans"] - exact)
     return {
         "median_m": float(np.median(error)),

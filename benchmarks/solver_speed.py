@@ -62,9 +62,11 @@ def against_openspiel(tree: GameTree) -> None:
             theirs = pyspiel.exploitability(game, solver.tabular_average_policy())
             ours = exploitability(tree, cfr(tree, iterations, variant).average).exploitability
             print(f"{variant:12} {iterations:2} iterations: exploitability {ours:.12g}, {name} {theirs:.12g}")
+            # Times of two solvers compare nothing unless both walk the same tree by the same rules.
             if abs(ours - theirs) > 1e-10 * max(1.0, abs(theirs)):
                 raise SystemExit(f"{variant} and {name} do not play the same game")
         rounds = []
+        # By turns, so that a slow moment of the machine meets both sides of a ratio.
         for _ in range(ROUNDS):
             mine = seconds(lambda variant=variant: cfr(tree, OURS, variant)) / OURS
             other = seconds(lambda solver=solver: [solver.evaluate_and_update_policy() for _ in range(THEIRS)]) / THEIRS
@@ -115,6 +117,7 @@ def main() -> None:
     took = median([seconds(lambda: exploitability(tree, even)) for _ in range(ROUNDS)])
     print(f"exploitability of a profile: {1e3 * took:.1f} ms")
 
+    # Nodes that look the same to a player are one information set: with nothing to see, one set a step.
     nothing = [(np.zeros(tree.nodes(k)), np.zeros(tree.nodes(k))) for k in range(tree.depth)]
     blind = tree.with_observations(nothing)
     solved = solve_sequence_form(blind)

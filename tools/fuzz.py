@@ -44,6 +44,7 @@ MOST_BYTES = 20_000
 
 def judge(run: Callable[[bytes], object], data: bytes, again: bool = True) -> tuple[str, str]:
     """Return what a target makes of an input: a word, and for findings where it happened."""
+    # Of this thread alone: what else the machine does must make no input slow.
     began, before = time.thread_time(), peak()
     try:
         with warnings.catch_warnings():
@@ -57,6 +58,7 @@ def judge(run: Callable[[bytes], object], data: bytes, again: bool = True) -> tu
         answer = "CRASH", "RecursionError"
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
+        # Findings are told apart by the innermost line of ours: libraries fail in many places for one reason.
         own = [frame for frame in frames if "pcs_racing" in frame.filename] or list(frames)
         answer = "CRASH", f"{type(error).__name__} in {Path(own[-1].filename).name}:{own[-1].lineno}: {str(error)[:80]}"
     if time.thread_time() - began > SLOW and again:
@@ -96,6 +98,7 @@ def work(target: str, seed: int, first: int, seconds: float, out: Path, present:
     answers = [judge(run, data)[0] for data in valid]
     if "accepted" not in answers and TARGETS[target].kind != "values":
         sys.exit(f"no valid input of {target} is accepted")
+    # Above what is there already: compiled code and libraries take gigabytes of addresses, though little memory.
     space = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (space + LIMIT, space + LIMIT))
     counts: Counter[str] = Counter()
@@ -132,6 +135,7 @@ def take_turn(target: str, seed: int, seconds: float, out: Path) -> bool:
     present = context.Value("q", first)
     child = context.Process(target=work, args=(target, seed, first, seconds, out, present))
     child.start()
+    # An input that never ends would hold up all other targets.
     child.join(seconds + STUCK)
     child.kill()
     child.join()

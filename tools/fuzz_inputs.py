@@ -38,6 +38,7 @@ OBJECTS = (
 def broken(rng: random.Random, seeds: list[bytes], kind: str) -> bytes:
     """Return one of the seeds, changed in a few places."""
     data = rng.choice(seeds)
+    # Changed structures get past the parser, changed bytes test the parser itself.
     if kind in STRUCTURES and rng.random() < 0.5:
         load, dump = STRUCTURES[kind]
         with suppress(Exception):  # a structure that the format can't hold, or a seed that is broken already
@@ -72,6 +73,7 @@ def _bytes(rng: random.Random, data: bytes, seeds: list[bytes]) -> bytes:
 def _text(rng: random.Random, data: bytes, seeds: list[bytes]) -> bytes:
     if rng.random() < 0.3:
         return _bytes(rng, data, seeds)
+    # Bytes that are no UTF-8 must survive: they are among what is to be refused.
     text = data.decode("utf-8", "surrogateescape")
     spots = [i for i, letter in enumerate(text) if letter in " :,;=\n[]{}"] or [0]
     begin = rng.choice(spots) + rng.randrange(2)
@@ -145,6 +147,7 @@ def _load_table(data: bytes) -> list[list[str]]:
 
 
 def _dump_table(rows: list[list[Any]]) -> bytes:
+    # The first row is the separator, which changes like any other cell.
     (mark, *_), *lines = rows
     return "\n".join(mark.join(map(str, line)) for line in lines).encode()
 

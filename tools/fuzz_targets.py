@@ -123,6 +123,7 @@ def in_folder(folder: Callable[[], Path], name: str, read: Read) -> Callable[[by
 
 @cache
 def _copied(folder: Path, name: str) -> Path:
+    # One copy for each fuzzed file: the others in it stay sound.
     place = scratch() / f"{folder.name}-with-{name}"
     place.mkdir(exist_ok=True)
     for file in filter(Path.is_file, folder.iterdir()):
@@ -225,6 +226,7 @@ def artifact_data(kind: str, data: bytes) -> object:
     place = _copied(artifact(kind), form.data_file)
     (place / form.data_file).write_bytes(data)
     text = (artifact(kind) / "manifest.yaml").read_text(encoding="utf-8")
+    # The digest is replaced in the text rather than in the mapping, so that all else stays byte for byte.
     old = yaml.safe_load(text)[form.digest_key]
     (place / "manifest.yaml").write_text(text.replace(old, hashlib.sha256(data).hexdigest()), encoding="utf-8")
     return read(place)
@@ -248,6 +250,7 @@ def trees(ego: bool) -> tuple[Path, bytes, bytes]:
 def read_trees(ego: bool, manifest: bool, data: bytes) -> object:
     folder, sound, chunk = trees(ego)
     (folder / "job.yaml").write_bytes(data if manifest else sound)
+    # Both files are written every time: the other target may have left broken ones in the same folder.
     signed(chunk_file(folder, "ego" if ego else "tree", 0), chunk if manifest else data)
     if ego:
         found = load_ego_trees(folder)
@@ -418,6 +421,7 @@ def inputs(name: str, data: bytes) -> object:
     sound = sound_action(env)
     if isinstance(sound, dict):
         return env.step(draw.value(sound, {agent: draw.value(action) for agent, action in sound.items()}, {"car_0": 0}))
+    # Numbers too large for 32 bits become infinite, with a warning of numpy's that is ours and not the environment's.
     with np.errstate(all="ignore"):
         odd = np.array([draw.number() for _ in range(np.size(sound))]).reshape(np.shape(sound)).astype(np.float32)
     return env.step(draw.value(sound, odd, odd.tolist(), np.float64(sound), [[1], [1]], np.array(2), -1, 4))

@@ -73,6 +73,7 @@ def try_file(file: str, options: argparse.Namespace, place: "Workplace", done: d
     source = digest(place.pristine, file)
     earlier = {(row["line"], row["before"], row["after"]) for row in done.values() if row["source"] == source}
     chosen = drawn(file, text, options.faults, options.seed)
+    # A smaller --faults after a larger one must not forget survivors that were found before.
     again = [f for f in faults_of(text) if (str(f.line), f.before, f.after) in earlier and f not in chosen]
     for fault in chosen + again:
         row = dict(zip(COLUMNS, (file, str(fault.line), fault.kind, fault.before, fault.after), strict=False))
@@ -95,6 +96,7 @@ def drawn(file: str, text: str, count: int, seed: int) -> list[Fault]:
     by_line: dict[int, list[Fault]] = {}
     for fault in faults_of(text):
         by_line.setdefault(fault.line, []).append(fault)
+    # Each file has a stream of its own, so that an edit of one file draws no other faults in the rest.
     rng = random.Random(f"{seed} {file}")
     lines, chosen = sorted(by_line), []
     rng.shuffle(lines)
@@ -148,6 +150,7 @@ class Workplace:
 
 def pytest(tree: Path, tests: tuple[str, ...], mode: str, limit: float, *more: str) -> list[str]:
     """Run tests in a copy of the tree, and return those that failed."""
+    # What the caller has set must not decide what is found.
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "PCS_RACING_"))}
     environment |= {"PYTHONPATH": str(tree), "PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1"}
     # The cache holds tracks that were built by code without the fault, under names that the code decides.
@@ -155,10 +158,12 @@ def pytest(tree: Path, tests: tuple[str, ...], mode: str, limit: float, *more: s
     if mode == PLAIN:
         environment |= {"NUMBA_DISABLE_JIT": "1", "PYTHONDONTWRITEBYTECODE": "1" if tree.name == "tree" else ""}
     else:
+        # The fault is compiled once and run for seconds: optimising would take longer than it saves.
         environment |= {"NUMBA_OPT": "1", "NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0"}
     command = [sys.executable, "-m", "pytest", "--tb=no", "-rfE", "--hypothesis-seed=0", "-p", "no:cacheprovider"]
     if mode == PLAIN:
         command += ["-W", "ignore::RuntimeWarning"]  # of overflows and 0 / 0, which are meant
+    # In a session of its own: tests start workers, and a fault may leave them behind.
     process = subprocess.Popen(
         [*command, *more, *tests],
         cwd=tree,
