@@ -1,7 +1,8 @@
 """Small faults that can be put into a Python file, one at a time: what ``tools/mutants.py`` tries the tests with.
 
 Every fault replaces one expression or statement of the syntax tree and leaves the rest of the file as it is. Messages,
-documentation, types, imports and decorators are left alone.
+documentation, types, imports and decorators are left alone, and so is what is a matter of choice: the defaults and
+bounds of declared settings, and the style of pictures.
 """
 
 import ast
@@ -28,6 +29,7 @@ _PAIRS = "min max, minimum maximum, argmin argmax, sin cos, any all, floor ceil,
 TWINS = {a: b for pair in _PAIRS.split(", ") for a, b in (pair.split(), pair.split()[::-1])}
 
 _LEFT_ALONE = (ast.Import, ast.ImportFrom, ast.Raise, ast.Assert, ast.JoinedStr)
+_STYLE = ("alpha", "color", "dpi", "figsize", "fontsize", "labelsize", "linewidth", "lw", "pad", "zorder")
 _NUMBERED = re.compile(r"(.*[A-Za-z_])([01])(.*)")
 
 
@@ -110,8 +112,10 @@ def _inner(node: ast.AST) -> list[ast.AST]:
         return [node.func]  # another shape is an error at once
     if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
         return []
-    if isinstance(node, ast.keyword) and node.arg == "strict":
-        return []  # of zip: a check, not a result
+    if isinstance(node, ast.keyword) and node.arg in ("strict", *_STYLE):
+        return []  # strict of zip: a check, not a result
+    if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setting":
+        return []
     return [child for child in ast.iter_child_nodes(node) if not isinstance(child, _LEFT_ALONE)]
 
 
