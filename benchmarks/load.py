@@ -19,7 +19,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -69,25 +69,30 @@ def run_steps(step: Callable[[], object], envs: int, steps: int) -> list[Slice]:
     return rows
 
 
+def episodes(env: Any, draw: Callable[[np.random.Generator], object], steps: int) -> list[Slice]:
+    """Steps of environments with random actions."""
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    ended = 0
+
+    def step() -> None:
+        nonlocal ended
+        _, _, terminated, truncated, _ = env.step(draw(rng))
+        ended += int((terminated | truncated).sum())
+
+    step()  # compiled, or read from the disk
+    rows = run_steps(step, env.num_envs, steps)
+    env.close()
+    print(f"{ended} episodes ended")
+    return rows
+
+
 def drive(envs: int, steps: int, threads: int) -> list[Slice]:
     """Control-level environments with an opponent on the lattice."""
     from pcs_racing.envs.drive import DriveVectorEnv
 
     env = DriveVectorEnv(envs, threads=threads)
-    env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    episodes = 0
-
-    def step() -> None:
-        nonlocal episodes
-        _, _, terminated, truncated, _ = env.step(rng.uniform(-1.0, 1.0, (envs, 2)).astype(np.float32))
-        episodes += int((terminated | truncated).sum())
-
-    step()  # compiled, or read from the disk
-    rows = run_steps(step, envs, steps)
-    env.close()
-    print(f"{episodes} episodes ended")
-    return rows
+    return episodes(env, lambda rng: rng.uniform(-1.0, 1.0, (envs, 2)).astype(np.float32), steps)
 
 
 def duel(envs: int, steps: int, threads: int, step_seconds: float) -> list[Slice]:
@@ -95,21 +100,8 @@ def duel(envs: int, steps: int, threads: int, step_seconds: float) -> list[Slice
     from pcs_racing.envs.duel import DuelVectorEnv
 
     env = DuelVectorEnv(envs, threads=threads, step_seconds=step_seconds)
-    env.reset(seed=0)
-    rng = np.random.default_rng(0)
     moves = int(env.single_action_space.n)  # type: ignore[attr-defined]
-    games = 0
-
-    def step() -> None:
-        nonlocal games
-        _, _, terminated, truncated, _ = env.step(rng.integers(0, moves, envs))
-        games += int((terminated | truncated).sum())
-
-    step()
-    rows = run_steps(step, envs, steps)
-    env.close()
-    print(f"{games} games ended")
-    return rows
+    return episodes(env, lambda rng: rng.integers(0, moves, envs), steps)
 
 
 def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> list[Slice]:
