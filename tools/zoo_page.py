@@ -154,7 +154,6 @@ def write_pages(docs: Path = DOCS) -> Path:
     pages = zoo_pages()
     for path, text in pages.items():
         (docs / path).write_text(text, encoding="utf-8")
-    # An agent that is gone must not leave its page behind.
     for file in (docs / "zoo").glob("*.md"):
         if f"zoo/{file.name}" not in pages:
             file.unlink()
