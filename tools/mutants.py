@@ -22,6 +22,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from faults import Fault, changes_something, faults_of
@@ -134,9 +135,9 @@ class Workplace:
         asked = mode, frozenset(tests)
         if asked not in self.limits:
             # Without any fault: compiled code is kept for later, the time is a measure, and what fails says nothing.
-            begun = time.monotonic()
+            before = processor_seconds()
             failing = pytest(self.pristine, tests, mode, 7200.0, "--maxfail=1000")
-            self.limits[asked] = 60.0 + 4.0 * (time.monotonic() - begun), [f"--deselect={test}" for test in failing]
+            self.limits[asked] = 60.0 + 3.0 * (processor_seconds() - before), [f"--deselect={test}" for test in failing]
             print("".join(f"{test} fails without any fault ({mode})\n" for test in failing), end="", flush=True)
         limit, left_out = self.limits[asked]
         if mode == COMPILED or not self.tree.exists():  # compiled code of the last fault must not be found
@@ -172,22 +173,32 @@ def pytest(tree: Path, tests: tuple[str, ...], mode: str, limit: float, *more: s
         stderr=subprocess.STDOUT,
         text=True,
         start_new_session=True,
-        preexec_fn=limit_memory,
+        preexec_fn=partial(limit_resources, limit),
     )
     try:
-        output, _ = process.communicate(timeout=limit)
+        output, _ = process.communicate(timeout=20.0 * limit)
     except subprocess.TimeoutExpired:
         return ["time limit"]
     finally:
         with_group(process)
+    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return ["time limit"]
     failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
     return failed or ([f"exit status {process.returncode}"] if process.returncode else [])
 
 
-def limit_memory() -> None:
-    """Let a fault that asks for ever more memory fail instead of filling the machine (there is none on Windows)."""
+def processor_seconds() -> float:
+    """Processor time of all processes that were waited for so far."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
+def limit_resources(seconds: float) -> None:
+    """Let a fault fail that never ends or asks for ever more memory (there are no limits on Windows)."""
     import resource
 
+    # Processor time, because a machine that is busy with something else must not find faults.
+    resource.setrlimit(resource.RLIMIT_CPU, (round(seconds), round(seconds) + 5))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
 
 
