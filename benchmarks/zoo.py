@@ -51,6 +51,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
         except UnknownNameError as error:
             print(f"not measured: {error}")
     games = [make_game(load_track(track), setting.archive, setting.config) for track in TRACKS[race]]
+    # The same starts and seeds for every agent, so that differences of scores are differences of agents.
     schedules = [draw_schedule(game.track, setting.config.race_rules, races, SEED) for game in games]
     settings = {"archive": setting.archive.content_hash, "race": race, "races": races, "seed": SEED}
     tables = []
@@ -97,6 +98,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
 def cost(game: Any, agent: Any) -> tuple[float, float]:
     """Microseconds of processor time of a decision: for one observation, and for each of 1,000 at once."""
     if isinstance(agent, Driver):
+        # A driver plans within the race: its cost is that of whole races, divided by their plans.
         policies = [agent.policies[i % len(agent.policies)] for i in range(16)]
         rules = game.setup.config
         spent = _seconds(lambda: run_races(game.track, policies, policies[::-1], rules, threads=1))
@@ -107,6 +109,7 @@ def cost(game: Any, agent: Any) -> tuple[float, float]:
     if isinstance(agent, Agent):
         one, many = (_seconds(lambda seen=seen: agent.predict(seen)) / len(seen) for seen in (rows[:1], rows))
         return 1e6 * one, 1e6 * many
+    # Agents that simulate take milliseconds for a decision: a thousand games would take minutes.
     few = take_games(state, np.arange(10))
     return 1e6 * _seconds(lambda: agent.decide(game, few, 0)) / len(few.step), np.nan
 

@@ -62,6 +62,7 @@ def environment(script: Path, folder: Path) -> Path:
     python = folder / "bin" / "python"
     wanted = "\n".join([TORCH, *dependencies(script)])
     stamp = folder / "installed.txt"
+    # Installing takes minutes: again only if the script asks for other libraries.
     if not stamp.is_file() or stamp.read_text() != wanted:
         subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True)
         limits = folder / "constraints.txt"
