@@ -1,4 +1,4 @@
-"""Networks of different targets, judged on trees that none of them saw (table of docs/approximator.md).
+"""Networks of different targets, judged on trees that none of them saw (table of docs/reports/approximator.md).
 
     python benchmarks/approximator_targets.py
     python benchmarks/approximator_targets.py --trees out/trees --splits 1

@@ -1,4 +1,4 @@
-"""What looking ahead brings, and what it costs: the table of docs/receding_horizon.md.
+"""What looking ahead brings, and what it costs: the table of docs/reports/receding_horizon.md.
 
     nice python benchmarks/receding_horizon.py --out out/receding
     python benchmarks/receding_horizon.py --race contest --seconds 8 --starts 5

@@ -1,4 +1,4 @@
-"""How strong every agent of the zoo is, and what a decision costs; and from that docs/zoo.md and docs/zoo/.
+"""How strong every agent of the zoo is, and what a decision costs.
 
     python benchmarks/zoo.py                     # measures and prints
     python benchmarks/zoo.py --write             # and writes agents/measured.csv and the pages
@@ -126,7 +126,7 @@ def main() -> None:
     parser.add_argument("--races", type=int, default=30, help="races against each of six opponents on each circuit")
     parser.add_argument("--out", type=Path, default=Path("out/zoo"), help="folder in which the races are kept")
     parser.add_argument(
-        "--write", action="store_true", help="write measured.csv, docs/zoo.md and docs/zoo/ of this checkout"
+        "--write", action="store_true", help="write measured.csv of this checkout, of which the page of the zoo is made"
     )
     arguments = parser.parse_args()
     found = []
@@ -138,7 +138,6 @@ def main() -> None:
         )
     if arguments.write:
         print(zoo_page.write_measurements(found))
-        print(zoo_page.write_pages())
 
 
 if __name__ == "__main__":

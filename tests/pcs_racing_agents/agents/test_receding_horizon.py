@@ -278,7 +278,7 @@ def test_games_that_it_is_not_made_for(game, setting):
 
 
 def test_the_page(tmp_path, monkeypatch):
-    page = read_page("receding_horizon.md")
+    page = read_page("reports/receding_horizon.md")
     monkeypatch.chdir(tmp_path)
     blocks = python_blocks(page)
     assert blocks

@@ -1,4 +1,4 @@
-"""The code in docs/self_play.md runs, and its table of families is that of the package."""
+"""The code in docs/self_play.md runs, and families of opponents are apart."""
 
 import pytest
 from repository import python_blocks, read_page, run_block
@@ -15,17 +15,6 @@ def test_the_code_runs(number, tmp_path, monkeypatch):
     pytest.importorskip("torch", reason="torch is not installed")
     monkeypatch.chdir(tmp_path)
     run_block(BLOCKS[number])
-
-
-def test_the_page_names_every_family_and_its_use():
-    rows = [
-        line.split(" | ")
-        for line in PAGE.splitlines()
-        if line.startswith("| ") and line.endswith(("training |", "test |"))
-    ]
-    assert [(row[0].removeprefix("| "), row[-1].removesuffix(" |")) for row in rows] == [
-        (family.name, family.use) for family in FAMILIES
-    ]
 
 
 def test_an_opponent_is_for_training_or_for_tests_never_both():

@@ -11,8 +11,9 @@ BLOCKS = python_blocks(PAGE)
 
 @pytest.mark.parametrize("number", range(len(BLOCKS)))
 def test_the_code_runs(number, tmp_path, monkeypatch):
+    pytest.importorskip("stable_baselines3")
     monkeypatch.chdir(tmp_path)
-    run_block(BLOCKS[number])
+    run_block(BLOCKS[number].replace("model.learn(tuned.steps)", "model.learn(1)"))
 
 
 def test_settings_are_named():
