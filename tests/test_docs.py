@@ -35,7 +35,6 @@ RUN_HERE = (
     "docs/first_race.md",
     "docs/view.md",
     "docs/write_a_characteristic.md",
-    "docs/write_an_agent.md",
 )
 SHORTER = {".learn(100_000)": "", "learn(60_000)": "learn(1)"}  # PPO of SB3 drives at least a rollout
 

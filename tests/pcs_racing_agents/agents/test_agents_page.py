@@ -12,7 +12,6 @@ from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.describe import Measured, facts_of, measurements, option_meanings
 from pcs_racing_agents.agents.zoo import SHIPPED, entries, options
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.tournament import RaceRow
 
 sys.path.insert(0, str(REPOSITORY / "tools"))
 import zoo_page
@@ -62,11 +61,6 @@ def test_every_agent_was_measured_as_it_is_now(archive, race):
 def test_every_option_is_explained():
     for name, entry in entries().items():
         assert set(options(name)) <= set(option_meanings(entry.build)), name
-
-
-def test_every_column_of_the_results_is_explained():
-    for column in RaceRow._fields:
-        assert f"`{column}`" in PAGE
 
 
 def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, tmp_path):
