@@ -27,7 +27,6 @@ from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.cli.estimates import LEAD_PLAN_ROUNDS
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.seed_training import SeedTraining
@@ -198,7 +197,7 @@ def waves(config: StudyConfig, found: Mapping[str, Cost]) -> dict[str, list[Wave
     places = circuits * len(config.fitting_opponents)
     tried = int(load_fit(shipped_fits() / "default-paper-best-schedule.yaml").training["candidates"])
     plans = [moves + 1] + [moves * moves] * ceil((tried - moves - 1) / (moves * moves))
-    lead_plans = [config.fixed_targets, *[2 * config.fixed_targets - 2] * LEAD_PLAN_ROUNDS]
+    lead_plans = [config.fixed_targets, *[2 * config.fixed_targets - 2] * 2]  # two rounds of the search
     stages["blind"] = [each._replace(tasks=places * count) for count in (config.fixed_targets, *plans, *lead_plans)]
     pool = len(config.response_pool)
     stages["responses"] = [

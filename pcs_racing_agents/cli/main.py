@@ -9,6 +9,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 
 from pcs_racing.base.errors import InputError
+from pcs_racing_agents.cli.commands import add_commands
 
 FAILED = 2
 
@@ -22,17 +23,17 @@ FILES = {
     "headroom": "headroom",
     "benchmark": "benchmark",
     "leaderboard": "benchmark",
-    "play": "play",
     "tree": "tree",
     "solve": "solve",
     "export": "solve",
     "train": "train",
     "learn": "learn",
-    "best-reply": "best_reply",
+    "best-reply": "learn",
     "ppo": "ppo",
     "study": "study",
     "explain": "explain",
     "view": "view",
+    "play": "view",
     "compile": "compilation",
 }
 """The file of each command in this folder, in the order of the help. Only what a call needs is imported."""
@@ -100,7 +101,7 @@ def _parser(command: str | None = None) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     wanted = [FILES[command]] if command in FILES else FILES.values()
     for file in dict.fromkeys(wanted):
-        import_module(f"pcs_racing_agents.cli.{file}").add(commands)
+        add_commands(commands, import_module(f"pcs_racing_agents.cli.{file}"))
     return parser
 
 

@@ -1,6 +1,5 @@
 """Where the tasks of a long job run: in this thread, in threads, in processes, or on a dask cluster."""
 
-import argparse
 import logging
 import os
 import platform
@@ -9,7 +8,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import connection, get_context, parent_process
@@ -22,12 +21,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.jobs.folders import JobError, package_version
 
-EXECUTORS = {
-    "serial": "one task after the other",
-    "threads": "threads of this process",
-    "processes": "processes of this machine",
-    "dask": "workers of a dask cluster (--scheduler), else processes",
-}
+EXECUTORS = ("serial", "threads", "processes", "dask")
 
 ANSWER_SECONDS = 5.0
 """How long to wait for a scheduler to answer."""
@@ -52,7 +46,8 @@ def make_executor(
     Parameters
     ----------
     kind : {"serial", "threads", "processes", "dask"}
-        See :data:`EXECUTORS`. Processes are spawned, so a script needs ``if __name__ == "__main__":``.
+        One task after the other; threads of this process; processes of this machine; workers of a dask cluster.
+        Processes are spawned, so a script needs ``if __name__ == "__main__":``.
     workers : int, optional
         How many; as many as this process may use cores by default. A running dask cluster has its own.
     address : str, optional
@@ -248,10 +243,8 @@ def _check_workers(identities: dict[str, dict[str, str]]) -> None:
     own = worker_identity()
     for address, other in identities.items():
         for key, value in other.items():
-            if value == own[key] or "" in (
-                value,
-                own[key],
-            ):  # a task that needs a missing library fails with its own error
+            # A task that needs a library which is missing fails with an error of its own.
+            if value == own[key] or "" in (value, own[key]):
                 continue
             if key != "processor":
                 raise InputError(f"the worker at {address} has {key} {value}, not {own[key]}; install the same there")
@@ -262,20 +255,3 @@ def _check_workers(identities: dict[str, dict[str, str]]) -> None:
                 value,
                 own[key],
             )
-
-
-def add_executor_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that :func:`executor_from` reads."""
-    kinds = "; ".join(f"{kind}: {meaning}" for kind, meaning in EXECUTORS.items())
-    parser.add_argument("--executor", choices=list(EXECUTORS), default="threads", help=f"{kinds} (default: threads)")
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="number of threads or processes (default: number of cores)"
-    )
-    parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="address of a running dask scheduler, like tcp://host:8786"
-    )
-
-
-def executor_from(arguments: argparse.Namespace) -> AbstractContextManager[Executor | None]:
-    """Return the executor that the options ask for, as a context."""
-    return make_executor(arguments.executor, arguments.workers, arguments.scheduler)

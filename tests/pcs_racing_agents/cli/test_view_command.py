@@ -13,7 +13,7 @@ import yaml
 from pcs_racing import load_track, save_archive
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import plain_settings
-from pcs_racing_agents.cli import options
+from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.jobs.jobs import open_job
@@ -39,7 +39,7 @@ def folder(tournament_folder, tmp_path):
 def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
     opened = []
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(options.webbrowser, "open", opened.append)
+    monkeypatch.setattr(view.webbrowser, "open", opened.append)
     assert main(["view", str(folder), "--replays", "2"]) == 0
     page = folder / "view.html"
     assert capsys.readouterr().out.splitlines()[-1] == f"page: {page}"
@@ -57,10 +57,10 @@ def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
 
 
 def test_no_browser_is_opened_where_there_is_no_screen(folder, monkeypatch):
-    monkeypatch.setattr(options.sys, "platform", "linux")
+    monkeypatch.setattr(view.sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setattr(options.webbrowser, "open", lambda _: pytest.fail("a browser in the terminal"))
+    monkeypatch.setattr(view.webbrowser, "open", lambda _: pytest.fail("a browser in the terminal"))
     assert main(["view", str(folder), "--replays", "0"]) == 0
 
 
@@ -299,7 +299,7 @@ def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):
         addresses.append(self.server_address)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(options, "open_page", addresses.append)
+    monkeypatch.setattr(view, "open_page", addresses.append)
     monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
     assert main(["view", str(folder), "--serve"]) == 0
     assert addresses[0] == f"http://127.0.0.1:{addresses[1][1]}/"
