@@ -7,7 +7,7 @@
         times: Annotated[int, Option("number of waves", "N")] = 1,
         workers: Workers,
     ) -> None:
-        \"""Wave at somebody.\"""
+        "Wave at somebody."
 
 A parameter before ``*`` is a word of the command line, which may be left out if it has a default; one behind ``*`` is
 an option. The type says how a value is read: ``bool`` is a switch, ``Sequence[T]`` takes one value or more, and
