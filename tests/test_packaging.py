@@ -22,7 +22,7 @@ from importlib.machinery import PathFinder
 
 MISSING = set(
     "torch stable_baselines3 sb3_contrib tensorboard matplotlib skimage clarabel cma moocore pandas pygame "
-    "sklearn pymoo comocma ribs cocoex pyspiel open_spiel networkx pygambit dask distributed cvxpy".split()
+    "sklearn pymoo pyspiel open_spiel networkx pygambit dask distributed cvxpy".split()
 )
 find = PathFinder.find_spec
 PathFinder.find_spec = classmethod(

@@ -166,7 +166,7 @@ def simplify(outlines, tolerance, inset):  # type: ignore[no-untyped-def]
     tolerance : float
         Largest deviation in cells of a face's middle from its segment, before the shift.
     inset : float
-        The share of the shift; ``benchmarks/wall_accuracy.py`` measures its effect.
+        The share of the shift.
 
     Returns
     -------
