@@ -32,7 +32,7 @@ def three(points):
 
 
 def same(one, other):
-    for key in ("parameters", "objectives", "evaluations", "explored_parameters", "explored_objectives", "ideal"):
+    for key in ("parameters", "objectives", "explored_parameters", "explored_objectives", "ideal"):
         np.testing.assert_array_equal(getattr(one, key), getattr(other, key), err_msg=key)
     for news, others in zip(one.generations, other.generations, strict=True):
         np.testing.assert_array_equal(news[:7], others[:7])
@@ -152,10 +152,10 @@ def test_a_search_that_starts_again_begins_in_the_middle_of_the_front_or_nearest
 
 
 def test_nothing_feasible_leaves_an_empty_front():
-    def evaluate(points, repeats):
+    def evaluate(points):
         return spheres(points), np.ones(len(points))
 
-    result = synthesize(evaluate, UNIT, **SMALL, reevaluation=0.3)
+    result = synthesize(evaluate, UNIT, **SMALL)
     assert result.parameters.shape == (0, 6)
     assert result.objectives.shape == (0, 2)
     np.testing.assert_array_equal(result.hypervolumes(), np.zeros(6))
@@ -192,11 +192,11 @@ def test_every_method_repeats_itself_stays_within_bounds_and_leaves_numpy_alone(
 def test_a_search_told_again_what_it_was_told_goes_on_as_if_it_had_never_stopped(method, known):
     calls = []
 
-    def evaluate(points, repeats):
+    def evaluate(points):
         calls.append(len(points))
         return spheres(points), np.full(len(points), -1.0)
 
-    options = {"method": method, "reevaluation": 0.3, **SMALL}
+    options = {"method": method, **SMALL}
     whole = synthesize(evaluate, UNIT, **options)
     calls.clear()
     stored = [Evaluated(news.objectives, news.violation, news.parameters) for news in whole.generations[:known]]
@@ -237,44 +237,7 @@ def test_three_objectives_and_fixed_scales(method):
     assert result.hypervolumes()[-1] == pytest.approx(hypervolume(result.objectives / 3.0 + 1.0, 0.0))
 
 
-# Noise, and points from elsewhere
-
-
-def noisy(points, repeats):
-    """Two spheres and noise that depends on the point and on how often it was evaluated before."""
-    found = spheres(points)
-    for row, (point, repeat) in enumerate(zip(points, repeats, strict=True)):
-        rng = np.random.default_rng([*point.view(np.uint32), repeat])
-        found[row] += 0.2 * rng.standard_normal(2)
-    return found
-
-
-def test_reevaluation_brings_the_archive_down_to_earth():
-    bias = {}
-    for share in (0.0, 0.3):
-        evaluate = noisy if share else lambda points: noisy(points, np.zeros(len(points), np.int64))
-        result = synthesize(evaluate, UNIT, population=20, generations=20, reevaluation=share, seed=2)
-        bias[share] = float((result.objectives - spheres(result.parameters)).mean())
-    assert result.explored_evaluations.sum() == 400
-    assert bias[0.3] < 0.5 * bias[0.0]
-
-
-def test_objectives_of_points_evaluated_again_are_means_and_the_front_follows():
-    search = Search(UNIT[:2], population=4, elite_ratio=1.0, seed=0)
-    first = search.ask()
-    search.tell([[0.0, 3.0], [2.0, 2.0], [1.0, 1.0], [3.0, 0.0]])
-    np.testing.assert_array_equal(search.archive, first[[0, 1, 3]])
-    again = search.ask_again()
-    # Point 1 contributes most, so it comes first; there are four places for three points.
-    np.testing.assert_array_equal(again, np.vstack([first[1], first[0], first[3], first[1]]))
-    np.testing.assert_array_equal(search.repeats, [1, 1, 1, 2])
-    news = search.tell([[0.0, 0.0], [0.0, 3.0], [3.0, 0.0], [-1.0, -1.0]], [0.0, 0.0, 2.0, 0.0])
-    result = search.result()
-    # Point 1 is (1/3, 1/3) on average and point 2 beats it now; point 3 violates by 1 on average.
-    np.testing.assert_array_equal(result.parameters, first[[0, 2]])
-    np.testing.assert_allclose(result.explored_objectives[1], [1 / 3, 1 / 3])
-    np.testing.assert_array_equal(result.explored_evaluations, [2, 3, 1, 2])
-    assert news.evaluations == 8
+# Points from elsewhere
 
 
 def test_known_points_join_the_archive():
@@ -324,7 +287,6 @@ def test_no_generation_is_begun_that_would_exceed_the_evaluations():
         ({"population": 12.0}, r"population is 12\.0"),
         ({"generations": 0}, "generations is 0"),
         ({"elite_ratio": 0.0}, "elite_ratio is 0.0"),
-        ({"reevaluation": 0.95}, "reevaluation is 0.95"),
         ({"step_size": np.nan}, "step_size is nan"),
         ({"seed": -1}, "seed is -1"),
         ({"loss": "hv"}, "loss is 'hv'"),
@@ -405,10 +367,8 @@ def test_asking_and_telling_take_turns():
     search = Search(UNIT, population=12)
     with pytest.raises(InputError, match="ask first"):
         search.tell(np.zeros((12, 2)))
-    with pytest.raises(InputError, match="nothing to evaluate again"):
-        search.ask_again()
     search.ask()
-    for call in (search.ask, search.ask_again, lambda: search.add(UNIT[:, :1].T, [[0, 0]])):
+    for call in (search.ask, lambda: search.add(UNIT[:, :1].T, [[0, 0]])):
         with pytest.raises(InputError, match="were not told yet"):
             call()
 
