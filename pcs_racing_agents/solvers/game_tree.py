@@ -182,20 +182,6 @@ class GameTree:
         shape = [size for pair in self.moves for size in pair]
         return GameTree.from_payoffs(np.einsum("r,r...->...", self.chance, self.payoffs).reshape(shape))
 
-    def swapped(self) -> "GameTree":
-        """Return the same game with the names of the cars exchanged."""
-        m, axes = self.depth, [0]
-        for k in range(m):
-            axes += [2 * k + 2, 2 * k + 1]
-        shape = [self.roots, *(size for pair in self.moves for size in pair)]
-        payoffs = -self.payoffs.reshape(shape).transpose(axes)
-        other = GameTree.from_payoffs(payoffs, self.chance)
-        labels = []
-        for k, (first, second) in enumerate(self.infosets):
-            places = np.arange(self.nodes(k)).reshape(shape[: 2 * k + 1]).transpose(axes[: 2 * k + 1]).reshape(-1)
-            labels.append((second[places], first[places]))
-        return other.with_infosets(labels)
-
     # Checks
 
     def _check_levels(self, pairs: Sequence[tuple[ArrayLike, ArrayLike]], name: str) -> None:
