@@ -10,19 +10,9 @@ import numpy as np
 import pytest
 import yaml
 
-from pcs_racing import load_track, save_archive
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.folders import claim_folder
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.results.races import concatenate_races
-from pcs_racing_agents.study.config import StudyConfig
-from pcs_racing_agents.study.study import Study
-from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
-from pcs_racing_agents.tournament.pairings import cross_pairing
-from pcs_racing_agents.tournament.runner import play_pairing
 from pcs_racing_agents.view.race_replays import RaceRepeater, RepeatedRace
 from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_server import MOST_KEPT, Answer, RaceService, make_server
@@ -79,25 +69,10 @@ def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, capsys):
     assert main(["view", str(folder), "--no-open"]) == 0
 
 
-def test_a_study_and_its_ratings_are_viewed_too(archive, tmp_path, capsys):
-    saved = save_archive(archive, tmp_path / "toy")
-    config = StudyConfig(
-        archive=str(saved), tracks=("Pipkin",), opponents=("lane-switcher",), arms=("never-switch", "random-moves"),
-        best="random-moves", egos=2, variants=2, lines=1, rated=("never-switch", "random-moves"), rating_races=2,
-    )  # fmt: skip
-    folder = tmp_path / "study"
-    study = Study(config, folder, quiet=True)
-    with claim_folder(folder, "study", plain_settings(config)):
-        game, rival = study.game("Pipkin"), study.agent("lane-switcher")
-        size = {"egos": 2, "opponents": 2, "lines": 1, "seed": 3}
-        pairings = [cross_pairing(game, study.agent(arm), rival, **size) for arm in config.arms]
-        write_results(concatenate_races(map(play_pairing, pairings)), folder / "results.csv")
-        rated = {name: study.agent(name) for name in config.rated}
-        plan = plan_tournament(load_track("Pipkin"), rated, config.game, archive=saved, races_per_pair=2, seed=7)
-        with open_job(folder / "ratings", "tournament", {**tournament_settings(plan), "archive": str(saved)}) as job:
-            write_results(play_plan(plan, job=job).races, folder / "ratings.csv")
+def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, capsys):
+    folder = shutil.copytree(study_folder[0], tmp_path / "study")
     assert main(["view", str(folder), "--races", "0", "12", "--no-open"]) == 0
-    assert "16 races, 2 of them to be watched" in capsys.readouterr().out
+    assert "40 races, 2 of them to be watched" in capsys.readouterr().out
     assert main(["view", str(folder / "ratings.csv"), "--races", "1", "--no-open"]) == 0
     assert "2 races, 1 of them to be watched" in capsys.readouterr().out
     assert (folder / "ratings-view.html").is_file()
