@@ -68,17 +68,8 @@ def test_two_agents_race_as_in_a_tournament(saved_archive, capsys):
 
 def test_a_picture_that_is_left_out_is_told(saved_archive, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("pcs_racing_agents.cli.options.find_spec", lambda name: None)
-    arguments = [
-        "explain",
-        "--agents",
-        "random-moves",
-        "never-switch",
-        "--duration",
-        "5",
-        "--archive",
-        str(saved_archive),
-    ]
-    assert main([*arguments, "--races", "2", "--out", str(tmp_path)]) == 0
+    arguments = ["explain", "--agents", "random-moves", "never-switch", "--duration", "5", "--races", "2"]
+    assert main([*arguments, "--archive", str(saved_archive), "--out", str(tmp_path)]) == 0
     out, err = capsys.readouterr()
     assert " on Brackwater, paper rules: " in out  # the default circuit
     assert "picture: " not in out
