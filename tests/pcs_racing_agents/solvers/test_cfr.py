@@ -89,12 +89,17 @@ DISCOUNTED_TOGETHER = Variant(alternating=False, alpha=1.5, beta=0.0, gamma=2.0)
 @pytest.mark.parametrize("variant", [*VARIANTS.values(), DISCOUNTED_TOGETHER], ids=[*VARIANTS, "discounted together"])
 @pytest.mark.parametrize(
     "tree",
-    [random_tree(7, 2, 3, 3, 2), random_tree(8, 3, 2, 2, 3, chance=3, blur=2), kuhn_poker()],
-    ids=["open", "hidden", "kuhn"],
+    [
+        random_tree(7, 2, 3, 3, 2),
+        random_tree(8, 3, 2, 2, 3, chance=3, blur=2),
+        kuhn_poker(),
+        random_tree(9, 4, 5, 4, 4, 1, 2),  # more nodes in a level than the kernels work on at a time
+    ],
+    ids=["open", "hidden", "kuhn", "wide"],
 )
 def test_every_iteration_is_that_of_the_definition(tree, variant):
     slow = SlowCFR(tree.averaged, variant)
-    for t in range(1, 8):
+    for t in range(1, 4 if len(tree.infosets[-1][0]) > 256 else 8):
         slow.iterate(t)
         result = cfr(tree, t, variant)
         assert same(result.regrets, slow.regrets, 1e-9)
