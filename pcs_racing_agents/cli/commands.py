@@ -72,6 +72,7 @@ def command(name: str, *examples: str) -> Callable[[Callable[..., None]], Comman
 def add_commands(parsers: "Parsers[ArgumentParser]", module: ModuleType) -> None:
     """Add all commands of a module, in their order; a group stands before its commands."""
     groups = {"": parsers}
+    # A module keeps the order in which its names were bound: that of the file, and so that of the help.
     for made in [value for value in vars(module).values() if isinstance(value, Command)]:
         group, _, name = made.name.rpartition(" ")
         parser = groups[group].add_parser(
@@ -140,14 +141,18 @@ def _reading(parameter: Parameter, kind: Any, option: Option) -> dict[str, Any]:
     word, needed = parameter.kind is not Parameter.KEYWORD_ONLY, parameter.default is Parameter.empty
     default = None if needed else parameter.default
     said = " ".join(map(str, default)) if isinstance(default, tuple) else default
+    # `is False`, not falsehood: a default of 0 is worth telling.
     shown = "" if default is None or default is False or default == () else f" (default: {said})"
     reading: dict[str, Any] = {"default": default, "help": f"{option.help}{shown}".replace("%", "%%")}
     if kind is bool:
         return {**reading, "action": "store_true"}
-    if get_origin(kind) is UnionType:  # of a type and None
+    # A type and None: None stands for an option that was not stated.
+    if get_origin(kind) is UnionType:
         (kind,) = (part for part in get_args(kind) if part is not NoneType)
-    if kind is bool:  # None, yes or no
+    # What is left of ``bool | None`` has three answers: not stated, yes, and no.
+    if kind is bool:
         return {**reading, "action": BooleanOptionalAction}
+    # The origin of ``Sequence[str]`` is the class of collections.abc, the one that is imported above.
     if get_origin(kind) is Sequence:
         kind, reading["nargs"] = get_args(kind)[0], "+"
     elif get_origin(kind) is tuple:

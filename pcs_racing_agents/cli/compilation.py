@@ -33,6 +33,7 @@ def compile_kernels() -> None:
     The tasks of a row take about as long as each other and share few functions, since what two processes compile at the
     same time is compiled twice. What is in a row may call what is in the rows above.
     """
+    # Spawned, not forked: numba's threads do not survive a fork.
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         for row in ((_tracks, _planners), (_races, _solvers_and_circuits), (_environments,)):
             for task in [pool.submit(function) for function in row]:
@@ -70,7 +71,8 @@ def _solvers_and_circuits() -> None:
     tree = GameTree.from_payoffs(np.random.default_rng(0).normal(size=(2, 2, 2, 2)))
     solve_exact(tree)
     exploitability(tree, cfr(tree, 2).average)
-    with suppress(ModuleNotFoundError):  # the libraries of the extra mapping may be missing
+    # The libraries of the extra mapping may be missing.
+    with suppress(ModuleNotFoundError):
         generate_circuit(7)
     Lidar(load_track(TRACK), 8).scan(np.zeros((2, 3)))
 

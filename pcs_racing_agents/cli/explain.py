@@ -98,6 +98,7 @@ def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, 
         if not 0 <= race < len(pairing):
             raise InputError(f"--index is {race}; there are races 0 to {len(pairing) - 1}")
     if car is None:
+        # A driver makes no moves that could be explained: then the other car is meant.
         car = int(isinstance(pairing.ego, Driver))
     explanation = explain_game(
         pairing.game,
@@ -108,6 +109,7 @@ def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, 
         candidates=out is not None,
     )
     if results is not None:
+        # The race was driven again: if it ends otherwise than its line says, what follows would explain another race.
         results.check_lead(number, explanation.played.lead[0])
     text = story(explanation)
     print(text)

@@ -127,6 +127,7 @@ def mean_row(estimates: "Sequence[Headroom]") -> tuple[str, ...]:
     """Return the texts of the mean over circuits, whose errors are those of means over the same policies."""
     from pcs_racing_agents.payoffs.headroom import jackknife_error
 
+    # The same policies race on all circuits, so errors are those of the mean of each policy over the circuits.
     gains = np.mean([estimate.gains for estimate in estimates], axis=0)
     error = float(gains.std(ddof=1) / np.sqrt(len(gains)))
     pool = jackknife_error(np.mean([estimate.without for estimate in estimates], axis=0))

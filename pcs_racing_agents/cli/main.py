@@ -76,7 +76,8 @@ def run_parsed(parsed: argparse.Namespace) -> int:
         print("pcs-racing: interrupted", file=sys.stderr)
         return 130
     except Exception as error:
-        from pcs_racing_agents.jobs.executors import is_lost  # takes as long to import as a race to drive
+        # Here, since it takes as long to import as a race to drive.
+        from pcs_racing_agents.jobs.executors import is_lost
 
         if not is_lost(error):
             raise
@@ -99,6 +100,7 @@ def _parser(command: str | None = None) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    # Each file imports what its commands need for their options, which for all of them takes longer than a race.
     wanted = [FILES[command]] if command in FILES else FILES.values()
     for file in dict.fromkeys(wanted):
         add_commands(commands, import_module(f"pcs_racing_agents.cli.{file}"))

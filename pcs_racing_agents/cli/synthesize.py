@@ -44,7 +44,8 @@ def run(
     if config is None:
         changes.setdefault("name", out.resolve().name)
     settings = load_archive_config(config, **changes)
-    require("moocore", *(("cma",) if settings.method == "mo-cma-es" else ()), extra="synthesis")  # before hours of work
+    # A missing library is told before hours of work, not after them.
+    require("moocore", *(("cma",) if settings.method == "mo-cma-es" else ()), extra="synthesis")
     print(
         f"{settings.name}: {', '.join(settings.tracks)}, preset {settings.preset}, "
         f"{settings.generations} generations of {settings.population} policies",
@@ -75,7 +76,8 @@ def progress_line() -> ArchiveCallback:
     """Return a callback that updates a line on stderr: progress, hypervolume, and remaining time."""
     print_line = show_line()
     begin = time.monotonic()
-    recent = deque([(begin, 0.0)], maxlen=8)  # the last times and shares done: a resumed run begins fast
+    # The last times and shares done, not the first: a resumed run begins fast, with what is there already.
+    recent = deque([(begin, 0.0)], maxlen=8)
 
     def show(state: ArchiveProgress) -> None:
         recent.append((time.monotonic(), state.done))

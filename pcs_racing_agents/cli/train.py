@@ -61,6 +61,7 @@ def run(
 
     ego = [_holds_ego_trees(folder) for folder in trees]
     if any(ego):
+        # Against one sequence of moves there are no counterfactual regrets, only values.
         changes.setdefault("target", "static-q")
     settings = load_train_settings(config, **changes)
     name = name or out.resolve().name
@@ -144,6 +145,7 @@ def _from_ego(folders: Sequence[Path], settings: TrainSettings, name: str) -> _L
     trees = join_ego([load_ego_trees(folder) for folder in folders])
 
     def learn(executor: Executor | None) -> _Outcome:
+        # torch's random generator belongs to the process: in a thread of this one other work would draw from it.
         elsewhere = in_other_processes(executor)
         train = partial(
             train_on_ego,
@@ -172,7 +174,8 @@ def _holds_ego_trees(folder: Path) -> bool:
     try:
         read_settings(folder, KIND)
     except InputError:
-        return False  # other content, or none, is reported where the folder is opened
+        # Other content, or none, is reported where the folder is opened.
+        return False
     return True
 
 

@@ -205,7 +205,8 @@ def run_play(
     config, loaded = rules.config(), load_archive(archive)
     rival = make(opponent, archive=loaded, race=config, seed=rules.seed)
     races = PersonRaces(make_game(load_track(track), loaded, config, stay=True), rival, rules.seed)
-    races.situation(0, ())  # a competitor that does not fit is told now, and kernels are compiled before the page opens
+    # A competitor that does not fit is told now, and kernels are compiled before the page opens.
+    races.situation(0, ())
     with make_server(play_page(races), races.answer, port or 0) as server:
         run_server(server, "play", open_it=not no_open)
 

@@ -41,7 +41,8 @@ def write_chunk(path: Path, arrays: Arrays, task: str) -> None:
     """
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
-    body = buffer.getvalue()[:-2] + struct.pack("<H", _COMMENT)  # a zip file ends with the length of its comment
+    # A zip file ends with the length of its comment, which np.savez leaves at 0.
+    body = buffer.getvalue()[:-2] + struct.pack("<H", _COMMENT)
     comment = _MARK + task.encode() + _digest(body, task).encode()
     write_atomically(path, lambda file: (file.write(body), file.write(comment)))
 
@@ -58,6 +59,7 @@ def read_chunk(path: Path, task: str | None = None) -> Arrays:
         content = read_limited(path, _MAX_BYTES, "a chunk")
     except OSError as error:
         raise InputError(f"{path} can't be read: {error.strerror}") from None
+    # The digest is compared before anything is interpreted: a damaged zip file can mislead its reader.
     body, comment = content[:-_COMMENT], content[-_COMMENT:]
     written_for = comment[len(_MARK) : len(_MARK) + 64].decode("latin-1")
     if not comment.startswith(_MARK) or _digest(body, written_for).encode() != comment[len(_MARK) + 64 :]:

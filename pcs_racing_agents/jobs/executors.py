@@ -83,6 +83,7 @@ def tasks_in_flight(executor: Executor | None) -> int:
     if executor is None:
         return 1
     client = _dask_client(executor)  # its workers come and go
+    # Two tasks for each worker: while one runs the next is on its way, and few arrays wait in memory.
     workers = sum(client.ncores().values()) if client is not None else max(8, default_threads())
     return max(2, 2 * workers)
 
@@ -122,6 +123,7 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
             sent = client.submit(loads, packed, pure=False)
         yield partial(executor.submit, _call, sent)
     else:
+        # A file in place of an argument: a ProcessPoolExecutor packs its arguments anew for every task.
         with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
             file = Path(folder) / "function"
             file.write_bytes(packed)
@@ -136,7 +138,8 @@ def _call_packed(file: str, *arguments: Any) -> Any:
     return _unpacked(file)(*arguments)
 
 
-@lru_cache(maxsize=4)  # of a wave of a few circuits
+# Room for the functions of a few circuits, whose tasks alternate.
+@lru_cache(maxsize=4)
 def _unpacked(file: str) -> Any:
     return loads(Path(file).read_bytes())
 
@@ -167,6 +170,7 @@ def _one_thread_each() -> Iterator[None]:
 
 def _prepare() -> None:
     """Prepare a worker process: Ctrl-C is left to the parent, and the worker ends if its parent is killed."""
+    # Ctrl-C reaches the whole group of processes; a worker that died of it would look like a crash.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:
@@ -188,7 +192,8 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
             'the executor dask needs dask.distributed: pip install "pcs-racing[cluster]"'
         ) from None
     if address is None:
-        quiet = {"dashboard": False, "dashboard_address": ":0"}  # the usual port may be taken by another cluster
+        # Port 0 is any free one: the usual port may be taken by another cluster.
+        quiet = {"dashboard": False, "dashboard_address": ":0"}
         with (
             _one_thread_each(),
             dask.config.set({"distributed.comm.timeouts.connect": "120s"}),  # a busy machine starts workers slowly
@@ -213,7 +218,8 @@ def _client(make: Callable[..., Any], address: str) -> Any:
     for _ in range(CONNECT_ATTEMPTS):
         try:
             return make(address, timeout=ANSWER_SECONDS)
-        except AssertionError:  # what dask says then
+        # This is what dask raises when its own thread has not started in time.
+        except AssertionError:
             continue
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(f"no dask scheduler answers at {address}: {error}") from None

@@ -139,6 +139,7 @@ class Job:
         """Digests of all that the results of tasks depend on."""
         if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
             raise InputError(f"the name of a group of tasks is {name!r}; use small letters, digits, - and _")
+        # Everything that a result depends on: a chunk of other settings or of another version is made again.
         identity = fingerprint(self.kind, self.settings, package_version(), name)
         return [fingerprint(identity, index, argument) for index, argument in enumerate(arguments)]
 

@@ -42,7 +42,8 @@ def show_progress(unit: str = "races") -> Progress:
     def show(done: int, total: int, label: str) -> None:
         nonlocal first
         now = time.monotonic()
-        if first is None:  # what was done before this run says nothing about its speed
+        # What was done before this run says nothing about its speed.
+        if first is None:
             first = (now, done) if now - begin < 0.2 else (begin, 0)
         fresh = done - first[1]
         left = f", about {duration_text((now - first[0]) * (total - done) / fresh)} left" if fresh > 0 else ""

@@ -67,26 +67,31 @@ def run_tasks(
         return
     limit = tasks_in_flight(executor)
     under_way: dict[Future[Any], K] = {}
-    submit: dict[int, Callable[..., Future[Any]]] = {}  # by identity: functions may hold arrays
+    # By identity, since functions may hold arrays, which have no hash.
+    submit: dict[int, Callable[..., Future[Any]]] = {}
     functions: list[Callable[[Any], Any]] = []
     try:
         with ExitStack() as sent:
             while True:
+                # The order of the two conditions matters: a task is taken from the iterator only when it can begin.
                 while len(under_way) < limit and (task := next_task()) is not None:
                     if id(task.function) not in submit:
-                        functions.append(task.function)  # as long as it lives nothing else has its identity
+                        # As long as it lives nothing else has its identity.
+                        functions.append(task.function)
                         submit[id(task.function)] = sent.enter_context(sent_once(task.function, executor))
                     under_way[submit[id(task.function)](task.argument)] = task.key
                 if not under_way:
                     return
                 done = wait(under_way, return_when=FIRST_COMPLETED).done
-                for future in sorted(done, key=_failed):  # results of others are kept before a failure ends the run
+                # Results of other tasks are kept before a failure ends the run.
+                for future in sorted(done, key=_failed):
                     key = under_way.pop(future)
                     yield key, future.result()
                     ended(key)
     except BaseException as error:
         if not is_lost(error):
             raise
+        # Lost workers fail many futures at once; the first one tells what all would.
         why = " ".join(str(error).split()) or "its tasks were cancelled"
         raise JobError(f"{name} was cut short: a worker died or the cluster is gone ({why}); {GO_ON}") from None
     finally:

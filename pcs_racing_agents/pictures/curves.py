@@ -49,6 +49,7 @@ def curves_picture(
         raise InputError("there are no learning curves to draw; give at least one for each panel")
     from matplotlib.ticker import LogLocator, StrMethodFormatter
 
+    # So that no row of panels is nearly empty.
     columns = 3 if len(panels) in (5, 6, 9) else min(4, len(panels))
     rows = -(-len(panels) // columns)
     figure = new_figure(2.9 * columns + 0.4, 2.3 * rows + 0.3)
@@ -125,6 +126,7 @@ def write_tensorboard(folder: Path, runs: Mapping[str, Iterable[tuple[int, Mappi
             'curves for TensorBoard need torch and tensorboard: pip install "pcs-racing[learning]"'
         ) from None
     for name, steps in runs.items():
+        # TensorBoard shows all events of a folder as one curve: those of an earlier run would run into it.
         for old in (folder / name).glob("events.out.tfevents.*"):
             old.unlink()
         with SummaryWriter(str(folder / name)) as writer:

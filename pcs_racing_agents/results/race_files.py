@@ -81,6 +81,7 @@ class _Lines(NamedTuple):
 
     def damaged(self, column: str, word: str, problem: str) -> InputError:
         """Return an error that names the first line with a word, by its number in the file and by its race."""
+        # The first of the lines that hold the word: later ones repeat the fault.
         words, codes = self.columns[column]
         number = int(np.argmax(codes == words.index(word)))
         return InputError(f"{self.where}, line {self.at[number]} (race {number}), is damaged: {column} is {problem}")
@@ -168,6 +169,7 @@ class _Lines(NamedTuple):
 
 def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, list[str]]]) -> _Lines:
     """Return lines by column, with every different text stored once."""
+    # Arrays of machine integers: a list of Python's takes several times the memory for millions of races.
     codes, at = [array("i") for _ in names], array("i")
     words: list[dict[str, int]] = [{} for _ in names]
     work = [(column.append, codes_of.setdefault, codes_of) for column, codes_of in zip(codes, words, strict=True)]
@@ -177,7 +179,8 @@ def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, lis
             append(place(text, len(codes_of)))
     columns = {}
     for name in names:
-        codes_of, column = words.pop(0), codes.pop(0)  # column by column, so that memory never holds two copies of all
+        # Column by column, so that memory never holds two copies of all.
+        codes_of, column = words.pop(0), codes.pop(0)
         columns[name] = Categorical(tuple(codes_of), np.array(column, np.min_scalar_type(len(codes_of))))
     return _Lines(where, columns, np.array(at, np.int32))
 

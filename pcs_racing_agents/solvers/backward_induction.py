@@ -35,6 +35,7 @@ def solve_exact(tree: GameTree) -> ExactResult:
             "this tree can't be solved by backward induction, since its players do not see all past moves; use "
             "solve_sequence_form or cfr"
         )
+    # From the leaves up: the values of a level are the payoffs of the games one level above.
     values = [game.payoffs.reshape(-1)]
     profile, q, advantages, gap = [], [], [], 0.0
     for k in reversed(range(game.depth)):

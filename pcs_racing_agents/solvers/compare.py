@@ -70,6 +70,7 @@ def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: 
         Whether joint histories count as often as the exact solution leads to them; by default all count equally.
     """
     game = tree.averaged
+    # What counts as equal depends on the unit of the payoffs; a game without differences has none.
     span = float(np.ptp(game.payoffs)) or 1.0
     reach = reach_probabilities(game, exact.profile)
     agreed = decisions = 0.0

@@ -35,6 +35,7 @@ def solve_sequence_form(tree: GameTree) -> SequenceSolution:
     from scipy.sparse import coo_array
 
     game = tree.averaged
+    # HiGHS has absolute tolerances: payoffs are brought to the size of 1.
     scale = float(np.abs(game.payoffs).max()) or 1.0
     weighted = (game.chance[:, None] * game.payoffs / scale).reshape(-1)
     first, second = _sequences(game, 0), _sequences(game, 1)
@@ -46,12 +47,14 @@ def solve_sequence_form(tree: GameTree) -> SequenceSolution:
         (_behaviour(game, k, 0, first, plans[0][1]), _behaviour(game, k, 1, second, plans[1][1]))
         for k in range(game.depth)
     ]
+    # There is a program for each player; both give the value, each with a rounding error of its own.
     return SequenceSolution(float(plans[0][0] - plans[1][0]) / 2.0 * scale, profile)
 
 
 def _sequences(game: GameTree, player: int) -> _Sequences:
     begin, parents, count = [], [], 1
-    reached = np.zeros(game.roots, dtype=np.int64)  # the sequence that leads to each node
+    # The sequence that leads to each node.
+    reached = np.zeros(game.roots, dtype=np.int64)
     for k in range(game.depth):
         rows = game.infosets[k][player]
         parent = np.zeros(game.rows(k, player), dtype=np.int64)

@@ -60,6 +60,7 @@ def write_archive(
     coordinates = measured.coordinates
     front = front_layers(coordinates) == 0
     winner = raced["winner"]
+    # Crashes are stated for parts of the first axis, too: the mean would hide that fast policies crash more.
     low_half = np.argsort(coordinates[:, 0], kind="stable")[: len(coordinates) // 2]
     facts = {
         "policies": len(parameters),
@@ -124,6 +125,8 @@ def hypervolume_error(raced: Arrays, scale: Scale, reference: float, seed: int =
     rng = np.random.default_rng(seed)
     volumes = []
     for _ in range(RESAMPLES):
+        # Both sides of a start line at once: their races have line and opponent in common, so they are not
+        # independent.
         weights = np.repeat(np.bincount(rng.integers(pairs, size=pairs), minlength=pairs), 2)
         sums = (totals * weights[:, None]).sum(axis=1)
         volumes.append(hypervolume(scale(sums / (segments * weights).sum(axis=1)[:, None]), reference))

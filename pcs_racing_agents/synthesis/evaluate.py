@@ -48,6 +48,7 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     values = raced.pop("values")
     begun = ~np.isnan(values[..., 0])
     totals = np.zeros((*values.shape[:2], values.shape[3]))
+    # Segment after segment, in a fixed order: sums are then the same for every shape of the task.
     for k in range(values.shape[2]):
         totals += np.where(begun[:, :, k, None], values[:, :, k], 0.0)
     return {"totals": totals, "segments": begun.sum(axis=2).astype(np.int16), **raced}
@@ -82,6 +83,7 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
             rivals = scenarios.opponents[scenarios.opponent[which]]
             theta = np.ascontiguousarray(np.stack([parameters[ego], rivals], axis=1))
             for k in range(number):
+                # A segment is measured from the state before it and the state after it.
                 before = state.copy()
                 advance(setup, state, theta, length, threads=threads)
                 segment = Segment.between(before, state, scenarios.segment_seconds)
@@ -93,6 +95,7 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
                         f"characteristic {axes[axis].name!r} is {measured[row, axis]} in race {which[row]} of policy "
                         f"{ego[row]}; it must be finite"
                     )
+                # A race that has crashed stands still: its segments are missing, not 0.
                 values[ego, which, k] = np.where(begun[:, None], measured, np.nan)
             own_crash[ego, which] = state.fault[:, 0] == 1
             crashed[ego, which] = state.crashed

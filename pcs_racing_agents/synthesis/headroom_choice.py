@@ -113,11 +113,13 @@ def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: in
     """
     edges = np.linspace(axis.min(), axis.max(), intervals + 1)[1:-1]
     interval = np.searchsorted(edges, axis, side="right")
+    # The index decides between equal scores, so that the choice does not depend on the sorting.
     ranked = np.lexsort((np.arange(len(axis)), -score))
     rank = np.zeros(len(axis), np.int64)  # within its interval
     for k in range(intervals):
         inside = ranked[interval[ranked] == k]
         rank[inside] = np.arange(len(inside))
+    # First the best of every interval, then the second best of each, and so on.
     chosen = np.lexsort((-score, rank))[:count]
     return np.asarray(chosen[np.argsort(axis[chosen], kind="stable")], np.int64)
 
@@ -129,5 +131,6 @@ def _pool(config: ArchiveConfig, parameters: Floats, tracks: tuple[str, ...], ra
     policies = tuple(Policy(planner, theta, f"policy {k}") for k, theta in enumerate(complete))
     rules = config.rules_of(config.final_duration)
     lines = races // 2
-    folds = max(k for k in range(2, MOST_FOLDS + 1, 2) if lines % k == 0)  # as many added as subtracted: an even number
+    # As many folds are added as subtracted: an even number.
+    folds = max(k for k in range(2, MOST_FOLDS + 1, 2) if lines % k == 0)
     return PolicyPool(policies, tracks, rules, races=races, folds=folds, seed=seed)

@@ -71,6 +71,7 @@ def total_hypervolume(points: ArrayLike, front: ArrayLike, reference: ArrayLike)
     front = _front(front, points.shape[1])
     reference = _reference(reference, points.shape[1])
     total = np.full(len(points), _hypervolume(front, reference))
+    # Most points add nothing; only for the others a hypervolume is computed, which is what takes the time.
     better = distance_to_improvement(points, front, reference) == 0.0
     for i in np.flatnonzero(better):
         total[i] = max(total[i], _hypervolume(np.vstack([front, points[i]]), reference))
@@ -135,11 +136,14 @@ def search_corners(front: ArrayLike, reference: ArrayLike) -> Floats:
     front = front[non_dominated(front, duplicates=False)]
     if len(front) == 0:
         return reference[None]
-    if len(reference) == 2:  # the inner corners of a staircase
+    # With two axes the corners are the inner ones of a staircase.
+    if len(reference) == 2:
         front = front[np.argsort(-front[:, 0])]
         return np.column_stack([np.append(front[:, 0], reference[0]), np.insert(front[:, 1], 0, reference[1])])
     corners = reference[None]
     for point in front:
+        # The point dominates the lower part of these boxes. What is left of each are the boxes in which one axis
+        # exceeds the point.
         inside = np.all(corners < point, axis=1)
         cut = np.repeat(corners[inside], len(reference), axis=0)
         axes = np.tile(np.arange(len(reference)), int(inside.sum()))

@@ -73,6 +73,7 @@ class ParetoArchive:
         if len(feasible) == 0:
             return Scale(np.ones(self.objectives.shape[1]), np.zeros(self.objectives.shape[1]))
         low, high = feasible.min(axis=0), feasible.max(axis=0)
+        # Nothing may be divided by an extent of 0.
         high = np.where(low < high, high, low + 1.0)
         if len(self.front):
             least, largest = self.objectives[self.front].min(axis=0), self.objectives[self.front].max(axis=0)

@@ -42,7 +42,8 @@ def difference_errors(raced: Arrays) -> Floats:
     coordinates = totals.sum(axis=1) / segments.sum(axis=1)[:, None]
     # What each race contributes to the error of a ratio of sums, linearised.
     shares = (totals - coordinates[:, None] * segments[..., None]) / segments.sum(axis=1)[:, None, None]
-    products = np.einsum("irg,jrg->ijg", shares, shares)  # not BLAS: the same bits whatever its threads
+    # Not BLAS, which chooses the order of a sum by its threads and the processor.
+    products = np.einsum("irg,jrg->ijg", shares, shares)
     own = np.einsum("iig->ig", products)
     squares = own[:, None] + own[None] - 2.0 * products
     return np.asarray(np.sqrt(np.maximum(squares, 0.0) * races / max(races - 1, 1)), np.float64)
@@ -60,7 +61,8 @@ def beaten(coordinates: Floats, errors: Floats, error_bars: float) -> NDArray[np
         Smaller differences, in standard errors, do not count; with 0 every policy that is smaller on all axes is
         beaten.
     """
-    ahead = coordinates[None] - coordinates[:, None]  # of j over i, at (i, j)
+    # Of j over i, at (i, j).
+    ahead = coordinates[None] - coordinates[:, None]
     return np.asarray(np.all(ahead > error_bars * errors, axis=-1).any(axis=1))
 
 
@@ -93,5 +95,6 @@ def thin_out(points: Floats, spacing: float, most: int) -> Indices:
         Normalised coordinates.
     """
     while len(kept := spread_first(points, spacing, len(points))) > most:
+        # A spacing of 0 would never grow.
         spacing = max(1.05 * spacing, 1e-4)
     return np.sort(kept)

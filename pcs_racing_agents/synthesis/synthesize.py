@@ -72,7 +72,8 @@ def synthesize(
     most_results = generations + (initial is not None)
     if len(evaluated) > most_results:
         raise InputError(f"evaluated holds {len(evaluated)} results; this search needs at most {most_results}")
-    search = Search(bounds, **options)  # checks the options before anything is evaluated
+    # Made before anything is evaluated, so that impossible options are told at once.
+    search = Search(bounds, **options)
     stored = iter(evaluated)
     spent = 0
 
@@ -84,6 +85,7 @@ def synthesize(
         if stored_value is None:
             return _evaluate(evaluate, points, executor)
         result = _evaluated(stored_value)
+        # Results of other points would lead the search astray without any sign of it.
         if result.parameters is not None and not np.array_equal(np.asarray(result.parameters), points):
             raise InputError(
                 f"stored results belong to other points than those after {spent - len(points)} evaluations: they were "
@@ -98,7 +100,8 @@ def synthesize(
     if initial is not None:
         sample = search.check_points("initial", initial)
         result = results(sample)
-        if options.get("ideal") is None:  # the range of the sample normalises all that follows
+        # The range of the sample normalises all that follows.
+        if options.get("ideal") is None:
             values = check_array("objectives", result.objectives, (len(sample), None))
             search = Search(bounds, **{**options, "ideal": values.max(axis=0), "nadir": values.min(axis=0)})
         tell(search.add(sample, result.objectives, result.violation))
