@@ -30,14 +30,9 @@ def chunk_file(folder: str | Path, name: str, index: int) -> Path:
 
 
 def write_chunk(path: Path, arrays: Arrays, task: str) -> None:
-    """Write a chunk atomically.
+    """Write a chunk atomically: arrays without objects, of which equal ones make equal files.
 
-    Parameters
-    ----------
-    arrays : dict of ndarray
-        No objects. Equal arrays make equal files.
-    task : str
-        Digest of the task, 64 hexadecimal digits (:func:`~pcs_racing_agents.jobs.fingerprint.fingerprint`).
+    ``task`` is the digest of the task, 64 hexadecimal digits (:func:`~pcs_racing_agents.jobs.fingerprint.fingerprint`).
     """
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
@@ -48,13 +43,7 @@ def write_chunk(path: Path, arrays: Arrays, task: str) -> None:
 
 
 def read_chunk(path: Path, task: str | None = None) -> Arrays:
-    """Read a chunk after checking that every byte of it is as it was written.
-
-    Parameters
-    ----------
-    task : str, optional
-        Digest of the task that it must answer.
-    """
+    """Read a chunk after checking that every byte of it is as it was written, and that it answers ``task``, if given."""
     try:
         content = read_limited(path, _MAX_BYTES, "a chunk")
     except OSError as error:

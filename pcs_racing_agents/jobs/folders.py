@@ -32,10 +32,7 @@ class JobError(InputError):
 def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
     """Create the folder of a job, or open that of an earlier run with the same settings, and lock it.
 
-    Yields
-    ------
-    Mapping
-        The settings as plain values.
+    The settings are provided as plain values.
     """
     manifest = {
         "format": FORMAT,

@@ -182,21 +182,10 @@ def run_groups(
     progress: Progress | None = None,
     keep: bool = True,
 ) -> list[list[Arrays]]:
-    """Run several groups of tasks, of one job or of several, side by side.
+    """Run the tasks of several groups, which may belong to several jobs, side by side: :meth:`Job.run` for each.
 
-    No worker waits at the end of a group for the others: the tasks of the next one follow at once.
-
-    Parameters
-    ----------
-    executor, keep
-        As for :meth:`Job.run`.
-    progress : callable, optional
-        Called as ``progress(done, total, name of a group)``, counting the tasks of all groups.
-
-    Returns
-    -------
-    list of list of dict of ndarray
-        For each group what :meth:`Job.run` returns.
+    No worker waits at the end of a group for the others: the tasks of the next one follow at once. ``progress`` is
+    called with the name of a group, and counts the tasks of all groups.
     """
     results: list[list[Arrays]] = [[{}] * len(group.arguments) if keep else [] for group in groups]
     marks = [group.job._marks(group.name, group.arguments) for group in groups]

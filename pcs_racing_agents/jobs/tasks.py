@@ -30,24 +30,11 @@ def run_tasks(
     *,
     follow: Callable[[K], Task[K] | None] | None = None,
 ) -> Iterator[tuple[K, Any]]:
-    """Run tasks, and return their results as they come in, with a bounded number of tasks under way.
+    """Run tasks, and return their keys and results as they come in, with a bounded number of tasks under way.
 
-    Parameters
-    ----------
-    tasks : iterable of Task
-        Advanced only when a task can begin, so that not all of them need be in memory.
-    executor : Executor, optional
-        Where they run; in this thread by default.
-    name : str
-        What is being done, for errors.
-    follow : callable, optional
-        ``follow(key)`` returns the task that follows from the one that has just ended, or None. It is called when the
-        caller has taken the result.
-
-    Yields
-    ------
-    key
-        Of a task.
+    ``tasks`` is advanced only when a task can begin, so that not all of them need be in memory. ``name`` says what is
+    being done, for errors. ``follow(key)`` returns the task that follows from the one that has just ended, or None; it
+    is called when the caller has taken the result.
     """
     first, following = iter(tasks), deque[Task[K]]()
 

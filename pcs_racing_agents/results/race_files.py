@@ -45,13 +45,9 @@ def write_results(races: Iterable[RaceRow], path: str | os.PathLike[str]) -> Pat
 
 
 def read_results(path: str | os.PathLike[str], need: Sequence[str] = ()) -> RaceTable:
-    """Read a results file.
+    """Read a results file, which must have the columns in ``need`` besides :data:`NEEDED`.
 
-    Parameters
-    ----------
-    need : sequence of str
-        Columns that must be there besides :data:`NEEDED`. Of details that are missing nothing is known: no moves, no
-        overtakes, variant 0, duration NaN.
+    Of details that are missing nothing is known: no moves, no overtakes, variant 0, duration NaN.
     """
     table = read_csv(path)
     return _parsed(_in_columns(table.path, table.columns, table.values()), need)

@@ -34,15 +34,7 @@ class MethodRow(NamedTuple):
 
 
 def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str] = METHODS) -> list[MethodRow]:
-    """Solve a tree with several methods.
-
-    Parameters
-    ----------
-    tree : GameTree
-        Players see all past moves.
-    methods : sequence of str
-        Out of :data:`METHODS`.
-    """
+    """Solve a tree whose players see all past moves with several of :data:`METHODS`."""
     for method in methods:
         if method not in METHODS:
             raise UnknownNameError(f"method {method!r} is unknown; choose from {', '.join(METHODS)}")
@@ -62,12 +54,8 @@ def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str
 def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: bool = False) -> float:
     """Share of the decisions at which a profile's likeliest move is a best one against the exact solution.
 
-    Decisions at which every move is worth the same do not count; 1 if there are no others.
-
-    Parameters
-    ----------
-    on_path : bool
-        Whether joint histories count as often as the exact solution leads to them; by default all count equally.
+    Decisions at which every move is worth the same do not count; 1 if there are no others. With ``on_path`` joint
+    histories count as often as the exact solution leads to them, else equally.
     """
     game = tree.averaged
     # What counts as equal depends on the unit of the payoffs; a game without differences has none.

@@ -21,15 +21,7 @@ def write_efg(
     title: str = "pcs-racing",
     move_names: Sequence[tuple[Sequence[str], Sequence[str]]] | None = None,
 ) -> Path:
-    """Write a tree as an EFG file; it appears whole or not at all.
-
-    Parameters
-    ----------
-    tree, title, move_names
-        See :func:`efg_text`.
-    path : path
-        Its name must end in ``.efg``.
-    """
+    """Write :func:`efg_text` to a file whose name ends in ``.efg``; it appears whole or not at all."""
     target = Path(path)
     if target.suffix != ".efg":
         raise InputError(f"can't write {target}: its name must end in .efg")

@@ -45,16 +45,9 @@ def write_archive(
 ) -> PolicyArchive:
     """Write an archive's files into a folder and return it.
 
-    Parameters
-    ----------
-    explored : tuple
-        Parameters of everything raced in the search, and what came of it.
-    scale : Scale
-        Units of hypervolumes.
-    parameters : ndarray, shape (K, P)
-        Of the archive's policies.
-    notes : Mapping
-        What else the manifest is to say.
+    ``explored`` are parameters and results of everything raced in the search, ``parameters``, shape (K, P), those of
+    the archive's policies, and ``raced`` the races that measured them. Hypervolumes have the units of ``scale``;
+    ``notes`` is what else the manifest is to say.
     """
     measured = summarise(raced)
     coordinates = measured.coordinates

@@ -158,19 +158,8 @@ def _check_folder(folder: Path) -> None:
 def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats, Notes]:
     """Choose among the policies of a search, by new races.
 
-    Parameters
-    ----------
-    scenarios : Scenarios
-        In which candidates for a front race again.
-    seed : int
-        Root of the races between candidates for a pool with headroom.
-
-    Returns
-    -------
-    parameters : ndarray, shape (K, P)
-        Of the parameters that vary.
-    notes : Mapping
-        How many were left out, and why.
+    Candidates for a front race again in ``scenarios``; ``seed`` is the root of the races between candidates for a pool
+    with headroom. Returned are the parameters that vary, shape (K, P), and how many policies were left out, and why.
     """
     config = races.config
     theta, explored = races.explored()
@@ -219,15 +208,8 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
     """Race policies in new scenarios, sort them by the first axis, and leave out what does not belong in an archive.
 
     That is: those that crash too often after all, and of a front those that another one clearly beats after all. These
-    add nothing to the front, so this makes the front look no better than it is.
-
-    Returns
-    -------
-    parameters : ndarray, shape (K, P)
-    raced : dict of ndarray
-        Their races (:func:`~pcs_racing_agents.synthesis.evaluate.race_policies`).
-    notes : Mapping
-        How many were left out.
+    add nothing to the front, so this makes the front look no better than it is. Returned are the parameters that are
+    left, shape (K, P), their races, and how many were left out.
     """
     limit = races.config.crash_limit
     within_limits = kept = np.zeros(0, np.int64)

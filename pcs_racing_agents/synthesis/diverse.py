@@ -74,10 +74,7 @@ def similarity(points: ArrayLike, scale: float) -> Floats:
 def sample_kdpp(kernel: Floats, k: int, rng: np.random.Generator) -> Indices:
     """Draw a set of ``k`` items from a k-DPP (Kulesza and Taskar, algorithms 1 and 8), shape (k,).
 
-    Parameters
-    ----------
-    kernel : ndarray, shape (K, K)
-        Symmetric, with no negative eigenvalue and at least ``k`` positive ones.
+    The kernel, shape (K, K), is symmetric, with no negative eigenvalue and at least ``k`` positive ones.
     """
     values, vectors = np.linalg.eigh(kernel)
     with np.errstate(divide="ignore"):

@@ -37,12 +37,9 @@ class Evaluation(NamedTuple):
 def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     """Race some policies in some scenarios; a policy's result does not depend on the others of the task.
 
-    Returns
-    -------
-    dict of ndarray
-        ``totals`` (k, R, G): sums over the segments that each race began; ``segments`` (k, R): how many it began;
-        ``own_crash`` (k, R): whether it ended by a crash of the policy's own fault; ``crashed`` (k, R): whether it
-        ended by a crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none.
+    The arrays are ``totals`` (k, R, G): sums over the segments that each race began; ``segments`` (k, R): how many it
+    began; ``own_crash`` (k, R): whether it ended by a crash of the policy's own fault; ``crashed`` (k, R): whether it
+    ended by a crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none.
     """
     raced = race_segments(task, threads)
     values = raced.pop("values")
@@ -57,11 +54,8 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
 def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
     """Race some policies in some scenarios, and measure every segment of every race.
 
-    Returns
-    -------
-    dict of ndarray
-        ``values`` (k, R, S, G): characteristics of the policy in each of the S segments of a race; NaN in segments that
-        the race did not begin. The others as :func:`race_policies` returns them.
+    ``values`` (k, R, S, G) are the characteristics of the policy in each of the S segments of a race; NaN in segments
+    that the race did not begin. The other arrays are those of :func:`race_policies`.
     """
     scenarios, parameters = task
     axes = get_characteristics(scenarios.characteristics)
@@ -124,14 +118,9 @@ def evaluate(
     executor: Executor | None = None,
     block: int = 8,
 ) -> Evaluation:
-    """Race every policy in every scenario.
+    """Race every policy, shape (K, P), in every scenario.
 
-    Parameters
-    ----------
-    parameters : ndarray, shape (K, P)
-    executor : Executor, optional
-        Where blocks of policies race; in this thread by default, which shares the races among the cores. It has no
-        influence on the result.
+    Blocks of policies race on the executor; without one in this thread, which shares the races among the cores.
     """
     parameters = check_policies("parameters", parameters, get_planner(scenarios.planner))
     tasks = [(scenarios, parameters[first : first + block]) for first in range(0, len(parameters), block)]

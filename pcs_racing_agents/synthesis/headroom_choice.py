@@ -33,19 +33,9 @@ INTERVALS_PER_GROUP = 4
 def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tuple[Floats, Notes]:
     """Race all pairs of candidates of all speeds, and choose the pool with the most headroom.
 
-    Parameters
-    ----------
-    allowed : ndarray of int
-        Policies of the search that may be candidates.
-    seed : int
-        Root of start lines, noise and of the search for the pool.
-
-    Returns
-    -------
-    parameters : ndarray, shape (config.most, P)
-        Those that vary, in the order of the first axis.
-    notes : Mapping
-        What the choice expects of the pool.
+    Candidates are taken from the ``allowed`` policies of the search; ``seed`` is the root of start lines, noise and of
+    the search for the pool. Returned are the parameters that vary, shape (config.most, P), in the order of the first
+    axis, and what the choice expects of the pool.
     """
     config = races.config
     theta, explored = races.explored()
@@ -96,20 +86,10 @@ def judge_headroom(races: PolicyRaces, parameters: Floats, seed: int) -> Notes:
 
 
 def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: int) -> Indices:
-    """Choose up to ``count`` policies that span an axis: those with the best scores of each of several equal intervals.
+    """Choose up to ``count`` policies that span an axis, in its order: the best scores of each of several equal
+    intervals.
 
-    Parameters
-    ----------
-    axis : ndarray, shape (K,)
-        Coordinates.
-    score : ndarray, shape (K,)
-    count : int
-        Intervals take turns, until so many are chosen or none is left.
-
-    Returns
-    -------
-    ndarray of int
-        In the order of the axis.
+    Intervals take turns, until so many are chosen or none is left.
     """
     edges = np.linspace(axis.min(), axis.max(), intervals + 1)[1:-1]
     interval = np.searchsorted(edges, axis, side="right")

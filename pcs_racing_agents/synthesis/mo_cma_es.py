@@ -59,14 +59,7 @@ class OptimiserOptions:
 class CubeCMAES:
     """CMA-ES of pycma in the unit cube, drawing from a given generator instead of numpy's global one.
 
-    Parameters
-    ----------
-    mean : ndarray, shape (P,)
-        First mean.
-    largest : float
-        The step size stays below.
-    population, elite : int
-        Points of a generation, and how many of them are recombined.
+    Its step size stays below ``largest``; of ``population`` points of a generation ``elite`` are recombined.
     """
 
     def __init__(
@@ -225,17 +218,10 @@ def hypervolume_loss(
     scale: Scale,
     reference: float | Floats,
 ) -> Floats:
-    """Loss of points against the Pareto front of an archive (line 8 of Algorithm 1), shape (n,).
+    """Loss of n points against the Pareto front of an archive (line 8 of Algorithm 1), shape (n,).
 
-    That of infeasible points is infinite.
-
-    Parameters
-    ----------
-    kind : {"uhvi", "total_hypervolume"}
-    objectives : ndarray, shape (n, G)
-    violation : ndarray, shape (n,)
-    reference : float or ndarray, shape (G,)
-        In units of the scale.
+    The loss of infeasible points is infinite. The reference point is in units of the scale; ``kind`` is one of
+    :data:`LOSSES`.
     """
     loss = np.full(len(objectives), np.inf)
     feasible = violation <= 0.0

@@ -32,10 +32,8 @@ def front_layers(points: Floats) -> Indices:
 def difference_errors(raced: Arrays) -> Floats:
     """Standard errors of the differences between the coordinates of K policies, shape (K, K, G).
 
-    Parameters
-    ----------
-    raced : dict of ndarray
-        What :func:`~pcs_racing_agents.synthesis.evaluate.race_policies` returned: the same R races for all of them.
+    ``raced`` is what :func:`~pcs_racing_agents.synthesis.evaluate.race_policies` returned: the same R races for all of
+    them.
     """
     totals, segments = raced["totals"], raced["segments"].astype(np.float64)
     races = totals.shape[1]
@@ -50,16 +48,10 @@ def difference_errors(raced: Arrays) -> Floats:
 
 
 def beaten(coordinates: Floats, errors: Floats, error_bars: float) -> NDArray[np.bool_]:
-    """Whether each policy is beaten: another one is better on all axes, by more than its error bars, shape (K,).
+    """Whether each of K policies is beaten: another one is better on all axes, by more than its error bars, shape (K,).
 
-    Parameters
-    ----------
-    coordinates : ndarray, shape (K, G)
-    errors : ndarray, shape (K, K, G)
-        Of the differences.
-    error_bars : float
-        Smaller differences, in standard errors, do not count; with 0 every policy that is smaller on all axes is
-        beaten.
+    Differences below ``error_bars`` standard errors (``errors``, shape (K, K, G)) do not count; with 0 every policy
+    that is smaller on all axes is beaten.
     """
     # Of j over i, at (i, j).
     ahead = coordinates[None] - coordinates[:, None]
@@ -67,14 +59,9 @@ def beaten(coordinates: Floats, errors: Floats, error_bars: float) -> NDArray[np
 
 
 def spread_first(points: Floats, spacing: float, count: int) -> Indices:
-    """The best ``count`` points that keep a distance from each other, by layers of the front, shape (up to count,).
+    """The best ``count`` of K normalised points that keep a distance from each other, by layers of the front.
 
     Points of one layer come by their index; one that is nearer than ``spacing`` to a better one is passed over.
-
-    Parameters
-    ----------
-    points : ndarray, shape (K, G)
-        Normalised coordinates.
     """
     kept: list[int] = []
     for candidate in np.lexsort((np.arange(len(points)), front_layers(points))).tolist():
@@ -85,14 +72,9 @@ def spread_first(points: Floats, spacing: float, count: int) -> Indices:
 
 
 def thin_out(points: Floats, spacing: float, most: int) -> Indices:
-    """Choose points that keep a distance from each other, ascending indices.
+    """Choose normalised points that keep a distance from each other, ascending indices.
 
     All are taken that :func:`spread_first` would take; the spacing is widened until no more than ``most`` remain.
-
-    Parameters
-    ----------
-    points : ndarray, shape (K, G)
-        Normalised coordinates.
     """
     while len(kept := spread_first(points, spacing, len(points))) > most:
         # A spacing of 0 would never grow.
