@@ -43,7 +43,7 @@ def write_chunk(path: Path, arrays: Arrays, task: str) -> None:
 
 
 def read_chunk(path: Path, task: str | None = None) -> Arrays:
-    """Read a chunk after checking that every byte of it is as it was written, and that it answers ``task``, if given."""
+    """Read a chunk after checking that every byte of it is as it was written, and that it answers ``task``."""
     try:
         content = read_limited(path, _MAX_BYTES, "a chunk")
     except OSError as error:
