@@ -28,12 +28,13 @@ def main() -> None:
     }
     never, walker = make("never-switch"), make("best-fixed", target=0)
     play_games(game, never, walker, **given)
+    noise = game.reset(given["seeds"], policies=policies, starts=given["starts"]).race.seed
     rounds = []
     for _ in range(3):
         begin = time.perf_counter()
         played = play_games(game, never, never, **given)
         middle = time.perf_counter()
-        state = start_races(game.setup, given["starts"], played.noise)
+        state = start_races(game.setup, given["starts"], noise)
         theta = np.ascontiguousarray(game.theta(policies))
         advance(game.setup, state, theta, game.setup.config.ticks, threads=1)
         rounds.append((middle - begin, time.perf_counter() - middle))

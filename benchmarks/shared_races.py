@@ -15,7 +15,7 @@ from pcs_racing import load_archive, load_game_config, load_track
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.tournament.games import PlayedGames
+from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.tournament.pairings import cross_pairing
 
 # The arms of the studies' first tables.
@@ -28,9 +28,9 @@ OPPONENTS = ("never-switch", "random-moves", "lane-switcher")
 ARCHIVES = {"paper": "default", "contest": "contest"}
 
 
-def same(first: PlayedGames, second: PlayedGames) -> bool:
+def same(first: Arrays, second: Arrays) -> bool:
     """Whether two batches of games have the same results, to the last bit."""
-    return all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
+    return all(np.array_equal(first[name], second[name]) for name in first)
 
 
 def shared(preset: str, track: str, lines: int) -> tuple[float, float]:
@@ -42,11 +42,11 @@ def shared(preset: str, track: str, lines: int) -> tuple[float, float]:
     spent = np.zeros(2)
     for name in OPPONENTS:
         races = cross_pairing(game, agents[0], build(name, setting), egos=10, opponents=10, lines=lines)
-        races.take(range(4)).play_each(agents)  # compiles
+        races.take(range(4)).race(agents)  # compiles
         start = time.process_time()
-        alone = [part for agent in agents for part in races.play_each([agent])]
+        alone = [part for agent in agents for part in races.race([agent])]
         between = time.process_time()
-        together = races.play_each(agents)
+        together = races.race(agents)
         spent += between - start, time.process_time() - between
         if not all(map(same, alone, together)):
             raise SystemExit(f"{preset}, against {name}: the results differ")

@@ -64,8 +64,8 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
             pairings, name="moves", observations=True, job=job, executor=study.executor, progress=progress
         )
         observed = [
-            (pairing.names[0], games.observations[:, 0], games.moves[:, 0])
-            for pairing, games in zip(pairings, repeated, strict=True)
+            (pairing.names[0], races.observations[:, 0], races.moves.codes[:, 0])
+            for pairing, races in zip(pairings, repeated, strict=True)
         ]
     summaries = []
     for name in dict.fromkeys(name for name, *_ in observed):
@@ -78,7 +78,7 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
 
 def write_report(study: Study, seconds: Mapping[str, float]) -> None:
     """Write ``results.csv``, ``table.csv``, ``table.md``, ``table.txt`` and ``report.html``."""
-    study_races = list(table_races(study))
+    study_races = table_races(study)
     folder = study.folder
     write_results((row for races in study_races for row in races.races), folder / "results.csv")
     main = study_table(study, study_races, "main")
