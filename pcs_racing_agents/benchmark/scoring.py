@@ -48,6 +48,11 @@ class CardScore(NamedTuple):
     own_crash: float
     other_crash: float
 
+    @property
+    def interval(self) -> str:
+        """Interval of the score as text."""
+        return f"[{self.low:.3f}, {self.high:.3f}]"
+
 
 def play_protocol(
     protocol: Protocol,

@@ -163,14 +163,13 @@ def choose_blind(study: Study) -> None:
 def learn_responses(study: Study) -> None:
     """Learn the responses to the pool of opponents."""
     config = study.config
-    games = [study.game(name) for name in config.circuits]
     pool = [study.agent(name) for name in config.response_pool]
     for name in config.responses:
         settings = load_response_settings(name)
         seeded = load_response_settings(settings, seed=config.seed + RESPONSE_SEED + settings.seed)
         with open_job(study.folder / "responses" / name, "response", {"name": name, **plain_settings(seeded)}) as job:
             network = learn_response(
-                games,
+                study.games(),
                 pool,
                 study.setting,
                 seeded,
