@@ -23,6 +23,7 @@ from pcs_racing_agents.agents.blind import LEAD_PLAN, best_fixed, best_lead_plan
 from pcs_racing_agents.agents.fits import Fit, make_fit
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.jobs import Run
+from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from pcs_racing_agents.tournament.pairings import Pairing, RaceSchedule, draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 
@@ -199,8 +200,6 @@ def fit_psro(
     known : MetaStrategy, optional
         Of the first members: their payoffs are taken from it.
     """
-    from pcs_racing_agents.tournament.round_robin import zero_sum_equilibrium
-
     names = [member.name for member in members]
     if len(members) < 2 or len(set(names)) < len(names):
         raise InputError(f"members are {', '.join(names) or 'nobody'}; psro needs at least two, with different names")
@@ -220,4 +219,4 @@ def fit_psro(
         payoffs[:first, :first] = known.payoffs
     for (i, j), value in zip(pairs, np.reshape(excess, (len(pairs), -1)).mean(axis=1), strict=True):
         payoffs[i, j], payoffs[j, i] = value, -value
-    return MetaStrategy(zero_sum_equilibrium(payoffs).row, payoffs)
+    return MetaStrategy(solve_matrix_games(payoffs).rows[0], payoffs)
