@@ -88,7 +88,7 @@ def _write(
 ) -> None:
     """Print the card of one agent and write it."""
     from pcs_racing.game.competitor import competitor_name
-    from pcs_racing_agents.benchmark.card import COLUMNS, Card, fact_lines, summary_rows, write_card
+    from pcs_racing_agents.benchmark.card import Card, fact_lines, summary_rows, write_card
     from pcs_racing_agents.benchmark.scoring import decision_cost, gain, rating, summarise, telling_races
     from pcs_racing_agents.results.text_table import aligned
 
@@ -112,7 +112,7 @@ def _write(
         best_reply=reply,
     )
     print(f"\n{name}")
-    print("\n".join(aligned([COLUMNS, *summary_rows(card)])))
+    print("\n".join(aligned(summary_rows(card))))
     print("\n".join(fact_lines(card)))
     for path in write_card(card, folder, telling_races(own, other, WATCHED)):
         print(f"written: {path}")
@@ -149,11 +149,11 @@ def run_board(
     out: Annotated[Path | None, Option("folder for leaderboard.html and leaderboard.md", "DIR")] = None,
 ) -> None:
     """Rank score cards of one protocol, and write the page that shows them."""
-    from pcs_racing_agents.benchmark.card import BOARD_COLUMNS, board_page, board_rows, read_cards
+    from pcs_racing_agents.benchmark.card import board_page, board_rows, read_cards
     from pcs_racing_agents.results.text_table import aligned, markdown
 
     ranked = read_cards(cards)
-    rows = [BOARD_COLUMNS, *board_rows(ranked)]
+    rows = board_rows(ranked)
     print("\n".join(aligned(rows)))
     if out is not None:
         folder = output_folder(out)

@@ -149,7 +149,7 @@ def _situations(folder: Path | None, planned: _Planned, agent: str, out: Path | 
     observations, actions = [], []
     for (_, car), games in zip(pairings, played, strict=True):
         observations.append(games.observations[:, car])
-        actions.append(games.moves[:, car])
+        actions.append(games.moves.codes[:, car])
     arena = game_between(first.game, first.ego, first.opponent)
     situations = summarise(
         np.concatenate(observations), np.concatenate(actions), arena.archive, arena.move_names, agent

@@ -15,7 +15,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypedDict, TypeVar
 
 import numpy as np
 
@@ -210,6 +210,14 @@ def run_groups(
         if progress is not None:
             progress(done, total, groups[i].name)
     return results
+
+
+class Run(TypedDict, total=False):
+    """How long work runs, for functions that hand it on: ``def work(..., **run: Unpack[Run])``."""
+
+    job: Job | None
+    executor: Executor | None
+    progress: Progress | None
 
 
 def run_with_or_without(

@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations_with_replacement
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
+from pcs_racing_agents.jobs.jobs import Job, Run, run_with_or_without
 from pcs_racing_agents.jobs.progress import Progress
 
 Floats = NDArray[np.float64]
@@ -75,20 +76,12 @@ class PolicyPool:
         return np.asarray(folds.mean(axis=-3) - 0.5)
 
 
-def pool_payoffs(
-    pool: PolicyPool,
-    *,
-    name: str = "pairs",
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-) -> Floats:
+def pool_payoffs(pool: PolicyPool, *, name: str = "pairs", **run: Unpack[Run]) -> Floats:
     """Race all pairs of a pool; payoffs whatever the slot on the grid, shape (T, F, N, N), antisymmetric.
 
     The mean over the slots of what :func:`slot_payoffs` returns for the same arguments.
     """
-    payoffs = slot_payoffs(pool, name=name, job=job, executor=executor, progress=progress)
-    return np.asarray(payoffs.mean(axis=2))
+    return np.asarray(slot_payoffs(pool, name=name, **run).mean(axis=2))
 
 
 def slot_payoffs(

@@ -101,6 +101,9 @@ class RaceTable:
     variants: NDArray[Any]
     path: NDArray[Any]  #: shape (N, 2, m + 1): Policies of the archive in each step; -1 for a driver and after a crash.
     moves: Categorical  #: shape (N, 2, m): Moves made; no word for a driver and after a crash.
+    #: shape (N, 2, D): Last observations of both cars, which include the earlier ones; None where they were not kept.
+    #: They are not part of a file.
+    observations: Any = None
 
     def __len__(self) -> int:
         return len(self.race)
@@ -120,6 +123,8 @@ class RaceTable:
             indices = indices.astype(np.intp)  # an empty list is one of floats
 
         def taken(column: Any) -> Any:
+            if column is None:
+                return None
             return column._replace(codes=column.codes[indices]) if isinstance(column, Categorical) else column[indices]
 
         return RaceTable(**{field.name: taken(getattr(self, field.name)) for field in fields(self)})
@@ -204,6 +209,8 @@ def concatenate_races(tables: Iterable[RaceTable]) -> RaceTable:
 
     def joined(name: str) -> Any:
         columns = [getattr(member, name) for member in members]
+        if any(column is None for column in columns):
+            return None
         return Categorical.concatenate(columns) if isinstance(columns[0], Categorical) else _concatenate(columns)
 
     return RaceTable(**{field.name: joined(field.name) for field in fields(RaceTable)})

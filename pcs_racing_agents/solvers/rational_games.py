@@ -13,7 +13,7 @@ from pcs_racing_agents.solvers.game_tree import Floats
 
 
 def solve_rationally(game: Floats) -> tuple[float, Floats, Floats]:
-    """Solve a matrix game, shape (A, C), exactly: value, and strategies of row and column. Only the answer is rounded."""
+    """Solve a matrix game, shape (A, C): value, and strategies of row and column. Only the answer is rounded."""
     a, c = game.shape
     exact = [[Fraction(value) for value in line] for line in game.tolist()]
     low = min(min(line) for line in exact)

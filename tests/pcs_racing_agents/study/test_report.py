@@ -18,7 +18,7 @@ from pcs_racing_agents.explain.situations import Situations
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
-from pcs_racing_agents.study.report import Picture, ReportContent, TitledTable, report_page, write_page
+from pcs_racing_agents.study.report import ReportContent, TitledTable, report_page, write_page
 from pcs_racing_agents.study.report_inputs import (
     ReplyLoss,
     software,
@@ -57,9 +57,7 @@ def content(archive, watched) -> ReportContent:
         situations=[
             Situations(NASTY, ("stay", NASTY), "pace", np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 3, 3, 2), int))
         ],
-        ablations=[TitledTable("Ablation", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
-        sheets=[TitledTable("Sheet", ("what",), ((NASTY,),))],
-        pictures=[Picture(NASTY, NASTY, b"\x89PNG\r\n")],
+        sheets=[TitledTable("Sheet", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
         races=[watched, watched._replace(title=NASTY, text=NASTY)],
         settings={"race": NASTY, "tracks": ["a", "b"]},
         versions=software(),
@@ -110,13 +108,13 @@ def test_the_page_loads_nothing(page):
     outside = re.sub(r'srcdoc="[^"]*"', "", page)
     assert not re.search(r"https?://", outside)
     assert not re.search(r"<(link|script)|@import|url\(", outside)
-    assert set(re.findall(r'src="([^,"]*),', outside)) == {"data:image/svg+xml;base64", "data:image/png;base64"}
+    assert set(re.findall(r'src="([^,"]*),', outside)) == {"data:image/svg+xml;base64"}
 
 
 def test_every_section_is_there_and_linked(parsed):
     assert parsed.links == [f"#{name}" for name in parsed.ids]
     assert parsed.ids == [
-        *("findings", "results", "adaptivity-gain", "ablations", "races-to-watch", "which-move-in-which-situation"),
+        *("findings", "results", "adaptivity-gain", "races-to-watch", "which-move-in-which-situation"),
         *("policies", "exploitability", "ratings", "more", "how-it-was-made"),
     ]
 
@@ -183,7 +181,7 @@ def test_sections_without_content_are_left_out():
 
 def test_without_matplotlib_the_page_says_so(monkeypatch, content):
     monkeypatch.setattr(report, "find_spec", lambda name: None)
-    page = report_page(replace(content, pictures=(), races=[race._replace(picture=b"") for race in content.races]))
+    page = report_page(replace(content, races=[race._replace(picture=b"") for race in content.races]))
     assert "matplotlib is not installed" in page
     assert "<img" not in page
 
@@ -218,7 +216,7 @@ def test_the_page_works_in_a_browser(tmp_path, content):
     program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if program is None:
         pytest.skip("no chromium on PATH to open the page with")
-    displayed = report_page(replace(content, pictures=(), races=content.races[:1]))
+    displayed = report_page(replace(content, races=content.races[:1]))
     # The race tells that it is there; nothing else in the page may complain.
     displayed = displayed.replace(html.escape("</body>"), html.escape(TELL))
     path = tmp_path / "report.html"
@@ -231,7 +229,7 @@ def test_the_page_works_in_a_browser(tmp_path, content):
     )
     seen = json.loads(html.unescape(re.search(r'data-seen="([^"]*)"', done.stdout).group(1)))
     assert seen["title"] == content.title
-    assert seen["links"] == 11
+    assert seen["links"] == 10
     assert len(seen["images"]) == 8 + 1
     assert min(seen["images"]) > 100
     assert seen["wide"] <= 1200

@@ -57,7 +57,7 @@ def test_a_race_to_its_end_is_that_of_a_tournament(races):
             return np.array([moves[step]]), step + 1
 
     _, played, _ = races._drive(2, moves)
-    start = races.situation(2, ())["policy"], int(played.policy[0, 1, 0])
+    start = races.situation(2, ())["policy"], int(played.path[0, 1, 0])
     from pcs_racing.base.seeds import race_seed
     from pcs_racing.race.races import starts_of
 
