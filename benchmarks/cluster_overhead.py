@@ -30,7 +30,7 @@ from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.cli.estimates import LEAD_PLAN_ROUNDS
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.learning.ppo.seed_training import SeedTraining
+from pcs_racing_agents.learning.ppo.seed_training import train_seed
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import make_task
 from pcs_racing_agents.learning.responses import learner
@@ -132,12 +132,16 @@ def measure(moves: int) -> dict[str, Cost]:
     keep("learning", _Learn(rows, tree_game), [load_train_settings("study", epochs=4, patience=4)])
 
     ppo = load_ppo_settings("study-paper")
-    trainer = SeedTraining(make_task(ppo), replace(ppo, evaluate_every=ppo.steps), 0.0)
-    state = trainer((0, None))
-    keep("update", trainer, [(0, state)], loaded=True)
-    first, _ = cost(trainer, [(0, None)], loaded=True)
-    found["evaluation"] = first._replace(seconds=first.seconds - found["update"].seconds)
-    print(f"{'evaluation':14} {found['evaluation'].seconds:8.2f} s  (in the same piece of work)", flush=True)
+    rollout = ppo.envs * ppo.rollout * len(ppo.tracks)
+    one, three = (
+        cost(partial(train_seed, make_task(replace(ppo, steps=steps, evaluate_every=10**12)), None), [0])[0]
+        for steps in (1, int(2.5 * rollout))
+    )
+    # Both are evaluated before the first update and after the last one.
+    found["update"] = one._replace(seconds=(three.seconds - one.seconds) / 2)
+    found["evaluation"] = one._replace(seconds=(one.seconds - found["update"].seconds) / 2)
+    for kind in ("update", "evaluation"):
+        print(f"{kind:14} {found[kind].seconds:8.2f} s  (a part of the training with a seed)", flush=True)
     return found
 
 

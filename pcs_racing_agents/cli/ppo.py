@@ -28,9 +28,6 @@ def add(commands: Commands) -> None:
         help="seeds; one policy is trained with each seed, and the best is kept",
     )
     parser.add_argument(
-        "--checkpoint", type=float, default=20.0, metavar="S", help="time between two checkpoints in s (default: 20)"
-    )
-    parser.add_argument(
         "--name", help="name of the policy (default: the name under which the agent 'ppo' looks for it)"
     )
     parser.add_argument("--tensorboard", action="store_true", help="also write the learning curves for TensorBoard")
@@ -40,7 +37,7 @@ def add(commands: Commands) -> None:
         type=Path,
         required=True,
         metavar="DIR",
-        help="folder for weights and learning curves; a training that was stopped resumes in its folder",
+        help="folder for weights and learning curves; a stopped training keeps its finished seeds there",
     )
     from pcs_racing_agents.jobs.executors import add_executor_options
 
@@ -55,7 +52,7 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.jobs.progress import show_progress
     from pcs_racing_agents.learning.ppo.evaluation import evaluation_curves, mean_score, score_table
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
-    from pcs_racing_agents.learning.ppo.train import check_checkpoint_seconds, train_ppo
+    from pcs_racing_agents.learning.ppo.train import train_ppo
     from pcs_racing_agents.pictures.curves import curves_picture, write_tensorboard
     from pcs_racing_agents.pictures.style import save_picture
 
@@ -72,7 +69,6 @@ def run(arguments: argparse.Namespace) -> None:
     cores = cores_of(arguments)
     if cores is not None:
         cores = min(cores, len(settings.seeds)) if side_by_side else 1
-    check_checkpoint_seconds(arguments.checkpoint)
     with executor_from(arguments) as executor:
         announce(ppo_seconds(settings), cores, most=settings.patience > 0)
         trained = train_ppo(
@@ -81,7 +77,6 @@ def run(arguments: argparse.Namespace) -> None:
             name=arguments.name,
             executor=executor,
             progress=show_progress("steps"),
-            checkpoint_seconds=arguments.checkpoint,
         )
     opponents = settings.opponents
     if arguments.tensorboard:
