@@ -34,6 +34,7 @@ from pcs_racing_agents.learning.ppo.seed_training import train_seed
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import make_task
 from pcs_racing_agents.learning.responses import learner
+from pcs_racing_agents.learning.responses.branches import BLOCK, GameBlock
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, load_response_settings
 from pcs_racing_agents.networks import Rows, load_network, train_network
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
@@ -113,7 +114,7 @@ def measure(moves: int) -> dict[str, Cost]:
     arenas = [[learner.game_between(game, random, opponent) for opponent in pool] for game in games]
     branch = partial(learner._branch, arenas, pool, [random], random, "win", len(setting.moves) - 1)
     steps = range(game.config.moves)
-    keep("branch", branch, [learner.BranchTask(0, 0, step, 0, 0, learner.BLOCK, 1) for step in steps])
+    keep("branch", branch, [GameBlock((0, 0, step, 0), 0, BLOCK, 1) for step in steps])
 
     tree_game = replace(make_game("Tarnfjord", moves=moves, stay=False), threads=1)
     warm_up = _Builder(replace(make_game("Tarnfjord", moves=1, stay=False), threads=1))
@@ -249,7 +250,7 @@ def _response(config: StudyConfig, settings: ResponseSettings, opponents: int) -
     for wave in range(1, waves + 1):
         rows = min(50_000, games * settings.starts * wave) * int(about["epochs"])
         members = settings.members if wave == waves else min(settings.members, 2)
-        found.append(Wave("branch", games * ceil(settings.starts / learner.BLOCK)))
+        found.append(Wave("branch", games * ceil(settings.starts / BLOCK)))
         found.append(Wave("learning", members, rows / (4 * ROWS)))
     return found
 

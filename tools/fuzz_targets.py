@@ -59,8 +59,8 @@ from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings
-from pcs_racing_agents.learning.self_play.learner import load_self_play_settings
+from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
+from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.from_ego import ego_values
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings

@@ -93,6 +93,11 @@ class NetworkStrategy:
         return probabilities
 
 
+def network_agent(network: RegretNetwork, setting: Setting, seed: int = 0, decision: str = "argmax") -> Agent:
+    """Return the agent of a network, with the network's name."""
+    return Agent(network.name, NetworkStrategy(network, decision, len(setting.moves)), setting, seed)
+
+
 @dataclass(frozen=True, eq=False)
 class AdaptiveStrategy:
     """A strategy that follows a blind agent, unless a network predicts a gain above a margin."""

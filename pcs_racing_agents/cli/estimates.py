@@ -14,13 +14,13 @@ from pcs_racing.game.config import GameConfig
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.learning.ppo.settings import DuelSettings, PPOSettings
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, load_response_settings
-from pcs_racing_agents.learning.robust.settings import (
+from pcs_racing_agents.learning.robust import (
     PSROSettings,
     RobustSettings,
     load_psro_settings,
     load_robust_settings,
 )
-from pcs_racing_agents.learning.self_play.learner import SelfPlaySettings, load_self_play_settings
+from pcs_racing_agents.learning.self_play import SelfPlaySettings, load_self_play_settings
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.synthesis.config import ArchiveConfig

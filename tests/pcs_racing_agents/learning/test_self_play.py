@@ -16,14 +16,13 @@ from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.learning.self_play import RaceArena, learn_self_play, load_self_play_settings
-from pcs_racing_agents.learning.self_play.race_arena import ExploringStrategy
+from pcs_racing_agents.learning.self_play import ExploringStrategy, RaceArena, learn_self_play, load_self_play_settings
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.networks.metrics import TreeScore, score_trees
 from pcs_racing_agents.solvers import GameTree, exploitability, uniform_profile
 from pcs_racing_agents.trees import build_tree
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "solvers"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "solvers"))
 from small_games import PENNIES, kuhn_poker
 
 sys.path.pop(0)

@@ -17,7 +17,6 @@ from pcs_racing_agents.learning.robust import (
     learn_robust,
     load_psro_settings,
     load_robust_settings,
-    restricted,
 )
 
 TINY = "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n"
@@ -58,7 +57,7 @@ def test_the_opponents_are_those_of_the_method(games, setting, pool, learner, tm
         asked.append(([opponent.name for opponent in opponents], list(shares), settings.seed))
         return learn_response(games, opponents, setting, settings, job, shares=shares, name=name, **rest)
 
-    monkeypatch.setattr(restricted, "learn_response", learn)
+    monkeypatch.setattr("pcs_racing_agents.learning.robust.learn_response", learn)
     settings = load_robust_settings(pool_share=0.6, rounds=2, learner=learner)
     with open_job(tmp_path / "robust", "robust", {}) as job:
         networks = learn_robust(games, pool, setting, settings, job)
