@@ -45,7 +45,7 @@ from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.synthesis.evaluate import race_policies
 from pcs_racing_agents.tournament import runner
 from pcs_racing_agents.tournament.pairings import cross_pairing
-from pcs_racing_agents.trees.storage import _Builder, _TreeTask
+from pcs_racing_agents.trees.storage import _build, _TreeTask
 
 CIRCUITS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 ROWS = 20_000  # that a network learns from, for the time of a row
@@ -117,9 +117,9 @@ def measure(moves: int) -> dict[str, Cost]:
     keep("branch", branch, [GameBlock((0, 0, step, 0), 0, BLOCK, 1) for step in steps])
 
     tree_game = replace(make_game("Tarnfjord", moves=moves, stay=False), threads=1)
-    warm_up = _Builder(replace(make_game("Tarnfjord", moves=1, stay=False), threads=1))
-    warm_up(_TreeTask((0, 1), 0, 1, 0))  # loads the code
-    keep("tree", _Builder(tree_game), [_TreeTask((10, 20), 0, 1, 0)], loaded=True)
+    small = replace(make_game("Tarnfjord", moves=1, stay=False), threads=1)
+    _build(small, _TreeTask((0, 1), 0, 1, 0))  # loads the code
+    keep("tree", partial(_build, tree_game), [_TreeTask((10, 20), 0, 1, 0)], loaded=True)
 
     rng = np.random.default_rng(0)
     shape = ROWS, len(game.observation_elements), len(game.move_names)
