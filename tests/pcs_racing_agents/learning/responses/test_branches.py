@@ -4,18 +4,18 @@ import pytest
 from pcs_racing import make_game
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.config import load_game_config
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.setting import make_setting
-from pcs_racing_agents.learning.responses import branch_games
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.learning.responses import ResponseSettings, branch_games, learn_response
 from pcs_racing_agents.learning.responses.branches import outcome
 from pcs_racing_agents.tournament.games import game_between
 
 
 @pytest.fixture(scope="module")
 def setting():
-    from pcs_racing.game.config import load_game_config
-
     return make_setting("default", load_game_config("paper", moves=2, step_seconds=2.0))
 
 
@@ -90,3 +90,12 @@ def test_impossible_requests_are_refused(game, setting):
         branch_games(game, stay, race_seeds(0, 1), 2, [stay], stay)
     with pytest.raises(InputError, match="worth is 'glory'"):
         outcome(game, game.reset(games=1), "glory")
+
+
+def test_games_of_a_response_must_be_alike(game, setting, tmp_path):
+    other = make_game("Tarnfjord", setting.archive, load_game_config(setting.config, moves=3))
+    with open_job(tmp_path / "c", "response", {}) as job:
+        with pytest.raises(InputError, match="one of each"):
+            learn_response([game], [], setting, ResponseSettings(), job)
+        with pytest.raises(InputError, match="games of 2 moves"):
+            learn_response([game, other], [never_switch(setting)], setting, ResponseSettings(), job)
