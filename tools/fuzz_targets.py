@@ -56,13 +56,11 @@ from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.learning.ppo.checkpoint import pack as pack_state
-from pcs_racing_agents.learning.ppo.checkpoint import unpack as unpack_state
 from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings
-from pcs_racing_agents.learning.self_play.learner import load_self_play_settings
+from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
+from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.from_ego import ego_values
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
@@ -258,23 +256,6 @@ def ego_chunk(data: bytes) -> object:
 def _ego_chunk() -> bytes:
     _ego_manifest()
     return _unsigned(chunk_file(some_ego_trees(), "ego", 0))
-
-
-def checkpoint(data: bytes) -> object:
-    """What environments remember, in a checkpoint of training."""
-    return unpack_state(unpack_arrays(data), _remembered())
-
-
-@cache
-def _remembered() -> Any:
-    game = small_game().reset(games=1)
-    return {"games": game, "generators": [np.random.default_rng(1).bit_generator.state], "moves": (np.zeros(2), None)}
-
-
-def _checkpoint() -> bytes:
-    buffer = io.BytesIO()
-    np.savez(buffer, **pack_state(_remembered()))
-    return buffer.getvalue()
 
 
 def _chunk() -> bytes:
@@ -536,7 +517,6 @@ TARGETS: dict[str, Target] = {
     "tree chunk, signed": Target(tree_chunk, lambda: [_tree_chunk()], "npz"),
     "ego tree manifest": Target(ego_manifest, lambda: [_ego_manifest()], "yaml"),
     "ego tree chunk, signed": Target(ego_chunk, lambda: [_ego_chunk()], "npz"),
-    "ppo checkpoint": Target(checkpoint, lambda: [_checkpoint()], "npz"),
     "job manifest": Target(job_folder, lambda: [_job()], "yaml"),
     "race state": Target(
         as_file(load_state, "race.npz"),

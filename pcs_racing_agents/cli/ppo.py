@@ -19,14 +19,13 @@ def run(
     *,
     config: Annotated[str, Option(f"settings: {', '.join(shipped_configs('ppo'))} or a YAML file", "NAME")],
     changes: Annotated[dict[str, Any], SettingOptions(PPOSettings, "steps", "seeds")],
-    checkpoint: Annotated[float, Option("time between two checkpoints in s", "S")] = 20.0,
     name: Annotated[
         str | None, Option("name of the policy (default: the name under which the agent 'ppo' looks for it)")
     ] = None,
     tensorboard: Annotated[bool, Option("also write the learning curves for TensorBoard")] = False,
     no_picture: Annotated[bool, Option("do not draw the learning curves")] = False,
     out: Annotated[
-        Path, Option("folder for weights and learning curves; a training that was stopped resumes in its folder", "DIR")
+        Path, Option("folder for weights and learning curves; a stopped training keeps its finished seeds there", "DIR")
     ],
     workers: Workers,
 ) -> None:
@@ -34,7 +33,7 @@ def run(
     from pcs_racing_agents.jobs.progress import show_progress
     from pcs_racing_agents.learning.ppo.evaluation import evaluation_curves, mean_score, score_table
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
-    from pcs_racing_agents.learning.ppo.train import check_checkpoint_seconds, train_ppo
+    from pcs_racing_agents.learning.ppo.train import train_ppo
     from pcs_racing_agents.pictures.curves import curves_picture, write_tensorboard
     from pcs_racing_agents.pictures.style import save_picture
 
@@ -43,7 +42,6 @@ def run(
         if needed and find_spec(package) is None:
             extra = "plots" if package == "matplotlib" else "learning"
             raise ModuleNotFoundError(f'the curves need {package}: pip install "pcs-racing[{extra}]"')
-    check_checkpoint_seconds(checkpoint)
     with workers.start() as executor:
         trained = train_ppo(
             settings,
@@ -51,7 +49,6 @@ def run(
             name=name,
             executor=executor,
             progress=show_progress("steps"),
-            checkpoint_seconds=checkpoint,
         )
     opponents = settings.opponents
     if tensorboard:

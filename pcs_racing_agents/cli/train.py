@@ -136,11 +136,10 @@ def _from_ego(folders: Sequence[Path], settings: TrainSettings, name: str) -> _L
     from pcs_racing_agents.networks.metrics import score_table
     from pcs_racing_agents.trees import load_ego_trees
     from pcs_racing_agents.trees.ego import join_ego
-    from pcs_racing_agents.trees.ego_storage import KIND
-    from pcs_racing_agents.trees.storage import read_settings, stored_identity
+    from pcs_racing_agents.trees.storage import EGO_KIND, read_settings, stored_identity
 
     check_ego_target(settings)
-    manifests = [read_settings(folder, KIND) for folder in folders]
+    manifests = [read_settings(folder, EGO_KIND) for folder in folders]
     _check_one_game(folders, manifests)
     trees = join_ego([load_ego_trees(folder) for folder in folders])
 
@@ -168,11 +167,10 @@ def _from_ego(folders: Sequence[Path], settings: TrainSettings, name: str) -> _L
 
 
 def _holds_ego_trees(folder: Path) -> bool:
-    from pcs_racing_agents.trees.ego_storage import KIND
-    from pcs_racing_agents.trees.storage import read_settings
+    from pcs_racing_agents.trees.storage import EGO_KIND, read_settings
 
     try:
-        read_settings(folder, KIND)
+        read_settings(folder, EGO_KIND)
     except InputError:
         # Other content, or none, is reported where the folder is opened.
         return False

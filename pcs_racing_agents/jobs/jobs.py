@@ -78,59 +78,6 @@ class Job:
         group = TaskGroup(self, name, function, arguments)
         return run_groups([group], executor=executor, progress=progress, keep=keep)[0]
 
-    def run_chains(
-        self,
-        name: str,
-        function: Callable[[tuple[A, Arrays | None]], Mapping[str, Any]],
-        arguments: Sequence[A],
-        *,
-        executor: Executor | None = None,
-        on_state: Callable[[int, Arrays], None] | None = None,
-    ) -> list[Arrays]:
-        """Run chains of tasks: each task continues from the state that the previous one returned.
-
-        Parameters
-        ----------
-        name : str
-            As for :meth:`run`; the last state of chain 12 is kept in ``NAME-00012.npz``.
-        function : callable
-            ``function((argument, state))`` returns the next state: arrays by name, among them ``finished``. The first
-            task of a chain gets the state None.
-        arguments : sequence
-            One for each chain.
-        executor : Executor, optional
-            Where the tasks run. A worker that dies takes at most a task of each chain with it.
-        on_state : callable, optional
-            Called as ``on_state(index, state)`` with the state of every chain that was begun earlier, and after every
-            task.
-
-        Returns
-        -------
-        list of dict of ndarray
-            The last state of every chain.
-        """
-        marks = self._marks(name, arguments)
-        states = [self._stored(name, index, mark) for index, mark in enumerate(marks)]
-
-        def next_task(index: int) -> Task[int] | None:
-            state = states[index]
-            if state is not None and state["finished"]:
-                return None
-            return Task(index, function, (arguments[index], state))
-
-        def report(index: int) -> None:
-            state = states[index]
-            if state is not None and on_state is not None:
-                on_state(index, state)
-
-        for index in range(len(states)):
-            report(index)
-        first = (task for task in map(next_task, range(len(states))) if task is not None)
-        for index, value in run_tasks(first, executor, name, follow=next_task):
-            states[index] = self._keep(name, index, value, marks[index])
-            report(index)
-        return [state for state in states if state is not None]
-
     def read(self, name: str, index: int) -> Arrays:
         """Read a task's result."""
         return read_chunk(self.file(name, index))

@@ -1,6 +1,5 @@
 """Tasks and their execution: a bounded number in flight, results as they come, one error if workers die."""
 
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
@@ -27,30 +26,16 @@ def run_tasks(
     tasks: Iterable[Task[K]],
     executor: Executor | None = None,
     name: str = "the work",
-    *,
-    follow: Callable[[K], Task[K] | None] | None = None,
 ) -> Iterator[tuple[K, Any]]:
     """Run tasks, and return their keys and results as they come in, with a bounded number of tasks under way.
 
     ``tasks`` is advanced only when a task can begin, so that not all of them need be in memory. ``name`` says what is
-    being done, for errors. ``follow(key)`` returns the task that follows from the one that has just ended, or None; it
-    is called when the caller has taken the result.
+    being done, for errors.
     """
-    first, following = iter(tasks), deque[Task[K]]()
-
-    def next_task() -> Task[K] | None:
-        task = next(first, None)
-        return following.popleft() if task is None and following else task
-
-    def ended(key: K) -> None:
-        task = follow(key) if follow is not None else None
-        if task is not None:
-            following.append(task)
-
+    waiting = iter(tasks)
     if executor is None:
-        while (task := next_task()) is not None:
-            yield task.key, task.function(task.argument)
-            ended(task.key)
+        for one in waiting:
+            yield one.key, one.function(one.argument)
         return
     limit = tasks_in_flight(executor)
     under_way: dict[Future[Any], K] = {}
@@ -61,7 +46,7 @@ def run_tasks(
         with ExitStack() as sent:
             while True:
                 # The order of the two conditions matters: a task is taken from the iterator only when it can begin.
-                while len(under_way) < limit and (task := next_task()) is not None:
+                while len(under_way) < limit and (task := next(waiting, None)) is not None:
                     if id(task.function) not in submit:
                         # As long as it lives nothing else has its identity.
                         functions.append(task.function)
@@ -74,7 +59,6 @@ def run_tasks(
                 for future in sorted(done, key=_failed):
                     key = under_way.pop(future)
                     yield key, future.result()
-                    ended(key)
     except BaseException as error:
         if not is_lost(error):
             raise

@@ -46,7 +46,7 @@ def run(
     """Train robust responses for several shares of a pool, and print what each gains and loses."""
     from pcs_racing_agents.learning.responses.best_reply import FEWEST
     from pcs_racing_agents.learning.responses.learner import load_response_settings
-    from pcs_racing_agents.learning.robust.settings import load_robust_settings
+    from pcs_racing_agents.learning.robust import load_robust_settings
     from pcs_racing_agents.networks import save_network_set
     from pcs_racing_agents.pictures.style import save_picture
     from research.robust_curve.curve import check_shares, curve_picture, curve_text, robust_curve, write_curve
