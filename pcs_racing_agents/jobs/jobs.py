@@ -14,8 +14,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -168,15 +169,10 @@ class Run(TypedDict, total=False):
 
 
 def run_with_or_without(
-    job: Job | None,
-    name: str,
-    function: Callable[[A], Mapping[str, Any]],
-    arguments: Sequence[A],
-    *,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    name: str, function: Callable[[A], Mapping[str, Any]], arguments: Sequence[A], **run: Unpack[Run]
 ) -> list[Any]:
     """Return the results of all tasks in their order, kept in a job if there is one; else as :meth:`Job.run` does."""
+    job, executor, progress = run.get("job"), run.get("executor"), run.get("progress")
     if job is not None:
         return job.run(name, function, arguments, executor=executor, progress=progress)
     results: dict[int, Any] = {}
@@ -185,6 +181,15 @@ def run_with_or_without(
         if progress is not None:
             progress(len(results), len(arguments), name)
     return [results[index] for index in range(len(arguments))]
+
+
+def run_races(
+    name: str, race: Callable[..., Mapping[str, Any]], arguments: Sequence[Any], **run: Unpack[Run]
+) -> list[Any]:
+    """Return what :func:`run_with_or_without` does, of a function that drives with a number of ``threads``."""
+    # Without an executor races are shared among all cores; with one its workers share the cores.
+    driven = race if run.get("executor") is None else partial(race, threads=1)
+    return run_with_or_without(name, driven, arguments, **run)
 
 
 def _plain_arrays(value: Any, where: str) -> Arrays:

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.jobs import Job, run_races
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.synthesis.config import ArchiveConfig
-from pcs_racing_agents.synthesis.evaluate import Evaluation, join, on_worker, summarise
+from pcs_racing_agents.synthesis.evaluate import Evaluation, join, race_policies, summarise
 from pcs_racing_agents.synthesis.pareto_archive import Scale
 from pcs_racing_agents.synthesis.scenarios import Scenarios
 from pcs_racing_agents.synthesis.search import Generation
@@ -90,7 +90,7 @@ class PolicyRaces:
         tasks = [(scenarios, parameters[first : first + BLOCK]) for first in range(0, len(parameters), BLOCK)]
         # The search tells its progress by generations, with the hypervolume that the tasks do not know.
         progress = None if stage == "search" else self.progress(stage)
-        return join(self.job.run(name, on_worker(self.executor), tasks, executor=self.executor, progress=progress))
+        return join(run_races(name, race_policies, tasks, job=self.job, executor=self.executor, progress=progress))
 
     def payoffs(self, stage: str, pool: PolicyPool) -> Floats:
         """Race all pairs of a pool, or read what an earlier run of the job has left, shape (T, F, N, N)."""

@@ -1,8 +1,7 @@
 """Evaluation of policies by races: the ``eval`` of Algorithm 1, in tasks for any worker."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
-from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -15,6 +14,7 @@ from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.jobs.jobs import run_races
 from pcs_racing_agents.synthesis.scenarios import Scenarios, check_policies
 
 Floats = NDArray[np.float64]
@@ -124,13 +124,7 @@ def evaluate(
     """
     parameters = check_policies("parameters", parameters, get_planner(scenarios.planner))
     tasks = [(scenarios, parameters[first : first + block]) for first in range(0, len(parameters), block)]
-    run = map if executor is None else executor.map
-    return summarise(join(list(run(on_worker(executor), tasks))))
-
-
-def on_worker(executor: Executor | None) -> Callable[[PolicyTask], Arrays]:
-    """Return :func:`race_policies` for workers: with one thread each where an executor runs several of them."""
-    return race_policies if executor is None else partial(race_policies, threads=1)
+    return summarise(join(run_races("evaluation", race_policies, tasks, executor=executor)))
 
 
 def join(results: Sequence[Arrays]) -> Arrays:
