@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pcs_racing.base.errors import UnknownNameError
-from pcs_racing_agents.solvers.backward_induction import ExactResult, solve_exact
 from pcs_racing_agents.solvers.cfr import VARIANTS, cfr
 from pcs_racing_agents.solvers.evaluation import Profile, exploitability, reach_probabilities
+from pcs_racing_agents.solvers.exact import ExactResult, solve_exact
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 
 METHODS = ("exact", *VARIANTS, "argmax-regret")

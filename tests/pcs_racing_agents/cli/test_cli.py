@@ -358,27 +358,6 @@ def test_every_command_has_a_help_text_with_examples_that_it_understands(name, c
         assert action.help or isinstance(action, argparse._SubParsersAction), f"{name} {action.dest}"
 
 
-WITH_TRACK = [name for name, parser in COMMANDS.items() if "--track" in parser._option_string_actions]
-
-
-@pytest.mark.parametrize("name", WITH_TRACK)
-def test_every_command_that_needs_a_circuit_has_one(name):
-    own = "Tarnfjord, Vellindra, Kestrelheim" if name.endswith("synthesize") else "Brackwater"
-    assert f"(default: {own}" in " ".join(COMMANDS[name].format_help().split())
-
-
-@pytest.mark.parametrize("arguments", [["show"], ["calibrate"]])
-def test_a_circuit_that_nobody_named_is_told(run, arguments, monkeypatch):
-
-    def report(track, *arguments, **options):
-        return SimpleNamespace(table=lambda: track.name)
-
-    monkeypatch.setattr("pcs_racing_agents.cli.track.calibrate", report)
-    code, out, _ = run("track", *arguments)
-    assert code == 0
-    assert out.startswith("Brackwater")
-
-
 def test_as_a_process(tmp_path):
     """The installed command: version, exit code of an error, and a reader that goes away."""
     command = [sys.executable, "-m", "pcs_racing_agents"]

@@ -2,10 +2,8 @@ import errno
 import os
 import signal
 import sys
-import threading
 import time
 import zipfile
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -84,32 +82,6 @@ def test_dask_workers_give_the_same(tmp_path):
         assert tasks_in_flight(executor) == 4
         same(job.run("square", square, tasks, executor=executor), expected)
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
-
-
-def test_a_bounded_number_of_tasks_is_under_way(tmp_path, monkeypatch):
-    """Ten thousand tasks must not stand in a queue, each with its arrays."""
-    running, most, lock = 0, 0, threading.Lock()
-
-    class Counting(ThreadPoolExecutor):
-        def submit(self, *arguments):
-            nonlocal running, most
-            with lock:
-                running += 1
-                most = max(most, running)
-            future = super().submit(*arguments)
-            future.add_done_callback(lambda _: finished())
-            return future
-
-    def finished():
-        nonlocal running
-        with lock:
-            running -= 1
-
-    monkeypatch.setattr("pcs_racing_agents.jobs.executors.default_threads", lambda: 2)
-    with open_job(tmp_path, "squares", SETTINGS) as job, Counting(2) as executor:
-        assert job.run("square", square, range(60), executor=executor, keep=False) == []
-        assert len(list((tmp_path / "chunks").iterdir())) == 60
-    assert most <= tasks_in_flight(executor) == 16
 
 
 def test_progress_counts_what_was_done_before(tmp_path):

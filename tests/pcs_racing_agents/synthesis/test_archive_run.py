@@ -154,15 +154,6 @@ def test_a_finished_run_started_again_races_nothing(made, monkeypatch, tmp_path)
     assert results(folder) == results(made[1])
 
 
-@pytest.mark.parametrize("method", ["random", pytest.param("nsga2", marks=pytest.mark.compare)])
-def test_other_methods_search_behind_the_same_call(method, tmp_path):
-    if method == "nsga2":
-        pytest.importorskip("pymoo", reason="pymoo is not installed")
-    archive = make_archive(with_(method=method), tmp_path)
-    assert archive.settings["method"] == method
-    assert len(archive.explored.parameters) == 30
-
-
 def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     """Rules under which many crash; the limit is for the longer races, so it is lower for the shorter ones."""
     wild = tmp_path / "wild.yaml"
