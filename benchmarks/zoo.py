@@ -64,8 +64,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
             told = show_progress(f"races: {name}, {race}")
             # Kept by name: a new agent leaves the races of the others as they are.
             kept = name.replace("+", "-plus") if name.endswith("+") else f"{name}minus" if name.endswith("-") else name
-            played = play_pairings(pairings, name=kept, job=job, progress=told)
-            tables += [pairing.table(games) for pairing, games in zip(pairings, played, strict=True)]
+            tables += play_pairings(pairings, name=kept, job=job, progress=told)
     races_driven = concatenate_races(tables)
     together = round_robin(list(agents), races_driven)
     found = []

@@ -67,10 +67,9 @@ REFERENCE = {
     "pcs_racing_agents.agents": "Agents",
     "pcs_racing_agents.tournament": "Tournaments",
     "pcs_racing_agents.tournament.statistics": "Statistics",
+    "pcs_racing_agents.learning": "Robust answers and self-play",
     "pcs_racing_agents.learning.ppo": "PPO baselines",
     "pcs_racing_agents.learning.responses": "Responses learned from branched games",
-    "pcs_racing_agents.learning.robust": "Robust answers and response oracles",
-    "pcs_racing_agents.learning.self_play": "Self-play",
     "pcs_racing_agents.explain": "Explanations",
     "pcs_racing_agents.study": "The study",
     "pcs_racing_agents.benchmark": "The benchmark",
@@ -152,7 +151,7 @@ def _numpydoc_section(heading: str, body: str, defaults: dict[str, str]) -> str:
 
 def pages_of_data() -> dict[str, str]:
     """Return the pages of circuits, gallery and zoo, and the leaderboard as a table and as a page with bars."""
-    from pcs_racing_agents.benchmark.card import BOARD_COLUMNS, board_page, board_rows, read_cards
+    from pcs_racing_agents.benchmark.card import board_page, board_rows, read_cards
     from pcs_racing_agents.results.text_table import markdown
 
     tools = str(REPOSITORY / "tools")
@@ -164,7 +163,7 @@ def pages_of_data() -> dict[str, str]:
         "circuits.md": circuits.circuits_page(),
         "gallery.md": gallery.gallery_page(),
         "zoo.md": zoo.zoo_page(),
-        "leaderboard.txt": "\n".join(markdown([BOARD_COLUMNS, *board_rows(cards)])) + "\n",
+        "leaderboard.txt": "\n".join(markdown(board_rows(cards))) + "\n",
         "leaderboard.html": board_page(cards),
     }
 

@@ -49,13 +49,11 @@ from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.learning.ppo.checkpoint import pack as pack_state
-from pcs_racing_agents.learning.ppo.checkpoint import unpack as unpack_state
 from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings
-from pcs_racing_agents.learning.self_play.learner import load_self_play_settings
+from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
+from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.from_ego import ego_values
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
@@ -268,19 +266,6 @@ def signed_chunk(data: bytes) -> object:
     return read_chunk(scratch() / "signed.npz")
 
 
-@cache
-def remembered() -> Any:
-    """What environments remember, in a checkpoint of training."""
-    game = small_game().reset(games=1)
-    return {"games": game, "generators": [np.random.default_rng(1).bit_generator.state], "moves": (np.zeros(2), None)}
-
-
-def checkpoint_seed() -> list[bytes]:
-    buffer = io.BytesIO()
-    np.savez(buffer, **pack_state(remembered()))
-    return [buffer.getvalue()]
-
-
 JOB = {"seed": 1, "names": ["a", "b"], "rules": {"moves": 4}}
 
 
@@ -491,7 +476,6 @@ TARGETS: dict[str, Target] = {
     "tree chunk, signed": Target(partial(read_trees, False, False), lambda: [trees(False)[2]], "npz"),
     "ego tree manifest": Target(partial(read_trees, True, True), lambda: [trees(True)[1]], "yaml"),
     "ego tree chunk, signed": Target(partial(read_trees, True, False), lambda: [trees(True)[2]], "npz"),
-    "ppo checkpoint": Target(lambda data: unpack_state(unpack_arrays(data), remembered()), checkpoint_seed, "npz"),
     "job manifest": Target(
         in_folder(job_folder, "job.yaml", job), lambda: [(job_folder() / "job.yaml").read_bytes()], "yaml"
     ),

@@ -151,6 +151,7 @@ MEMORY = 6
     _STRETCH,
     _SLOWED,
     _LINE_AIR,
+    _MOVE_AIR,
     _WALL_COST,
     _MIN_AIR,
     _BASE,
@@ -158,7 +159,7 @@ MEMORY = 6
     _DEEPEST,
     _PROXIMITY,
     _COSTS,
-) = (GOALS * k for k in range(19))
+) = (GOALS * k for k in range(20))
 _POINT_X = _COSTS + SPEEDS * GOALS
 _POINT_Y = _POINT_X + SEGMENTS * GOALS
 _AIR = _POINT_Y + SEGMENTS * GOALS
@@ -335,6 +336,7 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
             scratch[_STRETCH + g] = 0.0
             scratch[_SLOWED + g] = 0.0
             scratch[_LINE_AIR + g] = WALL_AIR
+            scratch[_MOVE_AIR + g] = WALL_AIR
         for j in range(SEGMENTS):
             u = (j + 1) / SEGMENTS
             driven = u * length
@@ -350,7 +352,8 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
             fastest = scale * line[i, _frenet.SPEED]
             square = min(fastest * fastest, v * v + 8.0 * driven)
             back = _fade_out(driven * per_return, aside, aside_slope)
-            line_air = min(line[i, _frenet.RIGHT], line[i, _frenet.LEFT]) - 0.5 * width
+            right = line[i, _frenet.RIGHT] - 0.5 * width
+            left = line[i, _frenet.LEFT] - 0.5 * width
             for g in range(first, first + ACROSS):
                 a = scratch[_A + g]
                 b = scratch[_B + g]
@@ -359,7 +362,8 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
                 bent = kappa / stretch + _lateral_bend(u, a, b) * per_length * per_length
                 scratch[_STRETCH + g] += stretch * (1.0 / SEGMENTS)
                 scratch[_SLOWED + g] += min(np.sqrt(grip / max(abs(bent) * square, 1e-3)), 1.0) * (1.0 / SEGMENTS)
-                scratch[_LINE_AIR + g] = min(scratch[_LINE_AIR + g], line_air)
+                scratch[_LINE_AIR + g] = min(scratch[_LINE_AIR + g], right, left)
+                scratch[_MOVE_AIR + g] = min(scratch[_MOVE_AIR + g], right + at_d + back, left - at_d - back)
                 scratch[_POINT_X + j * GOALS + g] = x - (at_d + back) * sine
                 scratch[_POINT_Y + j * GOALS + g] = y + (at_d + back) * cosine
                 scratch[_MAX_KAPPA + g] = max(scratch[_MAX_KAPPA + g], abs(bent))
@@ -519,7 +523,7 @@ def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
             change = goal - before
             middle_change = middle - middle_before
             tight = max(TOUCH - scratch[_MIN_AIR + g], 0.0)
-            close = max(scratch[_LINE_AIR + g] - scratch[_MIN_AIR + g], 0.0)
+            close = max(scratch[_LINE_AIR + g] - scratch[_MOVE_AIR + g], 0.0)
             scratch[_BASE + g] = (
                 w_length / length
                 + w_max * scratch[_MAX_KAPPA + g]
@@ -537,6 +541,7 @@ def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
 def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack, aside, aside_slope, path):  # type: ignore[no-untyped-def]
     """Write the beginning of the chosen move, and the way back onto it, with a speed that its bends allow."""
     per_ds = 1.0 / ds
+    braking = min(BRAKING * grip / GRIP, OWN_BRAKING)  # as the profile brakes at this scale, if the car can
     s0 = view[_view.OWN_S]
     v = view[_view.OWN_V]
     goal, a, b = scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g]
@@ -551,8 +556,8 @@ def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack,
         u = driven * per_length
         d = _lateral(u, goal, a, b)
         bent = kappa / max(1.0 - kappa * d, 0.25) + _lateral_bend(u, a, b) * per_length * per_length
-        square = min(square + 2.0 * BRAKING * step, grip / max(abs(bent), 1e-6))
-    square += 2.0 * BRAKING * step
+        square = min(square + 2.0 * braking * step, grip / max(abs(bent), 1e-6))
+    square += 2.0 * braking * step
     step = reach / (PATH_POINTS - 1)
     for i in range(PATH_POINTS):
         j = PATH_POINTS - 1 - i
@@ -574,7 +579,7 @@ def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack,
             speed = at_scale * _speed_at(line, per_ds, at)
         path[j, _view.PATH_SPEED] = min(speed, np.sqrt(square), cap)
         path[j, _view.PATH_KAPPA] = bent + back
-        square += 2.0 * BRAKING * step
+        square += 2.0 * braking * step
 
 
 @inner_kernel

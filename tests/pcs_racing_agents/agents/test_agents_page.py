@@ -4,7 +4,7 @@ import sys
 
 import numpy as np
 import pytest
-from repository import REPOSITORY, python_blocks, run_block
+from repository import REPOSITORY
 
 from pcs_racing_agents import make, names
 from pcs_racing_agents.agents import describe, make_setting
@@ -20,14 +20,7 @@ sys.path.remove(str(REPOSITORY / "tools"))
 
 DOCS = REPOSITORY / "docs"
 PAGE = (DOCS / "agents.md").read_text(encoding="utf-8")
-BLOCKS = python_blocks(PAGE)
 AGAIN = "run: python benchmarks/zoo.py --write"
-
-
-@pytest.mark.parametrize("number", range(len(BLOCKS)))
-def test_the_code_runs(number, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    run_block(BLOCKS[number])
 
 
 def test_the_page_of_the_zoo_has_a_section_for_every_agent_and_a_row_for_every_measurement():

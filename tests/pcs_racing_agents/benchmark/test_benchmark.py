@@ -12,7 +12,6 @@ from zoo_games import toy_archive
 from pcs_racing import InputError, save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.benchmark.card import (
-    BOARD_COLUMNS,
     Card,
     board_page,
     board_rows,
@@ -187,7 +186,7 @@ def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
 
     good = [folder("a", card("a", 0.3)), folder("b", card("b", 0.6))]
     cards = read_cards(good)
-    assert [row[0] for row in board_rows(cards)] == ["b", "a"]
+    assert [row[0] for row in board_rows(cards)] == ["agent", "b", "a"]
     assert "p-v1" in board_page(cards)
     for name, value in (
         ("v2", card("c", protocol="p-v2")),
@@ -200,8 +199,8 @@ def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
 
 def test_the_leaderboard_says_what_was_lost_to_a_best_reply_and_what_was_not_measured():
     reply = {"loss": 0.123, "low": 0.1, "high": 0.15, "starts": 8, "rounds": 1, "races": 40}
-    measured, other = board_rows([card("a", best_reply=reply), card("b")])
-    column = BOARD_COLUMNS.index("best reply")
+    head, measured, other = board_rows([card("a", best_reply=reply), card("b")])
+    column = head.index("best reply")
     assert (measured[column], other[column]) == ("+0.123 [+0.100, +0.150]", "not measured")
 
 

@@ -1,20 +1,7 @@
-"""The code in docs/self_play.md runs, and families of opponents are apart."""
-
-import pytest
-from repository import python_blocks, read_page, run_block
+"""Families of opponents for training and for tests are apart."""
 
 from pcs_racing_agents.agents.zoo import SHIPPED
 from pcs_racing_agents.study.family_gains import FAMILIES, family_of
-
-PAGE = read_page("self_play.md")
-BLOCKS = python_blocks(PAGE)
-
-
-@pytest.mark.parametrize("number", range(len(BLOCKS)))
-def test_the_code_runs(number, tmp_path, monkeypatch):
-    pytest.importorskip("torch", reason="torch is not installed")
-    monkeypatch.chdir(tmp_path)
-    run_block(BLOCKS[number])
 
 
 def test_an_opponent_is_for_training_or_for_tests_never_both():

@@ -1,4 +1,7 @@
-"""The exact solution of a tree with hidden information: the sequence-form linear program."""
+"""Exact solutions: backward induction where all past moves are seen, the sequence-form linear program elsewhere.
+
+In backward induction every node is a zero-sum matrix game over the values of its children.
+"""
 
 from typing import Any, NamedTuple
 
@@ -7,6 +10,50 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.evaluation import Profile
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree, Integers
+from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
+
+
+class ExactResult(NamedTuple):
+    """The solution of a tree whose players see all past moves."""
+
+    value: float  #: What the game is worth to car 0.
+    #: An equilibrium, and one in every subtree (subgame perfect). Where there are several it is one of them.
+    profile: Profile
+    node_values: list[Floats]  #: What each joint history of levels 0 to m is worth to car 0, shape (rows,).
+    #: What each move is worth to its player against the equilibrium, shapes (rows, A_k) and (rows, B_k).
+    q: list[tuple[Floats, Floats]]
+    #: The same above the node's value: 0 for the moves of the equilibrium, below 0 for mistakes.
+    advantages: list[tuple[Floats, Floats]]
+    gap: float  #: Largest sum of what the players of one matrix game could still gain: rounding errors.
+
+
+def solve_exact(tree: GameTree) -> ExactResult:
+    """Solve a game of observed past moves exactly.
+
+    Chance that no player sees is averaged out first; rows are then joint histories.
+    """
+    game = tree.averaged
+    if not game.perfect:
+        raise InputError(
+            "this tree can't be solved by backward induction, since its players do not see all past moves; use "
+            "solve_sequence_form or cfr"
+        )
+    # From the leaves up: the values of a level are the payoffs of the games one level above.
+    values = [game.payoffs.reshape(-1)]
+    profile, q, advantages, gap = [], [], [], 0.0
+    for k in reversed(range(game.depth)):
+        games = values[-1].reshape(-1, *game.moves[k])
+        solution = solve_matrix_games(games)
+        # Sums in a fixed order: BLAS would choose one by the processor.
+        q0 = np.einsum("gab,gb->ga", games, solution.columns)
+        q1 = -np.einsum("ga,gab->gb", solution.rows, games)
+        values.append(solution.values)
+        profile.append((solution.rows, solution.columns))
+        q.append((q0, q1))
+        advantages.append((q0 - solution.values[:, None], q1 + solution.values[:, None]))
+        gap = max(gap, float(solution.gaps.max()))
+    value = float((game.chance * values[-1]).sum())
+    return ExactResult(value, profile[::-1], values[::-1], q[::-1], advantages[::-1], gap)
 
 
 class SequenceSolution(NamedTuple):
@@ -35,6 +82,7 @@ def solve_sequence_form(tree: GameTree) -> SequenceSolution:
     from scipy.sparse import coo_array
 
     game = tree.averaged
+    # HiGHS has absolute tolerances: payoffs are brought to the size of 1.
     scale = float(np.abs(game.payoffs).max()) or 1.0
     weighted = (game.chance[:, None] * game.payoffs / scale).reshape(-1)
     first, second = _sequences(game, 0), _sequences(game, 1)
@@ -46,12 +94,14 @@ def solve_sequence_form(tree: GameTree) -> SequenceSolution:
         (_behaviour(game, k, 0, first, plans[0][1]), _behaviour(game, k, 1, second, plans[1][1]))
         for k in range(game.depth)
     ]
+    # There is a program for each player; both give the value, each with a rounding error of its own.
     return SequenceSolution(float(plans[0][0] - plans[1][0]) / 2.0 * scale, profile)
 
 
 def _sequences(game: GameTree, player: int) -> _Sequences:
     begin, parents, count = [], [], 1
-    reached = np.zeros(game.roots, dtype=np.int64)  # the sequence that leads to each node
+    # The sequence that leads to each node.
+    reached = np.zeros(game.roots, dtype=np.int64)
     for k in range(game.depth):
         rows = game.infosets[k][player]
         parent = np.zeros(game.rows(k, player), dtype=np.int64)

@@ -16,23 +16,35 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.seeds import race_seeds
 from pcs_racing.base.settings import choice, number, setting, whole
-from pcs_racing.game.identity import GameIdentity
+from pcs_racing.game.identity import GameIdentity, game_identity
+from pcs_racing.game.rules import RaceGame
+from pcs_racing_agents.agents.agent import Agent
+from pcs_racing_agents.agents.from_network import regret_matching
+from pcs_racing_agents.agents.observing import ObservationBatch
+from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.learning.responses.branches import (
+    GameBlock,
+    block_rows,
+    branch_games,
+    game_blocks,
+    random_player,
+)
 from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
 from pcs_racing_agents.learning.responses.learner import LearnerSettings
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork, Rows, join_rows
 from pcs_racing_agents.networks.settings import TrainSettings
+from pcs_racing_agents.tournament.games import game_between
 
 WEIGHTS = ("linear", "uniform")
 """Weight of iteration t in regrets and in the average strategy: t (linear CFR), or 1 (vanilla CFR, as in the paper)."""
@@ -73,10 +85,6 @@ def load_self_play_settings(source: str | Path | SelfPlaySettings | None = None,
     return load_config("self-play", SelfPlaySettings(), source, **changes)
 
 
-BLOCK = 256
-"""Games branched in one task: about a second of work."""
-
-
 class Arena(Protocol):
     """A game that can be branched, the protocol of what self-play learns in."""
 
@@ -110,17 +118,6 @@ class Arena(Protocol):
         """
 
 
-class _TraversalTask(NamedTuple):
-    """The games of one task."""
-
-    arena: int
-    step: int
-    iteration: int
-    first: int  #: ``first``, ``last``: Numbers of the games.
-    last: int
-    root: int  #: Seed of all games of this arena, step and iteration.
-
-
 def learn_self_play(
     arenas: Sequence[Arena],
     settings: SelfPlaySettings,
@@ -135,8 +132,7 @@ def learn_self_play(
     Parameters
     ----------
     arenas : sequence of Arena
-        One for each circuit (:class:`pcs_racing_agents.learning.self_play.RaceArena`), all of one game; they share
-        one network.
+        One for each circuit (:class:`RaceArena`), all of one game; they share one network.
     job : Job
         Stores rows and networks, so that a stopped run can be resumed.
 
@@ -156,13 +152,19 @@ def learn_self_play(
     networks: list[RegretNetwork] = []
     for iteration in range(1, settings.iterations + 1):
         place = f"iteration-{iteration}"
-        tasks = list(_tasks(len(arenas), steps, settings, iteration))
-        work = partial(_traverse, arenas, networks[-1] if networks else None, settings.exploration)
-        results = job.run(place, work, tasks, executor=executor, progress=progress)
-        weight = settings.iteration_weight(iteration)
-        rows += [
-            _rows(arrays, task, weight) for arrays, task in zip(results, tasks, strict=True) if len(arrays["game"])
+        blocks = [
+            block
+            for i in range(len(arenas))
+            for step in range(steps)
+            for block in game_blocks(settings.seed, (i, step, iteration), settings.starts)
         ]
+        work = partial(_traverse, arenas, networks[-1] if networks else None, settings.exploration)
+        results = job.run(place, work, blocks, executor=executor, progress=progress)
+        weight = settings.iteration_weight(iteration)
+        for arrays, block in zip(results, blocks, strict=True):
+            if len(arrays["game"]):  # not all of its games were over before
+                i, step, _ = block.place
+                rows.append(block_rows(arrays, block, (iteration * 100 + step) * 1000 + i, step, weight))
         members = [settings.train_settings(iteration, member) for member in range(settings.members)]
         fitted = train_kept(job, f"{place}-networks", join_rows(rows), identity, members, place, executor)
         networks.append(merge_networks(fitted, place))
@@ -180,33 +182,75 @@ def learn_self_play(
     return NetworkSet(name, tuple(networks), np.array(weights), "regret-matching", facts)
 
 
-def _tasks(arenas: int, steps: int, settings: SelfPlaySettings, iteration: int) -> list[_TraversalTask]:
-    tasks = []
-    for arena in range(arenas):
-        for step in range(steps):
-            spawn = np.random.SeedSequence(settings.seed, spawn_key=(arena, step, iteration))
-            root = int(spawn.generate_state(1, np.uint64)[0] >> np.uint64(1))
-            for first in range(0, settings.starts, BLOCK):
-                last = min(first + BLOCK, settings.starts)
-                tasks.append(_TraversalTask(arena, step, iteration, first, last, root))
-    return tasks
+def _traverse(arenas: Sequence[Arena], network: RegretNetwork | None, exploration: float, block: GameBlock) -> Arrays:
+    i, step, _ = block.place
+    return arenas[i].traverse(network, exploration, step, block.keys)
 
 
-def _traverse(
-    arenas: Sequence[Arena], network: RegretNetwork | None, exploration: float, task: _TraversalTask
-) -> Arrays:
-    keys = race_seeds(task.root, task.last)[task.first :]
-    return arenas[task.arena].traverse(network, exploration, task.step, keys)
+# Races
 
 
-def _rows(arrays: Arrays, task: _TraversalTask, weight: float) -> Rows:
-    count = len(arrays["game"])
-    # A number of its own for each game: its row is either learned from or validated on.
-    offset = ((task.iteration * 100 + task.step) * 1000 + task.arena) * 1_000_000
-    return Rows(
-        observations=arrays["observations"],
-        targets=arrays["advantages"].astype(np.float32),
-        weights=np.full(count, weight),
-        pair=offset + task.first + arrays["game"],
-        step=np.full(count, task.step),
-    )
+@dataclass(frozen=True, eq=False)
+class ExploringStrategy:
+    """Regret matching by a network of advantages, mixed with uniformly random moves."""
+
+    network: RegretNetwork
+    exploration: float  #: Probability of a random move.
+    count: int  #: Number of moves M that there are; those that the network does not value are never made.
+
+    def __call__(self, observation: ObservationBatch) -> NDArray[np.float64]:
+        """Probabilities of the moves, shape (B, M)."""
+        values = self.network.unclipped(observation)
+        offered = values.shape[1]
+        probabilities = np.zeros((len(observation), self.count))
+        mixed = (1.0 - self.exploration) * regret_matching(values) + self.exploration / offered
+        probabilities[:, :offered] = mixed
+        return probabilities
+
+
+@dataclass(frozen=True, eq=False)
+class RaceArena:
+    """The game on one circuit: every move of one car is tried, and both cars play by the same network."""
+
+    game: RaceGame
+    setting: Setting  #: Archive and rules, as agents know them.
+    worth: str = "win"  #: "win" or "utility": Value of an outcome.
+
+    @property
+    def identity(self) -> GameIdentity:
+        """The game that a network learns; any circuit belongs to it."""
+        return game_identity(self.game)
+
+    @property
+    def steps(self) -> int:
+        """Number of moves that each car makes."""
+        return self.game.config.moves
+
+    def traverse(
+        self, network: RegretNetwork | None, exploration: float, step: int, keys: NDArray[np.uint64]
+    ) -> Arrays:
+        """Return the advantages of all moves of car 0 at a step, in games with both cars in the same strategy.
+
+        Car 0 comes to the step by uniformly random moves, as in external sampling (Lanctot et al. 2009): its own
+        probability of coming there is then the same in all iterations, and advantages of several iterations can be
+        averaged without importance weights. Whether it starts in front or behind is drawn, so it learns for both cars.
+        """
+        random = random_player(self.game, self.setting, 2)
+        first, second = (self._player(network, exploration, seed) for seed in (0, 1))
+        arena = game_between(self.game, first, second)
+        moves = len(self.identity.moves)
+        branches = branch_games(arena, second, keys, step, [random], first, self.worth, moves)
+        chances = first.probabilities(branches.observations)[:, :moves]
+        baseline = (chances * branches.outcomes).sum(axis=1, keepdims=True)
+        return {
+            "observations": branches.observations,
+            "advantages": branches.outcomes - baseline,
+            "game": branches.game,
+        }
+
+    def _player(self, network: RegretNetwork | None, exploration: float, seed: int) -> Agent:
+        if network is None:
+            # Draws are a function of seed and observation: other seeds than those of the players by regret matching.
+            return random_player(self.game, self.setting, seed + 2)
+        strategy = ExploringStrategy(network, exploration, len(self.setting.moves))
+        return Agent("self-play", strategy, self.setting, seed)

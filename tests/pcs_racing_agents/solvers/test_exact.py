@@ -1,12 +1,20 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from small_games import kuhn_poker, random_tree
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.solvers import GameTree, advantages, exploitability, play_value, q_values, solve_exact
+from pcs_racing_agents.solvers import (
+    GameTree,
+    advantages,
+    exploitability,
+    play_value,
+    q_values,
+    solve_exact,
+    solve_sequence_form,
+)
 
 SMALL = st.sampled_from([(2, 2), (3, 2), (1, 3), (2, 2, 2, 2), (3, 2, 2, 1), (2, 3, 1, 2, 2, 2)])
 PAYOFFS = SMALL.flatmap(
@@ -53,12 +61,12 @@ def test_nobody_can_gain_and_the_value_lies_between_the_security_levels(payoffs)
 
 @given(PAYOFFS, st.floats(0.01, 100.0), st.floats(-50.0, 50.0))
 def test_other_units_and_exchanged_cars(payoffs, scale, shift):
-    tree = GameTree.from_payoffs(payoffs)
-    value, span = solve_exact(tree).value, float(np.abs(payoffs).max()) + abs(shift) + 1.0
+    value, span = solve_exact(GameTree.from_payoffs(payoffs)).value, float(np.abs(payoffs).max()) + abs(shift) + 1.0
     assert solve_exact(GameTree.from_payoffs(scale * payoffs + shift)).value == pytest.approx(
         scale * value + shift, abs=1e-10 * span * max(scale, 1.0)
     )
-    assert solve_exact(tree.swapped()).value == pytest.approx(-value, abs=1e-11 * span)
+    exchanged = -payoffs.transpose([axis ^ 1 for axis in range(payoffs.ndim)])
+    assert solve_exact(GameTree.from_payoffs(exchanged)).value == pytest.approx(-value, abs=1e-11 * span)
 
 
 def test_a_full_tree():
@@ -97,3 +105,45 @@ def test_seeds_that_nobody_sees_and_seeds_that_both_see():
 def test_hidden_moves_need_another_solver():
     with pytest.raises(InputError, match="use solve_sequence_form or cfr"):
         solve_exact(kuhn_poker())
+
+
+# The sequence form
+
+
+def test_kuhn_poker():
+    """Worth -1/18 to the first player (Kuhn 1950), who never bets the middle card and bluffs at most a third."""
+    tree = kuhn_poker()
+    solution = solve_sequence_form(tree)
+    assert solution.value == pytest.approx(-1.0 / 18.0, abs=1e-9)
+    assert exploitability(tree, solution.profile).nash_conv == pytest.approx(0.0, abs=1e-9)
+    jack, queen, king = (solution.profile[0][0][tree.infosets[0][0][deal]] for deal in (0, 2, 4))
+    assert queen == pytest.approx([1.0, 0.0], abs=1e-9)
+    assert jack[1] <= 1.0 / 3.0 + 1e-9
+    assert king[1] == pytest.approx(3.0 * jack[1], abs=1e-9)
+
+
+def test_it_agrees_with_backward_induction():
+    tree = random_tree(0, 3, 3, 2, 4)
+    assert solve_sequence_form(tree).value == pytest.approx(solve_exact(tree).value, abs=1e-9)
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 10**6), chance=st.sampled_from([0, 2]), blur=st.integers(1, 3))
+def test_nobody_can_gain_whatever_they_see(seed, chance, blur):
+    tree = random_tree(seed, 2, 3, 2, 2, chance=chance, blur=blur)
+    solution = solve_sequence_form(tree)
+    judged = exploitability(tree, solution.profile)
+    assert judged.nash_conv == pytest.approx(0.0, abs=1e-8)
+    assert judged.value == pytest.approx(solution.value, abs=1e-8)
+
+
+def test_what_it_is_worth_to_see():
+    """Matching pennies twice: whoever sees nothing loses nothing; who alone sees the coins of chance wins."""
+    payoffs = np.array([[[1.0, -1.0], [-1.0, 1.0]], [[-1.0, 1.0], [1.0, -1.0]]])
+    tree = GameTree.from_payoffs(payoffs, [0.5, 0.5])
+    assert solve_sequence_form(tree).value == pytest.approx(0.0, abs=1e-9)
+    assert solve_sequence_form(tree.with_infosets([([0, 1], [0, 0])])).value == pytest.approx(0.0, abs=1e-9)
+    biased = GameTree.from_payoffs([[[1.0, 0.0], [0.0, 0.0]], [[0.0, 0.0], [0.0, 1.0]]], [0.5, 0.5])
+    blind, seeing = solve_sequence_form(biased), solve_sequence_form(biased.with_infosets([([0, 1], [0, 0])]))
+    assert blind.value == pytest.approx(0.25, abs=1e-9)
+    assert seeing.value == pytest.approx(0.5, abs=1e-9)
