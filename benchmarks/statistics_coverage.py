@@ -1,6 +1,6 @@
 """Do the estimators keep their promises? Coverage, false positives and bias on simulated tournaments.
 
-    python benchmarks/statistics_coverage.py                  # the tables of docs/statistics.md
+    python benchmarks/statistics_coverage.py                  # the tables of docs/reports/statistics.md
     python benchmarks/statistics_coverage.py --datasets 200   # a quick look
 
 Every data set is a tournament of two arms with a known difference. A 95 % interval should hold the true difference in

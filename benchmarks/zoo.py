@@ -1,4 +1,4 @@
-"""How strong every agent of the zoo is, and what a decision costs; and from that docs/zoo.md and docs/zoo/.
+"""How strong every agent of the zoo is, and what a decision costs.
 
     python benchmarks/zoo.py                     # measures and prints
     python benchmarks/zoo.py --write             # and writes agents/measured.csv and the pages
@@ -65,8 +65,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
             told = show_progress(f"races: {name}, {race}")
             # Kept by name: a new agent leaves the races of the others as they are.
             kept = name.replace("+", "-plus") if name.endswith("+") else f"{name}minus" if name.endswith("-") else name
-            played = play_pairings(pairings, name=kept, job=job, progress=told)
-            tables += [pairing.table(games) for pairing, games in zip(pairings, played, strict=True)]
+            tables += play_pairings(pairings, name=kept, job=job, progress=told)
     races_driven = concatenate_races(tables)
     together = round_robin(list(agents), races_driven)
     found = []
@@ -129,7 +128,7 @@ def main() -> None:
     parser.add_argument("--races", type=int, default=30, help="races against each of six opponents on each circuit")
     parser.add_argument("--out", type=Path, default=Path("out/zoo"), help="folder in which the races are kept")
     parser.add_argument(
-        "--write", action="store_true", help="write measured.csv, docs/zoo.md and docs/zoo/ of this checkout"
+        "--write", action="store_true", help="write measured.csv of this checkout, of which the page of the zoo is made"
     )
     arguments = parser.parse_args()
     found = []
@@ -141,7 +140,6 @@ def main() -> None:
         )
     if arguments.write:
         print(zoo_page.write_measurements(found))
-        print(zoo_page.write_pages())
 
 
 if __name__ == "__main__":

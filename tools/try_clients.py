@@ -5,7 +5,7 @@
 
 Each file of ``examples/clients`` names its libraries in a block of inline metadata (PEP 723). A virtual environment is
 made for each file and kept in the folder ``--out``; all together take some gigabytes and, the first time, half an hour.
-The table at the end stands in docs/recipes.md.
+The table at the end stands in docs/reports/clients.md.
 """
 
 import argparse

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.from_network import NetworkStrategy
+from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_made, own
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network_files import NetworkSet, list_network_sets, load_network_set
@@ -111,16 +111,12 @@ def from_network_set(
         )
     loaded = load_network_set(source)
     check_same_game(loaded.identity, setting.identity, f"agent {name!r}: network set {loaded.name!r}")
-    members = [
-        Agent(network.name, NetworkStrategy(network, loaded.decision, len(setting.moves)), setting, seed)
-        for network in loaded.networks
-    ]
-    trained = ", ".join(f"{key} {value}" for key, value in loaded.training.items())
+    members = [network_agent(network, setting, seed, loaded.decision) for network in loaded.networks]
     facts = {
         "networks": f"{loaded.name}: {len(loaded.networks)}, preset {loaded.identity.preset}",
         "weights": ", ".join(f"{weight:.3g}" for weight in loaded.weights),
         "decision": loaded.decision,
-        "trained on": trained or "not said",
+        "trained on": training_text(loaded.training),
         "weights sha256": fingerprint([network.layers for network in loaded.networks], loaded.weights),
     }
     return Agent(name, make_mixture(members, loaded.weights), setting, seed, facts)

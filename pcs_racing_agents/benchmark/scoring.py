@@ -2,8 +2,7 @@
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import Executor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +13,7 @@ from pcs_racing.race.replay import Replay
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.agents.describe import measurements
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
@@ -50,14 +48,16 @@ class CardScore(NamedTuple):
     own_crash: float
     other_crash: float
 
+    @property
+    def interval(self) -> str:
+        """Interval of the score as text."""
+        return f"[{self.low:.3f}, {self.high:.3f}]"
+
 
 def play_protocol(
     protocol: Protocol,
     agents: Sequence[Competitor],
-    *,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **run: Unpack[Run],
 ) -> dict[str, list[CellRaces]]:
     """Simulate the races of agents and of the protocol's blind strategies, which all drive the same ones.
 
@@ -92,10 +92,10 @@ def play_protocol(
         )
         for name, cell in cells
     ]
-    played = play_pairings(pairings, name="benchmark", job=job, executor=executor, progress=progress)
+    played = play_pairings(pairings, name="benchmark", **run)
     results: dict[str, list[CellRaces]] = {name: [] for name in arms}
-    for (name, cell), pairing, games_played in zip(cells, pairings, played, strict=True):
-        results[name].append(CellRaces(cell, pairing, pairing.table(games_played)))
+    for (name, cell), pairing, races in zip(cells, pairings, played, strict=True):
+        results[name].append(CellRaces(cell, pairing, races))
     return results
 
 

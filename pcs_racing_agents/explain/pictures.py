@@ -113,7 +113,7 @@ def draw_values(figure: Any, explanation: Explanation) -> None:
     """Draw the values of the moves at each decision; without a network their probabilities."""
     steps = explanation.steps
     valued = all(step.values is not None for step in steps)
-    panels = figure.subplots(1, explanation.played.moves.shape[2], sharey=True, squeeze=False)[0]
+    panels = figure.subplots(1, len(explanation.played.moves.codes[0, 0]), sharey=True, squeeze=False)[0]
     for axes in panels[len(steps) :]:
         axes.set_visible(False)  # no decision any more after a crash
     unit = explanation.unit
@@ -170,7 +170,7 @@ def draw_lead(axes: Any, explanation: Explanation) -> None:
                 va="bottom",
                 **label,
             )
-    axes.set_xlim(0.0, explanation.step_seconds * (explanation.played.moves.shape[2] + 1))
+    axes.set_xlim(0.0, explanation.step_seconds * (len(explanation.played.moves.codes[0, 0]) + 1))
     axes.set_xlabel("time, s")
     axes.set_ylabel("lead, m")
     tidy(axes, "y")

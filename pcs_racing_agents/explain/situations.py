@@ -58,7 +58,7 @@ def summarise(
     ----------
     observations : array_like, shape (B, D)
         Its last observation in each race: its column of
-        :attr:`pcs_racing_agents.tournament.games.PlayedGames.observations`.
+        :attr:`pcs_racing_agents.results.races.RaceTable.observations`.
     actions : array_like of int, shape (B, m)
         Indices of the moves that it made; -1 after a crash.
     archive : PolicyArchive

@@ -33,7 +33,7 @@ class Highlight(NamedTuple):
 
 
 def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highlight]:
-    """Select a win by switching, a loss, and a crash of an agent.
+    """Select a win by switching, a loss, and a crash of an agent, by kind; a kind that did not occur is absent.
 
     Preferred are a win that the agent without moves loses in the same race, a loss that it wins, and a crash by the
     agent's fault after its first move. Of several such races the one with the median lead is selected, which is typical
@@ -43,11 +43,6 @@ def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highli
     ----------
     races, baseline : RaceTable
         The same races, driven by the agent and by the one that never switches.
-
-    Returns
-    -------
-    dict of str to Highlight
-        By kind, in ``KINDS``; a kind that did not occur is absent.
     """
     clean, switched = ~races.crashed, races.switches[:, 0] > 0
     won, lost, fault = clean & (races.winner == 0), clean & (races.winner == 1), races.fault[:, 0] > 0
@@ -73,19 +68,9 @@ def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highli
     return highlights
 
 
-def watch_race(pairing: Pairing, race: int, title: str, *, candidates: bool = False) -> ExplainedRace:
-    """Repeat a race for the report.
-
-    Parameters
-    ----------
-    pairing : Pairing
-        Its ego makes moves.
-    candidates : bool
-        Whether to keep the candidate paths of the planners: about a megabyte.
-    """
-    explanation = explain_game(
-        pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race), candidates=candidates
-    )
+def watch_race(pairing: Pairing, race: int, title: str) -> ExplainedRace:
+    """Repeat a race for the report; the pairing's ego makes moves."""
+    explanation = explain_game(pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race))
     picture = b""
     if find_spec("matplotlib") is not None:
         from pcs_racing_agents.explain.pictures import explanation_picture

@@ -1,20 +1,16 @@
 """The stages that learn by playing: robust responses, response oracles, self-play and sampled regrets, best replies."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 from pcs_racing.base.settings import plain_settings
-from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.agents.agent import Competitor, competitor_hash
+from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.jobs.jobs import Job, open_job
 from pcs_racing_agents.learning.responses.best_reply import BestReply, best_reply, write_replies
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.learning.robust.oracles import learn_psro
-from pcs_racing_agents.learning.robust.restricted import learn_robust
-from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings
-from pcs_racing_agents.learning.self_play.learner import learn_self_play, load_self_play_settings
-from pcs_racing_agents.learning.self_play.race_arena import RaceArena
+from pcs_racing_agents.learning.robust import learn_psro, learn_robust, load_psro_settings, load_robust_settings
+from pcs_racing_agents.learning.self_play import RaceArena, learn_self_play, load_self_play_settings
 from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
 from pcs_racing_agents.study.study import Study
 
@@ -38,10 +34,10 @@ def learn_psro_agent(study: Study) -> None:
 def _learn_from_pool(study: Study, name: str, settings: Any, learn_agent: Callable[..., NetworkSet]) -> None:
     """Learn an agent that begins with the study's pool of opponents."""
     seeded = replace(settings, seed=settings.seed + study.config.seed + PLAYING_SEED)
-    games, pool = _games_and_pool(study)
+    pool = [study.agent(opponent) for opponent in study.config.response_pool]
 
     def learn(job: Job, **told: Any) -> NetworkSet:
-        return learn_agent(games, pool, study.setting, seeded, job, **told)
+        return learn_agent(study.games(), pool, study.setting, seeded, job, **told)
 
     _learn(study, name, name, plain_settings(seeded), learn)
 
@@ -53,7 +49,7 @@ def play_against_itself(study: Study) -> None:
             continue
         settings = load_self_play_settings(source)
         seeded = replace(settings, seed=settings.seed + study.config.seed + PLAYING_SEED)
-        arenas = [RaceArena(study.game(track), study.setting, seeded.worth) for track in study.config.circuits]
+        arenas = [RaceArena(game, study.setting, seeded.worth) for game in study.games()]
 
         def learn(job: Job, **told: Any) -> NetworkSet:
             return learn_self_play(arenas, seeded, job, **told)  # noqa: B023 - called at once
@@ -72,7 +68,6 @@ def measure_replies(study: Study) -> None:
     config = study.config
     if not config.replies:
         return
-    games = [study.game(track) for track in config.circuits]
     settings = load_response_settings(config.reply)
     settings = load_response_settings(settings, seed=config.seed + REPLY_SEED + settings.seed)
     replies: dict[str, BestReply] = {}
@@ -81,7 +76,7 @@ def measure_replies(study: Study) -> None:
         identity = {"agent": competitor_hash(agent), "races": config.reply_races, **plain_settings(settings)}
         with open_job(study.folder / "best-replies" / name, "best reply", identity) as job:
             replies[name] = best_reply(
-                games,
+                study.games(),
                 agent,
                 study.setting,
                 settings,
@@ -91,11 +86,6 @@ def measure_replies(study: Study) -> None:
                 progress=study.progress(f"tasks (best reply to {name})"),
             )
     write_replies(replies, study.folder / "best_replies.csv")
-
-
-def _games_and_pool(study: Study) -> tuple[Sequence[RaceGame], Sequence[Competitor]]:
-    config = study.config
-    return [study.game(name) for name in config.circuits], [study.agent(name) for name in config.response_pool]
 
 
 def _learn(

@@ -1,6 +1,5 @@
 """The stages with races of the agents."""
 
-from collections.abc import Iterator
 from functools import cache
 from itertools import product
 from typing import NamedTuple
@@ -27,12 +26,11 @@ class StudyRaces(NamedTuple):
 
 def race_tables(study: Study) -> None:
     """Simulate the races of all tables, in parallel."""
-    for _ in table_races(study):
-        pass
+    table_races(study)
 
 
-def table_races(study: Study) -> Iterator[StudyRaces]:
-    """Yield the races of all tables; stored races are read, the others simulated before the first is returned."""
+def table_races(study: Study) -> list[StudyRaces]:
+    """Return the races of all tables; those that are stored are read."""
     config = study.config
     games, agents = cache(study.game), cache(study.agent)
     tables, pairings = [], []
@@ -52,9 +50,8 @@ def table_races(study: Study) -> Iterator[StudyRaces]:
             )
     with open_job(study.folder / "races" / "job", "races", {"archive": study.archive.content_hash}) as job:
         progress = study.progress("races of the tables")
-        played = play_pairings(pairings, name="tables", job=job, executor=study.executor, progress=progress)
-        for table, pairing, driven in zip(tables, pairings, played, strict=True):
-            yield StudyRaces(table, pairing, pairing.table(driven))
+        races = play_pairings(pairings, name="tables", job=job, executor=study.executor, progress=progress)
+    return [StudyRaces(*own) for own in zip(tables, pairings, races, strict=True)]
 
 
 def race_for_ratings(study: Study) -> None:

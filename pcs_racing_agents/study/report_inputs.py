@@ -13,6 +13,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.jobs.folders import package_version
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.csv_files import read_csv
+from pcs_racing_agents.results.text_table import interval_text
 from pcs_racing_agents.study.table import StudyTable
 
 Floats = NDArray[np.float64]
@@ -40,6 +41,11 @@ class ReplyLoss(NamedTuple):
     reply_won: float  #: ``reply_won``, ``agent_won``, ``agent_own_crash``: Shares of the races.
     agent_won: float
     agent_own_crash: float
+
+    @property
+    def interval(self) -> str:
+        """Interval of the loss as text."""
+        return interval_text(self.low, self.high)
 
 
 LARGEST = 1e100

@@ -1,10 +1,9 @@
 """Running a study: its stages in order, each in its own folder; finished stages are skipped.
 
 A finished stage leaves a file ``done.yaml``; a stopped stage resumes its job. The results are functions of the study's
-configuration alone. The time of a stage includes earlier runs of it that were stopped or killed.
+configuration alone. The time of a stage includes earlier runs of it that were stopped.
 """
 
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -22,57 +21,25 @@ from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.stages import DONE, STAGES, Stage
 from pcs_racing_agents.study.study import Study
 
-BEAT = 20.0  # s: longest time that is lost when the process is killed
-
 
 @contextmanager
 def seconds_counted(file: Path) -> Iterator[Callable[[], float]]:
-    """Measure the time of a stage, starting at the seconds in a file of a stopped run.
-
-    Parameters
-    ----------
-    file : Path
-        Updated regularly; removed when the work is done.
-
-    Yields
-    ------
-    callable
-        Returns the seconds so far.
-    """
-    before, began, done = _read(file), time.monotonic(), threading.Event()
+    """Measure the time of a stage, and return a function of it; a stop leaves it in a file, from which it goes on."""
+    try:
+        before = float(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        before = 0.0
+    began = time.monotonic()
 
     def spent() -> float:
-        return before + time.monotonic() - began
+        return (before if 0.0 <= before < 1e9 else 0.0) + time.monotonic() - began
 
-    def write() -> None:
-        text = f"{spent():.1f}\n".encode()
-        write_atomically(file, lambda out: out.write(text))
-
-    def write_regularly() -> None:
-        while not done.wait(BEAT):
-            write()
-
-    thread = threading.Thread(target=write_regularly, daemon=True)
-    thread.start()
     try:
         yield spent
     except BaseException:
-        done.set()
-        thread.join()
-        write()
+        write_atomically(file, lambda out: out.write(f"{spent():.1f}\n".encode()))
         raise
-    done.set()
-    thread.join()
     file.unlink(missing_ok=True)
-
-
-def _read(file: Path) -> float:
-    """Return the seconds in a file; 0 if there are none or they are impossible."""
-    try:
-        seconds = float(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return 0.0
-    return seconds if 0.0 <= seconds < 1e9 else 0.0
 
 
 def run_study(
@@ -105,10 +72,7 @@ def run_study(
 def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] | None = None) -> list[Stage]:
     """Return the stages that are still to be run, in order, after a check of their libraries and of all circuits.
 
-    Parameters
-    ----------
-    config, folder, only
-        As for :func:`run_study`.
+    Arguments are those of :func:`run_study`.
     """
     names = [stage.name for stage in STAGES]
     for name in only or ():

@@ -17,36 +17,6 @@ DONE = "done.yaml"
 """File in the folder of a finished stage."""
 
 
-def _nothing(config: StudyConfig) -> None:
-    """Check nothing: the stage needs no optional library."""
-
-
-def _synthesis(config: StudyConfig) -> None:
-    if config.synthesis is not None:
-        method = load_archive_config(config.synthesis).method
-        require("moocore", *(("cma",) if method == "mo-cma-es" else ()), extra="synthesis")
-
-
-def _torch_for_networks(config: StudyConfig) -> None:
-    if config.pairs > 0:
-        require("torch", extra="learning")
-
-
-def _torch_for_responses(config: StudyConfig) -> None:
-    if config.responses:
-        require("torch", extra="learning")
-
-
-def _torch_for_playing(config: StudyConfig) -> None:
-    if config.replies or any((config.robust, config.psro, config.self_play, config.sampled_cfr)):
-        require("torch", extra="learning")
-
-
-def _ppo(config: StudyConfig) -> None:
-    if config.ppo is not None:
-        check_packages()
-
-
 def _report(study: Study) -> None:
     reporting.write_report(study, stage_seconds(study))
 
@@ -58,37 +28,42 @@ class Stage(NamedTuple):
     needs: tuple[str, ...]  #: Stages that must be done before.
     does: str  #: Its work, in a few words.
     run: Callable[[Study], None]  #: ``run(study)`` does the work, and skips what an earlier call has done.
-    #: ``check_libraries(config)`` raises ModuleNotFoundError if it needs a library that is missing.
-    check_libraries: Callable[[StudyConfig], None] = _nothing
     always: bool = False  #: Whether it runs again after it is done.
+
+    def check_libraries(self, config: StudyConfig) -> None:
+        """Raise ModuleNotFoundError if it needs a library that is missing."""
+        learns = {
+            "networks": config.pairs > 0,
+            "responses": bool(config.responses),
+            "self-play": config.self_play is not None or config.sampled_cfr is not None,
+            "robust": config.robust is not None,
+            "psro": config.psro is not None,
+            "best-replies": bool(config.replies),
+        }
+        if learns.get(self.name):
+            require("torch", extra="learning")
+        elif self.name == "ppo" and config.ppo is not None:
+            check_packages()
+        elif self.name == "archive" and config.synthesis is not None:
+            method = load_archive_config(config.synthesis).method
+            require("moocore", *(("cma",) if method == "mo-cma-es" else ()), extra="synthesis")
 
 
 LEARNED = ("networks", "blind", "responses", "robust", "psro", "self-play", "ppo")
 
 STAGES = (
-    Stage("archive", (), "searches policies", preparing.make_the_archive, _synthesis),
+    Stage("archive", (), "searches policies", preparing.make_the_archive),
     Stage("trees", ("archive",), "plays game trees", preparing.play_trees),
-    Stage("networks", ("trees",), "trains networks on the trees", preparing.train_networks, _torch_for_networks),
-    Stage(
-        "blind",
-        ("archive",),
-        "chooses the best blind agents, which look at nothing of the race but who leads",
-        preparing.choose_blind,
-    ),
-    Stage(
-        "responses",
-        ("networks", "blind"),
-        "learns answers to opponents",
-        preparing.learn_responses,
-        _torch_for_responses,
-    ),
-    Stage("self-play", ("archive",), "lets both cars learn", playing.play_against_itself, _torch_for_playing),
-    Stage("robust", ("blind",), "learns robust answers to opponents", playing.learn_robust_agent, _torch_for_playing),
-    Stage("psro", ("blind",), "learns answers to answers", playing.learn_psro_agent, _torch_for_playing),
-    Stage("ppo", ("archive",), "trains the PPO baseline", preparing.train_ppo_baseline, _ppo),
+    Stage("networks", ("trees",), "trains networks on the trees", preparing.train_networks),
+    Stage("blind", ("archive",), "chooses the best agents that look at nothing but who leads", preparing.choose_blind),
+    Stage("responses", ("networks", "blind"), "learns answers to opponents", preparing.learn_responses),
+    Stage("self-play", ("archive",), "lets both cars learn", playing.play_against_itself),
+    Stage("robust", ("blind",), "learns robust answers to opponents", playing.learn_robust_agent),
+    Stage("psro", ("blind",), "learns answers to answers", playing.learn_psro_agent),
+    Stage("ppo", ("archive",), "trains the PPO baseline", preparing.train_ppo_baseline),
     Stage("races", LEARNED, "drives the races of the table", racing.race_tables),
     Stage("ratings", LEARNED, "lets agents race all against all", racing.race_for_ratings),
-    Stage("best-replies", LEARNED, "trains a best reply to each agent", playing.measure_replies, _torch_for_playing),
+    Stage("best-replies", LEARNED, "trains a best reply to each agent", playing.measure_replies),
     Stage("report", ("races", "ratings", "best-replies"), "writes results.csv and report.html", _report, always=True),
 )
 """All stages, in the order in which they run."""

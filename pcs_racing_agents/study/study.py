@@ -18,12 +18,7 @@ from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.progress import Progress, show_progress
 from pcs_racing_agents.study.config import BEST_BLIND, StudyConfig
 
-NETWORK_AGENTS = {
-    "cfr-argmax": "regret",
-    "cfr-regret-matching": "regret",
-    "nash": "nash",
-    "ppo": "ppo",
-}
+NETWORK_AGENTS = {"cfr-argmax": "regret", "cfr-regret-matching": "regret", "nash": "nash", "ppo": "ppo"}
 """Targets of the networks of the zoo's agents."""
 
 SET_AGENTS = ("robust", "psro", "self-play")
@@ -52,6 +47,10 @@ class Study:
     def game(self, track: str) -> RaceGame:
         """Return the game on a circuit."""
         return make_game(self.track(track), self.archive, self.config.game)
+
+    def games(self) -> list[RaceGame]:
+        """Return the games on the circuits of training."""
+        return [self.game(track) for track in self.config.circuits]
 
     def tree_game(self, track: str) -> RaceGame:
         """Return the game of the trees on a circuit: without "stay", which would make them six times as large."""

@@ -19,7 +19,6 @@ from pcs_racing.base.checks import check_whole, check_whole_array, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.competitor import competitor_name
-from pcs_racing.game.moves import move_names
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig
@@ -27,8 +26,8 @@ from pcs_racing.race.races import draw_starts, start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor
-from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
-from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_each, variant_count
+from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.tournament.games import game_between, race_columns, variant_count
 
 MOST_RACES = 2000
 
@@ -106,36 +105,26 @@ class Pairing:
             raise InputError(f"there is no race {race} in this pairing; there are races 0 to {len(self) - 1}")
         return {"policies": self.variants[race], "start": self.starts.take([race]), "seed": int(self.noise[race])}
 
-    def play(self) -> PlayedGames:
-        """Simulate the races."""
-        (played,) = self.play_each([self.ego])
-        return played
+    def race(self, egos: Sequence[Competitor]) -> list[Arrays]:
+        """Drive the races with each of several egos; see :func:`pcs_racing_agents.tournament.games.race_columns`."""
+        return race_columns(self.game, egos, self.opponent, self.variants, self.starts, self.noise)
 
-    def play_each(self, egos: Sequence[Competitor]) -> list[PlayedGames]:
-        """Simulate the same races with each of several egos in place of its own."""
-        return play_each(self.game, egos, self.opponent, policies=self.variants, starts=self.starts, seeds=self.noise)
 
-    def table(self, games: PlayedGames) -> RaceTable:
-        """Return the results of the races as a table, in their order."""
-        count, config = len(self), self.game.config
-        return RaceTable(
-            preset=Categorical.constant(config.race.name, count),
-            agents=Categorical.concatenate([Categorical.constant(name, count) for name in self.names], axis=1),
-            track=Categorical.constant(self.game.track.name, count),
-            race=narrow(np.arange(count)),
-            start_s=self.starts.s,
-            side=narrow(self.starts.side),
-            seed=Categorical.constant(str(self.seed), count),
-            lead=games.lead,
-            winner=games.winner,
-            crash=games.crash.max(axis=1),
-            fault=games.fault,
-            overtakes=narrow(games.overtakes),
-            duration=games.duration,
-            variants=narrow(self.variants),
-            path=narrow(games.policy),
-            moves=Categorical(move_names(self.game.archive, config.epsilon, True), narrow(games.moves)),
-        )
+class RaceBlock(NamedTuple):
+    """Some races of a group of pairings, which differ in nothing but their egos."""
+
+    content_hash: str  #: Hash of everything that their result depends on.
+    group: int  #: Number of the group.
+    first: int  #: ``first``, ``last``: The races of each pairing from ``first`` to before ``last``.
+    last: int
+
+
+def race_block(groups: Sequence[Sequence[Pairing]], observations: bool, block: RaceBlock) -> Arrays:
+    """Drive a block of races: arrays by name, whose first axis is that of the egos; observations only if wanted."""
+    group = groups[block.group]
+    raced = group[0].take(np.arange(block.first, block.last)).race([pairing.ego for pairing in group])
+    left_out = {"noise"} if observations else {"noise", "observations"}
+    return {name: np.stack([own[name] for own in raced]) for name in raced[0] if name not in left_out}
 
 
 def schedule_pairing(

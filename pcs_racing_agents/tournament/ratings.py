@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament.statistics.clusters import check_level
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +27,7 @@ class Ratings:
     names: tuple[str, ...]  #: Sorted. N agents.
     #: shape (N,): Natural log-odds, mean 0: a difference of 1 means winning 2.7 times as often as losing.
     strength: Floats
-    low: Floats  #: shape (N,): ``low``, ``high``: Bootstrap interval of the strength; NaN without a generator.
+    low: Floats  #: shape (N,): ``low``, ``high``: 95 % bootstrap interval of the strength; NaN without a generator.
     high: Floats
     tie: float  #: Weight of ties: between equal agents the share of ties is ``tie / (2 + tie)``.
     races: NDArray[np.intp]  #: shape (N,): Races that counted.
@@ -44,16 +43,6 @@ class Ratings:
         """Return natural log-odds on the scale of chess ratings."""
         return ELO * np.asarray(strength, np.float64)
 
-    def probabilities(self, first: str, second: str) -> tuple[float, float, float]:
-        """Return the probabilities that the first of two agents wins, ties and loses."""
-        for name in (first, second):
-            if name not in self.names:
-                raise InputError(f"{name!r} was not rated; these were: {', '.join(self.names)}")
-        half = 0.5 * (self.strength[self.names.index(first)] - self.strength[self.names.index(second)])
-        parts = np.array([np.exp(half), self.tie, np.exp(-half)])
-        win, tie, loss = parts / parts.sum()
-        return float(win), float(tie), float(loss)
-
 
 def rate(
     first: Sequence[str],
@@ -64,7 +53,6 @@ def rate(
     unit: ArrayLike | None = None,
     rng: np.random.Generator | None = None,
     replicates: int = 500,
-    level: float = 0.95,
     prior_sd: float = 3.0,
 ) -> Ratings:
     """Fit the strengths of agents to their races.
@@ -89,7 +77,6 @@ def rate(
         Standard deviation of the prior on the log-odds scale. 3 is weak: after 73 wins in 100 races between two agents
         it moves their strengths from 0.497 to 0.496.
     """
-    check_level(level)
     if not 0.0 < prior_sd < np.inf:
         raise InputError(f"prior_sd is {prior_sd!r}; it must be positive and finite")
     if rng is not None and not replicates >= 100:
@@ -124,7 +111,7 @@ def rate(
     if rng is not None:
         units = np.arange(races) if unit is None else _per_race("unit", unit, races, None)
         replicated = np.concatenate([fit(weights)[0] for weights in _bootstrap(units[counted], replicates, rng)])
-        low, high = np.quantile(replicated, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+        low, high = np.quantile(replicated, [0.025, 0.975], axis=0)
     both = np.concatenate([first_agent, second_agent])
     out = np.concatenate([uncounted, uncounted])
     return Ratings(

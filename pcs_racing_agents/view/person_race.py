@@ -23,7 +23,7 @@ from pcs_racing.race.replay_files import replay_page, safe_json
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
 from pcs_racing_agents.explain.explain import ExplainedDecision, explain_game, mark_moves
-from pcs_racing_agents.tournament.games import PlayedGames
+from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.watching import record_game
 from pcs_racing_agents.view.view_page import fill, player_parts, template
 from pcs_racing_agents.view.view_server import Answer, error_answer
@@ -86,7 +86,7 @@ class PersonRaces:
         game, archive = self.game, self.game.archive
         made, over = len(moves), self._over(played, len(moves))
         # Steps after a crash have no policy (-1): then it is the last one that was driven.
-        policy = int([policy for policy in played.policy[0, 0, : made + 1] if policy >= 0][-1])
+        policy = int([policy for policy in played.path[0, 0, : made + 1] if policy >= 0][-1])
         axes = get_characteristics(archive.characteristics)
         seen = [
             opponent(earlier(played.observations[:, car], len(axes), made), len(axes))[0].astype(float).tolist()
@@ -126,7 +126,7 @@ class PersonRaces:
             "values": None if step.values is None else step.values.tolist(),
         }
 
-    def _over(self, played: PlayedGames, made: int) -> bool:
+    def _over(self, played: RaceTable, made: int) -> bool:
         """Whether the race ended within the step that follows a number of moves."""
         return made >= self.game.config.moves or float(played.duration[0]) < self._end(made)
 
@@ -134,7 +134,7 @@ class PersonRaces:
         """Time at which the step after a number of moves ends, s."""
         return (made + 1) * self.game.config.step_seconds
 
-    def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, PlayedGames, tuple[ExplainedDecision, ...]]:
+    def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, RaceTable, tuple[ExplainedDecision, ...]]:
         """Drive the whole race, staying after the given moves, and return it up to the next move."""
         game, names = self.game, self.game.competitor_moves
         if not 0 <= number < MOST_RACES:

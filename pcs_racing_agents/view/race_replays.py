@@ -78,8 +78,8 @@ class RaceRepeater:
         values = race_values(replay)
         values["space"] = {
             "step_seconds": step_seconds,
-            "policies": played.policy[0].tolist(),
-            "made": played.moves[0].tolist(),
+            "policies": played.path[0].tolist(),
+            "made": played.moves.codes[0].tolist(),
             "seen": _places(self.space, in_units(arena.archive, estimates)[..., list(plane(arena.archive))]),
         }
         return RepeatedRace(number, row.track, values)

@@ -24,8 +24,8 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, score_races
+from pcs_racing_agents.learning.ppo.learner import group_seeds, split_envs
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
-from pcs_racing_agents.learning.ppo.tasks import group_seeds, split_envs
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import save_network
 

@@ -34,14 +34,7 @@ def score(won: ArrayLike, tied: ArrayLike) -> Floats:
 def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Ints:
     """Return the order of the units of arm b that matches those of arm a: ``units_b[order[i]] == units_a[i]``.
 
-    Parameters
-    ----------
-    units_a, units_b : sequence of hashable
-        Identity of each race, for instance ``(ego, opponent, start_s, side)``.
-
-    Returns
-    -------
-    ndarray of int, shape (U,)
+    A unit is the identity of a race, for instance ``(ego, opponent, start_s, side)``.
     """
     indices: list[dict[Hashable, int]] = []
     for arm, units in (("a", units_a), ("b", units_b)):
@@ -110,23 +103,11 @@ def pool_codes(ego: ArrayLike, opponent: ArrayLike) -> tuple[Ints, Ints]:
     return both[: len(first)], both[len(first) :]
 
 
-def t_interval(mean: float, se: float, df: int, level: float) -> tuple[float, float, float]:
-    """Return the confidence interval of an estimate, and the two-sided p-value of its being 0.
-
-    Parameters
-    ----------
-    df : int
-        Degrees of freedom, at least 1.
-    level : float
-        Level of the interval, between 0 and 1.
-
-    Returns
-    -------
-    low, high, p : float
-    """
+def t_interval(mean: float, se: float, df: int) -> tuple[float, float, float]:
+    """Return the ends of the 95 % interval of an estimate, and the two-sided p-value of its being 0."""
     from scipy.special import stdtr, stdtrit  # a quarter of a second that importing this package does not pay
 
-    reach = float(stdtrit(df, 0.5 + 0.5 * level)) * se
+    reach = float(stdtrit(df, 0.975)) * se
     t = abs(ratio(mean, se))
     p = 0.0 if math.isinf(t) else 2.0 * float(stdtr(df, -t))
     return mean - reach, mean + reach, p
@@ -139,12 +120,6 @@ def ratio(value: float, scale: float) -> float:
     return 0.0 if value == 0.0 else math.copysign(math.inf, value)
 
 
-def check_level(level: float) -> None:
-    """Raise InputError unless the level of an interval is between 0 and 1."""
-    if not 0.0 < level < 1.0:
-        raise InputError(f"level is {level!r}; it must be between 0 and 1, for instance 0.95")
-
-
 Kind = tuple[Ints, ...]
 """One code for each race, or two where races of a kind of cluster share it in either of two roles; shape (U,) each."""
 
@@ -155,7 +130,7 @@ class Estimate(NamedTuple):
     """A mean over races that are not independent."""
 
     mean: float
-    low: float  #: ``low``, ``high``: Confidence interval.
+    low: float  #: ``low``, ``high``: 95 % confidence interval.
     high: float
     se: float  #: Cluster-robust standard error.
     df: int  #: Degrees of freedom of its t distribution: the smallest number of clusters minus 1.
@@ -164,7 +139,7 @@ class Estimate(NamedTuple):
     clusters: tuple[int, ...]  #: Number of clusters of each kind.
 
 
-def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = False, level: float = 0.95) -> Estimate:
+def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = False) -> Estimate:
     """Return a mean with an interval that is robust to clusters of one or several crossed kinds.
 
     The variance is the sum over the kinds of clusters minus what is counted twice (Cameron, Gelbach and Miller
@@ -183,10 +158,7 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
         Egos and opponents, the first two kinds, were drawn from one pool of policies and have the same labels: races
         that share a policy, in either role, then form a cluster (Aronow, Samii and Assenova 2015). The variance is the
         larger one of the two with and without this.
-    level : float
-        Level of the interval, between 0 and 1.
     """
-    check_level(level)
     x = check_values("values", values)
     if not clusters:
         raise InputError("there are no cluster labels; without them there is nothing to be robust to")
@@ -201,7 +173,7 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
         variance = max(variance, _variance(x - mean, [pool_codes(clusters[0], clusters[1]), *kinds[2:]]))
     se = float(np.sqrt(variance))
     df = min(numbers) - 1
-    low, high, p = t_interval(mean, se, df, level)
+    low, high, p = t_interval(mean, se, df)
     return Estimate(mean, low, high, se, df, p, len(x), numbers)
 
 

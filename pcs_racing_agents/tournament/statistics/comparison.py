@@ -2,7 +2,7 @@
 
 A unit is one race that both arms drove: (ego start policy, opponent, start line, side). Units that share an ego policy
 or an opponent are correlated, so 4,000 races of 20 ego policies against 20 opponents hold far less information than
-4,000 independent ones. ``docs/statistics.md`` measures the coverage of the estimators on such data.
+4,000 independent ones. ``docs/reports/statistics.md`` measures the coverage of the estimators on such data.
 """
 
 import math
@@ -42,7 +42,6 @@ class Comparison:
     units: int  #: ``units``, ``egos``, ``opponents``: Number of races of each arm, of ego variants and of opponents.
     egos: int
     opponents: int
-    level: float  #: Level of the interval.
 
 
 def compare(
@@ -52,8 +51,6 @@ def compare(
     opponent: ArrayLike,
     *,
     start: ArrayLike | None = None,
-    same_pool: bool = False,
-    level: float = 0.95,
 ) -> Comparison:
     """Compare two arms that raced the same units.
 
@@ -67,15 +64,11 @@ def compare(
     start : array_like, shape (U,), optional
         Labels of the start lines, where all pairs shared the same few: they are then a third kind of cluster. Leave it
         out where every pair had lines of its own.
-    same_pool : bool
-        The same policies were egos and opponents, under the same labels (:func:`clustered_mean`).
-    level : float
-        Level of the interval, between 0 and 1.
     """
     first, second = check_arms(a, b)
     single = len(np.unique(np.asarray(opponent))) == 1  # such as a driver with one policy: the interval is for this one
     kinds = [ego, *([] if single else [opponent]), *([] if start is None else [start])]
-    result = clustered_mean(first - second, *kinds, same_pool=same_pool, level=level)
+    result = clustered_mean(first - second, *kinds)
     p_paired_t, cohen_d = _paired_t(first - second, ego)
     return Comparison(
         mean_a=float(first.mean()),
@@ -91,7 +84,6 @@ def compare(
         units=result.units,
         egos=result.clusters[0],
         opponents=1 if single else result.clusters[1],
-        level=level,
     )
 
 
@@ -101,14 +93,7 @@ def holm(p_values: ArrayLike) -> Floats:
     The family-wise error rate at 0.05 is at most 0.05, however the tests depend on each other. (scipy adjusts for the
     false discovery rate only.)
 
-    Parameters
-    ----------
-    p_values : array_like, shape (T,)
-
-    Returns
-    -------
-    ndarray, shape (T,)
-        In the same order, from 0 to 1.
+    Both have shape (T,) and the same order.
     """
     p = check_values("p_values", p_values)
     wrong = (p < 0.0) | (p > 1.0)
@@ -132,5 +117,5 @@ def _paired_t(differences: Floats, ego: ArrayLike) -> tuple[float, float]:
     mean, deviation = float(means.mean()), float(means.std(ddof=1))
     if deviation <= 1e-12 * float(np.abs(means).max()):
         deviation = 0.0  # equal differences whose means differ in the last digit
-    _, _, p = t_interval(mean, deviation / math.sqrt(number), number - 1, 0.95)
+    _, _, p = t_interval(mean, deviation / math.sqrt(number), number - 1)
     return p, ratio(mean, deviation)

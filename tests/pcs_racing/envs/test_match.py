@@ -7,7 +7,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from repository import REPOSITORY
 
 from pcs_racing import ConfigError, InputError
 from pcs_racing.envs.infos import Result
@@ -347,13 +346,6 @@ def test_impossible_actions_are_refused(short):
     envs.reset(seed=0)
     with pytest.raises(InputError, match="environment 1: move 7"):
         envs.step(np.array([0, 7]))
-
-
-def test_the_example_of_its_page_runs(capsys):
-    page = (REPOSITORY / "docs" / "environments.md").read_text(encoding="utf-8")
-    example = page.partition("\n## Matches\n")[2].split("```python\n")[1].split("```")[0]
-    exec(compile(example, "environments.md", "exec"), {})
-    assert re.search(r"races won of 3 (win|tie|loss)", capsys.readouterr().out)
 
 
 def test_in_self_play_the_rows_of_a_pair_are_the_two_players_of_a_match(short):

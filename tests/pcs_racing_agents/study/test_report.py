@@ -15,7 +15,7 @@ from pcs_racing_agents.explain.situations import Situations
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
-from pcs_racing_agents.study.report import Picture, ReportContent, TitledTable, report_page, write_page
+from pcs_racing_agents.study.report import ReportContent, TitledTable, report_page, write_page
 from pcs_racing_agents.study.report_inputs import (
     ReplyLoss,
     software,
@@ -54,9 +54,7 @@ def content(archive, watched) -> ReportContent:
         situations=[
             Situations(NASTY, ("stay", NASTY), "pace", np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 3, 3, 2), int))
         ],
-        ablations=[TitledTable("Ablation", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
-        sheets=[TitledTable("Sheet", ("what",), ((NASTY,),))],
-        pictures=[Picture(NASTY, NASTY, b"\x89PNG\r\n")],
+        sheets=[TitledTable("Sheet", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
         races=[watched, watched._replace(title=NASTY, text=NASTY)],
         settings={"race": NASTY, "tracks": ["a", "b"]},
         versions=software(),
@@ -107,13 +105,13 @@ def test_the_page_loads_nothing(page):
     outside = re.sub(r'srcdoc="[^"]*"', "", page)
     assert not re.search(r"https?://", outside)
     assert not re.search(r"<(link|script)|@import|url\(", outside)
-    assert set(re.findall(r'src="([^,"]*),', outside)) == {"data:image/svg+xml;base64", "data:image/png;base64"}
+    assert set(re.findall(r'src="([^,"]*),', outside)) == {"data:image/svg+xml;base64"}
 
 
 def test_every_section_is_there_and_linked(parsed):
     assert parsed.links == [f"#{name}" for name in parsed.ids]
     assert parsed.ids == [
-        *("findings", "results", "adaptivity-gain", "ablations", "races-to-watch", "which-move-in-which-situation"),
+        *("findings", "results", "adaptivity-gain", "races-to-watch", "which-move-in-which-situation"),
         *("policies", "exploitability", "ratings", "more", "how-it-was-made"),
     ]
 
@@ -180,7 +178,7 @@ def test_sections_without_content_are_left_out():
 
 def test_without_matplotlib_the_page_says_so(monkeypatch, content):
     monkeypatch.setattr(report, "find_spec", lambda name: None)
-    page = report_page(replace(content, pictures=(), races=[race._replace(picture=b"") for race in content.races]))
+    page = report_page(replace(content, races=[race._replace(picture=b"") for race in content.races]))
     assert "matplotlib is not installed" in page
     assert "<img" not in page
 
@@ -203,13 +201,13 @@ TELL = """<script>console.log("a race of " + race.car_names + ", " + duration + 
 
 
 def test_the_page_works_in_a_browser(tmp_path, content, browser):
-    displayed = report_page(replace(content, pictures=(), races=content.races[:1]))
+    displayed = report_page(replace(content, races=content.races[:1]))
     # The race tells that it is there; nothing else in the page may say anything.
     path = tmp_path / "report.html"
     path.write_text(displayed.replace(html.escape("</body>"), html.escape(TELL)))
     browser.open(path, 1200, 8000)
     assert browser.run("document.title") == content.title
-    assert browser.run("document.querySelectorAll('nav a').length") == 11
+    assert browser.run("document.querySelectorAll('nav a').length") == 10
     images = browser.run("[...document.images].map((image) => image.naturalWidth)")
     assert len(images) == 8 + 1
     assert min(images) > 100

@@ -9,7 +9,7 @@ from zoo_games import CONFIG, toy_archive
 
 from pcs_racing import InputError, make_game
 from pcs_racing_agents import make
-from pcs_racing_agents.cli import options
+from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.tournament import play_games
 from pcs_racing_agents.view.person_race import MOST_RACES, PersonRaces, play_page
@@ -57,7 +57,7 @@ def test_a_race_to_its_end_is_that_of_a_tournament(races):
             return np.array([moves[step]]), step + 1
 
     _, played, _ = races._drive(2, moves)
-    start = races.situation(2, ())["policy"], int(played.policy[0, 1, 0])
+    start = races.situation(2, ())["policy"], int(played.path[0, 1, 0])
     from pcs_racing.base.seeds import race_seed
     from pcs_racing.race.races import starts_of
 
@@ -123,7 +123,7 @@ def test_the_command_serves_until_it_is_ended(capsys, monkeypatch):
         raise KeyboardInterrupt
 
     opened = []
-    monkeypatch.setattr(options, "open_page", opened.append)
+    monkeypatch.setattr(view, "open_page", opened.append)
     monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
     assert main(["play", "--opponent", "never-switch", "--track", "Pipkin"]) == 0
     assert f"play at {opened[0]}" in capsys.readouterr().out

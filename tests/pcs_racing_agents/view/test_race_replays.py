@@ -36,8 +36,8 @@ def test_a_race_is_a_replay_with_less_in_it(driver, tournament_folder, tmp_path)
     assert read.plan_dt == pytest.approx(2 * whole.plan_dt)
     assert read.outcome == whole.outcome
     assert [event for event in read.events if event.kind == "move"]
-    assert space["policies"] == recording.played.policy[0].tolist()
-    assert space["made"] == recording.played.moves[0].tolist()
+    assert space["policies"] == recording.played.path[0].tolist()
+    assert space["made"] == recording.played.moves.codes[0].tolist()
 
 
 def test_places_are_where_the_archive_and_the_other_car_saw_them(driver, tournament_folder, archive):
