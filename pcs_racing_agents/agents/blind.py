@@ -114,6 +114,7 @@ def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.i
     leads_to = np.asarray(table, np.int64)
     coordinates = np.asarray(points, np.float64)
     policies = len(leads_to)
+    # Distances in moves decide the way; where no way leads to the target, distances in the space decide the goal.
     steps = _distances(leads_to)
     distance = np.linalg.norm(coordinates - coordinates[target], axis=1)
     first = np.empty(policies, np.int64)
@@ -135,6 +136,7 @@ def _distances(leads_to: NDArray[np.int64]) -> NDArray[np.int64]:
     policies = len(leads_to)
     steps = np.full((policies, policies), policies, np.int64)
     np.fill_diagonal(steps, 0)
+    # No way is longer than there are policies; usually the first rounds find them all.
     for _ in range(policies):
         shorter = np.minimum(steps, 1 + steps[leads_to].min(axis=1))
         if (shorter == steps).all():

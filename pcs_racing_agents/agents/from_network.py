@@ -111,6 +111,7 @@ class AdaptiveStrategy:
     def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         default = self.blind.probabilities(observation)
+        # A move that the network does not value is no better than the mean of all: as an advantage, 0.
         values = np.zeros(default.shape)
         predicted = self.network.unclipped(observation)
         values[:, : predicted.shape[1]] = predicted

@@ -19,7 +19,7 @@ from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_
 from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.networks.network_files import NetworkSet, list_network_sets, load_network_set
+from pcs_racing_agents.networks.network_files import NetworkSet, check_weights, list_network_sets, load_network_set
 
 Floats = NDArray[np.float64]
 NetworkSetSource = str | NetworkSet | None
@@ -67,13 +67,7 @@ class Mixture:
 
 def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
     """Return a mixture of agents of one setting; members of weight 0 are left out."""
-    shares = np.asarray(weights, np.float64)
-    if len(members) == 0 or shares.shape != (len(members),):
-        raise InputError(
-            f"there are {len(members)} members and weights of shape {shares.shape}; give one weight for each"
-        )
-    if not np.isfinite(shares).all() or (shares < 0.0).any() or not shares.any():
-        raise InputError(f"weights are {shares.tolist()}; they must be finite, 0 or above, and not all 0")
+    shares = check_weights("weights", weights, len(members))
     for member in members:
         if not isinstance(member, Agent):
             raise InputError(f"{member!r} can't be a member of a mixture; only agents can")

@@ -19,7 +19,7 @@ from argparse import ArgumentParser, BooleanOptionalAction, Namespace, RawDescri
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, is_dataclass
 from functools import partial
-from inspect import Parameter, signature
+from inspect import Parameter, getdoc, signature
 from types import ModuleType, NoneType, UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -60,11 +60,11 @@ class Command:
 
 
 def command(name: str, *examples: str) -> Callable[[Callable[..., None]], Command]:
-    """Make a command of a function; the first line of its docstring is the summary."""
+    """Make a command of a function; the first paragraph of its docstring is the summary."""
 
     def make(function: Callable[..., None]) -> Command:
-        assert function.__doc__ is not None
-        return Command(name, function.__doc__.partition("\n\n")[0].replace("\n   ", ""), examples, function)
+        summary = str(getdoc(function)).partition("\n\n")[0]
+        return Command(name, summary.replace("\n", " "), examples, function)
 
     return make
 

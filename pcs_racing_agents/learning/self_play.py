@@ -235,6 +235,9 @@ class RaceArena:
         probability of coming there is then the same in all iterations, and advantages of several iterations can be
         averaged without importance weights. Whether it starts in front or behind is drawn, so it learns for both cars.
         """
+        # Car 0 comes to the step by random moves, as in external sampling (Lanctot et al. 2009): its own probability of
+        # coming there is then the same in all iterations, and their advantages can be averaged without importance
+        # weights.
         random = random_player(self.game, self.setting, 2)
         first, second = (self._player(network, exploration, seed) for seed in (0, 1))
         arena = game_between(self.game, first, second)

@@ -177,6 +177,8 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
             each.mean().backward()
             optimiser.step()
             total += float(each.detach().sum())
+        # The loss of an epoch is that of its draws while the weights changed; only the validation loss is one of fixed
+        # weights.
         epochs.append(judge(number, total / count))
         if not np.isfinite(epochs[-1].validation_loss):
             raise InputError(
@@ -186,6 +188,7 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
         since += 1
         if epochs[-1].validation_loss < epochs[best].validation_loss:
             best, since = number, 0
+            # The optimiser changes the tensors in place: what is kept must be copies.
             kept = [layer.detach().clone() for layer in layers]
         elif since % max(settings.patience // 4, 1) == 0:
             optimiser.param_groups[0]["lr"] *= 0.5
@@ -229,6 +232,7 @@ def scale_rows(rows: Rows, settings: TrainSettings, clipped: bool) -> Scaling:
     total = known_share.sum(axis=0)
     depth = np.inf
     if settings.floor and not clipped:
+        # The floor is in units of what random moves lose on average, so that it means the same for every target.
         below_highest = _highest(rows) - rows.targets
         depth = settings.floor * np.sum(known_share * below_highest) / total.sum() or np.inf
     targets = _raised(rows, depth).astype(np.float64)
@@ -249,6 +253,7 @@ def scale_rows(rows: Rows, settings: TrainSettings, clipped: bool) -> Scaling:
     hopeless = np.sum(known_share * (targets / size) ** 2) / known_share.sum() if known_share.any() else 1.0
     return Scaling(
         mean.astype(np.float32),
+        # A constant input tells nothing; divided by its deviation it would be noise.
         np.where(deviation > 1e-6, deviation, 1.0).astype(np.float32),
         float(depth),
         centre.astype(np.float32),

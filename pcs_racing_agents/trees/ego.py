@@ -187,6 +187,7 @@ def play_ego(
     """
     check_ego(game, roots, opponent, seed, first)
     count, options = len(game.archive), game.table.shape[1]
+    # A generator for each root: it does not depend on how many others there are.
     generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, first + i))) for i in range(roots)]
     pairs = np.stack([rng.integers(count, size=2) for rng in generators])
     drawn = np.stack([rng.integers(options, size=game.config.moves) for rng in generators])

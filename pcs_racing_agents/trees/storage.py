@@ -211,6 +211,7 @@ class StoredTrees(Sequence[RaceTree]):
             stored = self.settings.get(key)
             if stored != wanted:
                 if isinstance(wanted, dict) and isinstance(stored, dict):
+                    # `self` stands for a missing entry: no value of a manifest is equal to it.
                     inner = next(k for k in {**stored, **wanted} if stored.get(k, self) != wanted.get(k, self))
                     key, stored, wanted = f"{key} {inner}", stored.get(inner), wanted.get(inner)
                 raise InputError(f"the trees in {self.folder} are of another game: {key} is {stored!r}, not {wanted!r}")

@@ -79,6 +79,7 @@ class LearnerBatch(DriveBatch):
     def step(self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()) -> BatchStep:
         """Drive every race one step on."""
         _, rewards, terminated, truncated = super().step(actions, generators)
+        # Whoever leads at the end of a step counts as leading throughout it.
         rewards += self._leading * (self.state.lead > 0.0)
         observations = np.empty((self.episodes, len(INPUTS)), np.float32)
         self.observe(self._rows, observations)
@@ -121,6 +122,7 @@ class DriveTask:
     def env_groups(self) -> list[LearnerEnv]:
         """Make the training environments: a group for each circuit, rules and planner of opponents."""
         settings = self.settings
+        # One compiled planner drives car 1 of a batch: opponents with different planners need batches of their own.
         by_planner: dict[str, list[Policy]] = {}
         for policy, weight in zip(self.policies, settings.opponents.values(), strict=True):
             by_planner.setdefault(policy.planner.name, []).extend([policy] * weight)
@@ -155,6 +157,7 @@ class DriveTask:
         """Race with the planner of a policy, without exploration noise, under the unchanged rules."""
         policy = _learner_planner(layers.hidden, self.settings.hold).policy(layers.flat(), name="learner")
         names = list(self.settings.opponents)
+        # An even number: every start line is raced from both sides.
         races = 2 * max(1, self.settings.evaluation_races // (2 * len(names)))
         opponents = [opponent for opponent in self.policies for _ in range(races)]
         scores = {}

@@ -124,6 +124,7 @@ def make_duel_task(
     tracks = tuple(load_track(name) for name in settings.tracks)
     rules = load_game_config(settings.race, epsilon=settings.epsilon) if rules is None else rules
     games = [make_game(track, archive, rules) for track in tracks]
+    # One compiled planner drives car 1 of a batch: opponents with different planners need batches of their own.
     by_planner: dict[str, list[tuple[int, str]]] = {}
     for name, weight in settings.opponents.items():
         planner = parse_opponents(name, games[0])[0].planner or archive.family()

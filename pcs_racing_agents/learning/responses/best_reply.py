@@ -98,6 +98,7 @@ def race_on_circuits(
     progress: Progress | None = None,
 ) -> RaceTable:
     """Race two competitors on several circuits: about so many races in all, in the crossed design of the tables."""
+    # Crossed: every start policy of one car meets every one of the other, from all lines and both sides.
     each = check_whole("races", races, FEWEST * len(games)) / len(games)
     count = max(2, round(math.sqrt(each / (2 * LINES))))
     rng = np.random.default_rng(np.random.SeedSequence(seed + RACE_SEED, spawn_key=(0,)))

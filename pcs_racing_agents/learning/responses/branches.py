@@ -168,6 +168,8 @@ def _different_branches(
     branch : ndarray, shape (R, count)
         Index of the branch in which each game goes on after each move.
     """
+    # The others would be the same race to the last bit: a game goes on from where the cars are and from their policies,
+    # and keeps no record of the moves.
     after = game.next_policy(state.policy[:, :1], np.arange(count))
     first = np.argmax(after[:, :, None] == after[:, None, :], axis=2)
     driven = first == np.arange(count)

@@ -36,6 +36,7 @@ from pcs_racing_agents.learning.responses.branches import (
 )
 from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
 from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows
+from pcs_racing_agents.networks.network_files import check_weights
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.tournament.games import game_between
 
@@ -175,12 +176,7 @@ def _starts(total: int, opponents: int, shares: Sequence[float] | None) -> list[
     """Return the number of games against each opponent."""
     if shares is None:
         return [total] * opponents
-    weights = np.asarray(shares, np.float64)
-    if weights.shape != (opponents,) or not np.isfinite(weights).all() or (weights < 0.0).any() or not weights.any():
-        raise InputError(
-            f"shares are {list(shares)}; they must be finite, 0 or above and not all 0, one for each of "
-            f"{opponents} opponents"
-        )
+    weights = check_weights("shares", shares, opponents)
     ends = np.rint(total * np.cumsum(weights) / weights.sum()).astype(int)
     return np.diff(ends, prepend=0).tolist()
 

@@ -47,7 +47,7 @@ def test_a_network_that_was_exchanged_is_noticed(known, setting, tmp_path):
         ({"networks": ["00", "../01"]}, "../01"),
         ({"decision": 3}, "3"),
         ({"training": []}, r"\[\]"),
-        ({"weights": [0.0, 0.0]}, "all weights are 0"),
+        ({"weights": [0.0, 0.0]}, "not all of them 0"),
     ],
 )
 def test_files_that_are_no_set_are_refused(known, tmp_path, change, value):

@@ -9,23 +9,49 @@ import numpy as np
 import pytest
 from toy_races import toy_races
 
-from pcs_racing import InputError
+from pcs_racing import InputError, make_game
 from pcs_racing.race.replay_files import read_replay
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.explain.situations import Situations
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
+from pcs_racing_agents.study.highlights import ExplainedRace, select_highlights, watch_race
 from pcs_racing_agents.study.report import ReportContent, TitledTable, report_page, write_page
 from pcs_racing_agents.study.report_inputs import (
     ReplyLoss,
+    mean_scores,
+    read_curves,
+    read_losses,
+    scores_and_losses,
     software,
+    total_losses,
 )
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import overview_rows
+from pcs_racing_agents.tournament import cross_pairing, play_pairings
 from pcs_racing_agents.tournament.round_robin import round_robin
 
 NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
 VOID = {"meta", "img", "br"}
+
+
+@pytest.fixture(scope="module")
+def raced(oval, archive):
+    """A pairing of an agent, its races, and those of the agent that never switches."""
+    game = make_game(oval, archive, "contest", step_seconds=0.8)
+    setting = make_setting(archive, game.config)
+    agent, base, rival = (build(name, setting) for name in ("random-moves", "never-switch", "lane-switcher"))
+    pairings = [cross_pairing(game, arm, rival, egos=4, opponents=4, lines=2, seed=3) for arm in (agent, base)]
+    return pairings[0], *play_pairings(pairings)
+
+
+@pytest.fixture(scope="module")
+def watched(raced) -> ExplainedRace:
+    pairing, ours, baseline = raced
+    title, race = next(iter(select_highlights(ours, baseline).values()))
+    return watch_race(pairing, race, title)
 
 
 @pytest.fixture(scope="module")
@@ -214,3 +240,77 @@ def test_the_page_works_in_a_browser(tmp_path, content, browser):
     assert browser.run("document.body.scrollWidth") <= 1200
     assert browser.said == [f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g} s"]
     assert browser.complaints == []
+
+
+# What the report is made of
+
+
+def test_highlights_are_what_they_are_called(raced):
+    _, ours, baseline = raced
+    result = select_highlights(ours, baseline)
+    assert len(result) >= 2
+    for kind, (title, race) in result.items():
+        assert title.startswith(f"A {kind}")
+        if kind == "win":
+            assert ours.winner[race] == 0
+            assert len(set(ours[race].ego_path)) > 1
+        if kind == "loss":
+            assert ours.winner[race] == 1
+        if kind == "crash":
+            assert ours.fault[race, 0] == 1
+        else:
+            assert not ours.crash[race]
+        if "starts alike" in title:
+            assert baseline.winner[race] == 1 - ours.winner[race]
+
+
+def test_a_race_to_watch_is_the_race(raced, watched):
+    _, ours, baseline = raced
+    race = dict(select_highlights(ours, baseline).values())[watched.title]
+    assert watched.replay.lead[-1] == ours.lead[race]
+    assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")
+
+
+def test_losses_to_best_replies_are_read_and_stand_beside_the_score(tmp_path):
+    path = tmp_path / "best_replies.csv"
+    head = ",".join(("agent", "track", *ReplyLoss._fields[2:])) + "\n"
+    lines = ("a,Oval,0.1,0,0.2,400,0.6,0.4,0.05", "a,Hut,0.3,0.2,0.4,400,0.8,0.2,0", "a,all,0.2,0.1,0.3,800,0.7,0.3,0")
+    path.write_text(head + "\n".join(lines) + "\nb,Oval,-0.1,-0.2,0,40,0.4,0.6,0\n")
+    losses = read_losses(path)
+    assert losses[0] == ReplyLoss("a", "Oval", 0.1, 0.0, 0.2, 400, 0.6, 0.4, 0.05)
+    totals = total_losses(losses)
+    assert {name: (total.track, total.loss) for name, total in totals.items()} == {
+        "a": ("all", 0.2),
+        "b": ("Oval", -0.1),
+    }
+    table = make_table(toy_races(strengths={"a": 0.0, "c": 0.1}, egos=3, variants=3))
+    (place,) = scores_and_losses(table, losses)
+    assert (place.name, place.loss, place.low, place.high) == ("a", 0.2, 0.1, 0.3)
+    assert place.score == pytest.approx(np.mean([row.arms[0].score for row in table.rows]))
+    assert scores_and_losses(None, losses) == []
+    assert mean_scores(table)["c"] == pytest.approx(np.mean([row.arms[1].score for row in table.rows]))
+    assert mean_scores(
+        replace(table, rows=(*table.rows, replace(table.rows[0], arms=table.rows[0].arms[:1])))
+    ).keys() == {"a"}
+
+
+@pytest.mark.parametrize(
+    ("agent", "loss", "value"),
+    [("name", "0.1", "'agent'"), ("agent", "much", "'much'"), ("agent", "", "'a'"), ("agent", "inf", "'inf'")],
+)
+def test_files_without_losses_are_refused(tmp_path, agent, loss, value):
+    path = tmp_path / "best_replies.csv"
+    head = ",".join((agent, "track", *ReplyLoss._fields[2:]))
+    path.write_text(f"{head}\na,Oval,{loss},0,0.2,400,0.6,0.4,0.05\n")
+    with pytest.raises(InputError, match=value):
+        read_losses(path)
+
+
+def test_curves_come_from_the_files_beside_networks(tmp_path):
+    path = tmp_path / "learning_curves.csv"
+    path.write_text("epoch,training_loss,validation_loss\n1,0.5,\n2,0.25,0.3\n")
+    training, validation = read_curves(path)
+    assert (training.label, training.y.tolist(), training.x.tolist()) == ("training", [0.5, 0.25], [1.0, 2.0])
+    assert np.isnan(validation.y[0])
+    with pytest.raises(InputError, match="can't read"):
+        read_curves(tmp_path / "nothing.csv")

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from repository import python_blocks, read_page, run_block
 from scipy import stats
 
 from pcs_racing import InputError
@@ -297,8 +296,3 @@ ONES = [1.0, 0.0, 1.0, 1.0]
 def test_bad_input(call, message):
     with pytest.raises(InputError, match=message):
         call()
-
-
-def test_the_pages_code_runs():
-    (code,) = python_blocks(read_page("statistics.md"))
-    run_block(code)
