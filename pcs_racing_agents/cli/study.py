@@ -51,8 +51,7 @@ def run(arguments: argparse.Namespace) -> None:
     from pcs_racing_agents.cli.estimates import announce, cores_of, stage_estimates
     from pcs_racing_agents.jobs.executors import executor_from
     from pcs_racing_agents.study import load_study_config, run_study
-    from pcs_racing_agents.study.run import stages_to_run
-    from pcs_racing_agents.study.stages import stage_seconds
+    from pcs_racing_agents.study.run import stage_seconds, stages_to_run
 
     changes: dict[str, Any] = {} if arguments.seed is None else {"seed": arguments.seed}
     if arguments.archive is not None:
