@@ -103,20 +103,17 @@ MODULES = {
         "pcs_racing/envs",
         """
         drive_kernel: drive_kernel; drive
-        drive_batch: drive_kernel; drive variety
-        drive_courses: drive_kernel; moving_opponents drive
-        drive: ; contract drive drive_head_to_head defaults
+        drive_batch: drive_kernel; drive drive_head_to_head contract variety
+        drive: ; contract refusals drive drive_head_to_head
         moving_opponents: ; moving_opponents drive
-        game_batch: game_batch; duel variety
+        game_batch: game_batch; duel contract variety
         opponents: game_batch; duel drive /pcs_racing_agents/agents/opponents
-        duel: ; contract duel head_to_head defaults
-        scalar vector: ; contract vector
-        arguments: ; defaults vector
-        over_batch: ; contract vector drive duel
+        duel: ; contract refusals duel
+        single vector: ; contract refusals vector
+        over_batch: ; contract refusals vector duel
         reset_options: ; reset_options
-        match: ; contract match defaults
-        match_batch: ; match variety
-        parallel: ; contract head_to_head drive_head_to_head
+        match: ; contract refusals match
+        match_batch: ; match contract refusals
         """,
     ),
     **_modules(

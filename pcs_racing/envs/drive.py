@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.envs.arguments import Declared
 from pcs_racing.envs.drive_batch import DriveBatch
-from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.envs.parallel import ParallelBatchEnv, ParallelState
-from pcs_racing.envs.scalar import ScalarEnv
+from pcs_racing.envs.drive_options import DriveOptions, drive_elements
+from pcs_racing.envs.over_batch import Declared, with_table
+from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.race.rendering import MODES
+from pcs_racing.game.observation import observation_table
 
 
+@with_table(observation_table(drive_elements(DriveOptions(beams=1))))
 class DriveEnv(ScalarEnv):
     """Drive one car against a motion planner, or alone.
 
@@ -42,33 +42,10 @@ class DriveEnv(ScalarEnv):
     ## Observation Space
 
     A flat ``Box`` of float32. ``env.unwrapped.elements`` holds the name, unit, bounds and meaning of every element;
-    values are clipped to the bounds. With ``normalize=True`` the bounds are mapped to -1 and 1. With the default
-    `look_ahead` of six distances there are 41 elements and one for each beam:
+    values are clipped to the bounds. With ``normalize=True`` the bounds are mapped to -1 and 1. With the defaults there
+    are 41 elements, and one more for each beam, up to ``max_range``:
 
-    | Index | Element | Unit | Low | High |
-    |---|---|---|---|---|
-    | 0 | speed | m/s | -5 | 20 |
-    | 1 | steering | rad | -0.4189 | 0.4189 |
-    | 2 | yaw rate | rad/s | -20 | 20 |
-    | 3 | slip | rad | -3.142 | 3.142 |
-    | 4 | target steering | rad | -0.4189 | 0.4189 |
-    | 5 | target speed | m/s | 0 | 20 |
-    | 6 | offset | m | -10 | 10 |
-    | 7 | heading error | rad | -3.142 | 3.142 |
-    | 8, 12, ... 28 | curvature 0, 1, 2, 4, 6, 9 m ahead | 1/m | -5 | 5 |
-    | 9, 13, ... 29 | line speed there | m/s | 0 | 20 |
-    | 10, 14, ... 30 | left: free width there | m | 0 | 10 |
-    | 11, 15, ... 31 | right: free width there | m | 0 | 10 |
-    | 32 | opponent (present) | 1 | 0 | 1 |
-    | 33 | opponent gap | m | -30 | 30 |
-    | 34 | opponent offset | m | -20 | 20 |
-    | 35 | opponent x | m | -30 | 30 |
-    | 36 | opponent y | m | -30 | 30 |
-    | 37 | opponent heading | rad | -3.142 | 3.142 |
-    | 38 | opponent vx | m/s | -30 | 30 |
-    | 39 | opponent vy | m/s | -30 | 30 |
-    | 40 | lead | m | -1000 | 1000 |
-    | 41, ... | beam 0, ... | m | 0 | 30 (`max_range`) |
+    {observation_table}
 
     Nothing in it tells where on the circuit the car is, so what is learned on one circuit can drive on another. Beams
     see the opponent.
@@ -334,9 +311,8 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
+        **ScalarEnv.metadata,
         "name": "drive_head_to_head_v0",
-        "render_modes": list(MODES),
-        "render_fps": 50,
         "is_parallelizable": True,
     }
     batch_type = DriveBatch
@@ -347,43 +323,6 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
         named=("opponent", "time_step", "rivalry"),
         changed={"opponent": None, "time_step": 0.02, "rivalry": 1.0},
     )
-
-    def _use(self, batch: Any) -> None:
-        super()._use(batch)
-        self.metadata["render_fps"] = batch.frame_rate
-
-    def state(self) -> NDArray[np.float32]:
-        """Observations of both cars, one after the other, whoever drives them.
-
-        Raises
-        ------
-        InputError
-            Before the first reset.
-        """
-        self._check_started()
-        return self.batch.both_views().reshape(-1)
-
-    # Copies are made anew from the arguments: they share the track, and neither compiled code nor a window.
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        own = {
-            "render_mode": self.render_mode,
-            "view": self.view,
-            "render_size": self.render_size,
-            "max_cycles": self.max_cycles,
-        }
-        return _rebuild, ({**self._arguments, **own}, self.get_state())
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "DriveHeadToHeadEnv":
-        function, arguments = self.__reduce__()
-        copied: DriveHeadToHeadEnv = function(*arguments)
-        return copied
-
-
-def _rebuild(arguments: dict[str, Any], state: ParallelState) -> DriveHeadToHeadEnv:
-    made = DriveHeadToHeadEnv(**arguments)
-    made.set_state(state)
-    return made
 
 
 class DriveHeadToHeadVectorEnv(BatchVectorEnv):

@@ -48,6 +48,20 @@ class Sight(NamedTuple):
     end_tick: int  #: Steps of 0.01 s of a race.
     beams: Beams  #: Of the lidar; with no beams there is no scan.
     noise: NDArray[Any]  #: shape (B,): Standard deviation of its ranges in each race, m.
+    low: NDArray[Any]  #: shape (n,): Bounds of the elements, to which they are clipped.
+    high: NDArray[Any]
+    gain: NDArray[Any]  #: shape (n,): What is written is ``gain`` times the clipped value, plus ``shift``.
+    shift: NDArray[Any]
+
+
+class StepResults(NamedTuple):
+    """What a step overwrites, and the progress that it is paid from; the players of a race have rows side by side."""
+
+    before: NDArray[np.float64]  #: shape (B, 2): Progress before the step, m.
+    reward: NDArray[np.float64]  #: shape (B * players,)
+    terminated: NDArray[np.bool_]  #: shape (B * players,)
+    truncated: NDArray[np.bool_]  #: shape (B * players,)
+    observations: NDArray[np.float32]  #: shape (B * players, n)
 
 
 @kernel
@@ -226,16 +240,17 @@ def _observe(track, state, vehicles, sight, race, car, row, work):  # type: igno
 
 
 @inner_kernel
-def _write(row, low, high, gain, shift, beams, out):  # type: ignore[no-untyped-def]
-    """Clip an observation to its bounds, scale it if asked, and round it to float32.
-
-    The ranges of the beams, which come last, share their bounds: read once, they leave room in the processor's cache.
-    """
+def _write(row, sight, out):  # type: ignore[no-untyped-def]
+    """Clip an observation to its bounds, scale it if asked, and round it to float32."""
+    low, high, gain, shift = sight.low, sight.high, sight.gain, sight.shift
     count = row.shape[0]
-    for k in range(np.uint64(count - beams)):
+    first_beam = count - sight.beams.cos.shape[0]
+    # Unsigned counters spare the test for negative indices.
+    for k in range(np.uint64(first_beam)):
         out[k] = np.float32(min(max(row[k], low[k]), high[k]) * gain[k] + shift[k])
+    # The beams come last and share their bounds: read once, these leave room in the processor's cache.
     least, most, factor, offset = low[count - 1], high[count - 1], gain[count - 1], shift[count - 1]
-    for k in range(np.uint64(count - beams), np.uint64(count)):
+    for k in range(np.uint64(first_beam), np.uint64(count)):
         out[k] = np.float32(min(max(row[k], least), most) * factor + offset)
 
 
@@ -249,31 +264,16 @@ def _noisy(scan, seed, car, tick, noise, most):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def observe_races(track, state, vehicles, sight, low, high, gain, shift, rows, first, last, row, work, out):  # type: ignore[no-untyped-def]
-    """Write the observations of the players of the races ``rows[first:last]``.
+def observe_races(track, state, vehicles, sight, rows, first, last, row, work, out):  # type: ignore[no-untyped-def]
+    """Write the observations of the players of the races ``rows[first:last]``, each into its player's row of ``out``.
 
-    Parameters
-    ----------
-    track : TrackArrays
-    state : RaceState
-    vehicles : ndarray, shape (B, 2, 18)
-    sight : Sight
-    low, high, gain, shift : ndarray, shape (n,)
-        Bounds of the elements, and what turns a clipped value into the one that is written.
-    rows : ndarray of int64
-        Which races to observe.
-    first, last : int
-        The part of ``rows`` to work off.
-    row : ndarray, shape (n,)
-        Scribbled on, as is ``work``, of shape ``WORK_SHAPE`` of the lidar.
-    out : ndarray, shape (B * players, n), float32
-        Receives the observations, each in its player's row.
+    The contents of ``row``, of shape (n,), and ``work``, of the lidar's ``WORK_SHAPE``, are undefined afterwards.
     """
     for i in range(first, last):
         race = rows[i]
         for car in range(sight.players):
             _observe(track, state, vehicles, sight, race, car, row, work)
-            _write(row, low, high, gain, shift, sight.beams.cos.shape[0], out[race * sight.players + car])
+            _write(row, sight, out[race * sight.players + car])
 
 
 @kernel
@@ -312,32 +312,31 @@ def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _end_step(  # type: ignore[no-untyped-def]
-    progress, crash, fault, tick, end_tick, weights, players, alone, before, reward, terminated, truncated, first, last
-):
+def _end_step(state, end_tick, weights, sight, results, first, last):  # type: ignore[no-untyped-def]
     """Rewards and ends after a step, from the progress before it and the state after it."""
     per_metre, rivalry, penalty, win, fault_loses = weights
+    progress, crash, fault, before = state.progress, state.crash, state.fault, results.before
     for race in range(first, last):
         crashed = crash[race, 0] != 0 or crash[race, 1] != 0
-        late = tick[race] >= end_tick
+        late = state.tick[race] >= end_tick
         # Where winning pays, nothing follows after the last moment of a race.
         ended = crashed or (late and win > 0.0)
-        for car in range(players):
+        for car in range(sight.players):
             other = 1 - car
             own = progress[race, car] - before[race, car]
-            opponent = 0.0 if alone else progress[race, other] - before[race, other]
-            worth = step_reward(own, opponent, fault[race, car], (per_metre, rivalry, penalty))
-            if win > 0.0 and not alone and (crashed or late):
+            opponent = 0.0 if sight.alone else progress[race, other] - before[race, other]
+            reward = step_reward(own, opponent, fault[race, car], (per_metre, rivalry, penalty))
+            if win > 0.0 and not sight.alone and (crashed or late):
                 lead = progress[race, car] - progress[race, other]
-                worth += win * win_sign(lead, crashed, fault[race, car], fault[race, other], fault_loses)
-            player = race * players + car
-            reward[player] = worth
-            terminated[player] = ended
-            truncated[player] = late and not ended
+                reward += win * win_sign(lead, crashed, fault[race, car], fault[race, other], fault_loses)
+            player = race * sight.players + car
+            results.reward[player] = reward
+            results.terminated[player] = ended
+            results.truncated[player] = late and not ended
 
 
 @kernel
-def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, actions, limits, weights, sight, low, high, gain, shift, rows, first, last, buffers, before, reward, terminated, truncated, out):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
+def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, actions, limits, weights, sight, rows, first, last, buffers, results):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
     """One step of races ``first`` to ``last - 1``: drive ``ticks`` steps on, pay, and observe.
 
     Parameters
@@ -351,16 +350,11 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
     weights : tuple
         Reward for a metre, share of the opponent's progress that is taken off, penalty
         (:func:`pcs_racing.game.reward.step_reward`); reward of a win, and whether a fault loses the race.
-    sight, low, high, gain, shift, rows, out
-        As in :func:`observe_races`; ``rows`` counts from 0 to B - 1.
-    first, last : int
-        The part of the batch to step.
+    rows : ndarray of int64
+        The numbers from 0 to B - 1.
     buffers : tuple of ndarray
-        ``scratch`` and ``work`` of the races, ``row`` and ``work`` of the observations: all scribbled on.
-    before : ndarray, shape (B, 2)
-        Progress from which the reward counts, m.
-    reward, terminated, truncated : ndarray, shape (B * players,)
-        Overwritten.
+        ``scratch`` and ``work`` of the races, ``row`` and ``work`` of the observations; contents undefined afterwards.
+    results : StepResults
     """
     scratch, work, row, scan_work = buffers
     set_commands(actions, limits[0], limits[1], state.memory, first, last)
@@ -370,20 +364,5 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
         advance_races(
             track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, first, last, scratch, work
         )
-    _end_step(
-        state.progress,
-        state.crash,
-        state.fault,
-        state.tick,
-        settings.end_tick,
-        weights,
-        sight.players,
-        sight.alone,
-        before,
-        reward,
-        terminated,
-        truncated,
-        first,
-        last,
-    )
-    observe_races(track, state, vehicles, sight, low, high, gain, shift, rows, first, last, row, scan_work, out)
+    _end_step(state, settings.end_tick, weights, sight, results, first, last)
+    observe_races(track, state, vehicles, sight, rows, first, last, row, scan_work, results.observations)

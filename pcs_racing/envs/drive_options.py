@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,21 +16,12 @@ from pcs_racing.envs.circuits import is_circuits
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.observation import ObservationElement as Element
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.rates import CONTROL_EVERY, DT
 
 SEE_OPPONENT = ("never", "in sight", "always")
 """When the opponent is observed; each at the index that the kernel knows it by."""
-
-
-class Element(NamedTuple):
-    """One number of the observation: its name, unit, bounds and meaning."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    meaning: str
 
 
 def _source(kind: type) -> Rule:

@@ -24,7 +24,7 @@ Every environment uses the same names, and every value is a number or an array o
 | `action_mask` | 1 for each move that may be made (int8) |
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from typing import Any
 
@@ -58,6 +58,13 @@ class Result(IntEnum):
 def codes(kind: type[IntEnum]) -> dict[int, str]:
     """Words of an enumeration by number."""
     return {member.value: member.name.lower() for member in kind}
+
+
+def common_codes(opponents: Iterable[str]) -> dict[str, dict[int, str]]:
+    """Words of the infos of every environment that are codes, from the names of its opponents."""
+    crash = codes(Crash)
+    names = {-1: "none", **dict(enumerate(opponents))}
+    return {"crash": crash, "opponent_crash": crash, "result": codes(Result), "opponent": names}
 
 
 def of_players(values: NDArray[Any], players: int) -> NDArray[Any]:
