@@ -13,8 +13,7 @@ from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.infos import Result, codes, of_players, one_info
 from pcs_racing.game.competitor import Chooser
-from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, put_matches
-from pcs_racing.game.match_choices import ask_choices
+from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, ask_choices, put_matches
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.races import start_races
 from pcs_racing.race.start_grid import Starts

@@ -157,9 +157,11 @@ def ask_moves(
 ) -> NDArray[np.int64]:
     """Ask a competitor for the moves of one car in a batch of B games.
 
+    Returns indices in :attr:`RaceGame.competitor_moves`, shape (B,); 0 for a driver and in games that it is not asked
+    about.
+
     Parameters
     ----------
-    competitor : Competitor
     rows : ndarray of int, optional
         Games to ask about, all by default; those that are over are left out.
     observation : ndarray, shape (B, D), optional
@@ -171,11 +173,6 @@ def ask_moves(
         Of each game, for functions and :class:`RandomMoves`.
     deterministic : bool
         Whether predictors take their best move or draw one, by a generator of their own.
-
-    Returns
-    -------
-    ndarray of int, shape (B,)
-        Indices in :attr:`RaceGame.competitor_moves`; 0 for a driver and in games that it is not asked about.
     """
     names = game.competitor_moves
     moves = np.zeros(state.games, np.int64)

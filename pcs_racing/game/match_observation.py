@@ -59,18 +59,10 @@ def encode_match(
     race: NDArray[np.int64],
     front: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """Put what the players saw of earlier races in the order of :func:`match_elements`.
+    """Put what the players saw of earlier races in the order of :func:`match_elements`, shape (B, 2, D).
 
-    Parameters
-    ----------
-    own, measured, leads, scores, driven, race
-        See :class:`pcs_racing.game.match.MatchState`.
-    front : ndarray of bool, shape (B, 2)
-        Whether each car starts the next race on the left or in front; false where there is no next race.
-
-    Returns
-    -------
-    ndarray, shape (B, 2, D), float32
+    The arrays are those of :class:`pcs_racing.game.match.MatchState`; ``front``, of shape (B, 2), says whether each car
+    starts the next race on the left or in front, and is false where there is no next race.
     """
     matches, races = leads.shape
     lead = np.clip(leads / LEAD_SCALE, -LEAD_BOUND, LEAD_BOUND)

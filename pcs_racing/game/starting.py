@@ -52,22 +52,9 @@ def driver_parameters(
     games: int,
     size: int,
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Parameters of the policies from outside the archive that drive a car.
+    """Whether a car's driver is from outside the archive, shape (games,), and its parameters, shape (games, size).
 
-    Parameters
-    ----------
-    planner : Planner
-        The car's planner.
-    drivers : Policy or sequence of (Policy or None), optional
-        One for all games or for each; None where a policy of the archive drives.
-    size : int
-        Numbers in a row of parameters.
-
-    Returns
-    -------
-    outside : ndarray of bool, shape (games,)
-        Whether the driver is from outside the archive.
-    theta : ndarray, shape (games, size)
+    Drivers are given for all games or for each, as policies of the car's planner; None where the archive's drive.
     """
     role = ("ego", "opponent")[car]
     given = [drivers] * games if drivers is None or isinstance(drivers, Policy) else list(drivers)
