@@ -181,26 +181,8 @@ class DriveEnv(ScalarEnv):
 class DriveVectorEnv(BatchVectorEnv):
     """Many :class:`DriveEnv` in one, with the same numbers for the same seeds.
 
-    Parameters
-    ----------
-    num_envs : int
-        Number of races.
-    autoreset_mode : AutoresetMode or str
-        What happens after an episode has ended: see :class:`pcs_racing.envs.vector.BatchVectorEnv`.
-    max_episode_steps : int, optional
-        Steps after which an episode is truncated, in addition to its duration.
-    threads : int, optional
-        Threads that may share a step; the result does not depend on it. By default as many as there are cores. Fewer
-        are used where a step is short (``env.batch.threads``), and one where the opponent is plain Python.
-    render_mode, view, render_size, **options
-        As for :class:`DriveEnv`; `render` returns a frame for each race.
-
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
+    The arguments are those of :class:`DriveEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`. Fewer threads
+    are used where a step is short (``env.batch.threads``), and one where the opponent is plain Python.
 
     Examples
     --------
@@ -272,26 +254,19 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
 
     ## Information
 
-    `info` of each agent holds numbers: `time` (s), `progress` and `lead` (own, m), `crash` and `opponent_crash`
-    (`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), `fault` (1 if it is to blame), `overtakes`, `result`
-    (`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that pays nobody), `opponent` (-1: the
-    other agent), `laps`, `lap_time`, `best_lap` and what was drawn for the episode, as in `DriveEnv`.
+    `info` of each agent holds the numbers of `DriveEnv`, seen from its own car; `opponent` is -1: the other agent.
     `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
 
     ## Arguments
 
-    - `track` (`"Tarnfjord"`): a circuit's name, its folder, or a `Track`; a list of these, of which one is drawn for
-      each episode; or `"random"`: a newly generated circuit for each episode.
-    - `race` (`"paper"`): rules of the race: `"paper"`, `"contest"`, a YAML file or a `RaceConfig`.
+    Those of `DriveEnv`, with their meaning and default there, such as `track`, `race`, `render_mode`, `view` and
+    `render_size`; but:
+
     - `opponent` (`None`): what drives `car_1` in place of a second agent, as for `pcs_racing/Drive-v1`. Then `car_0` is
       the only agent.
     - `time_step` (0.02): length of a step in s, a multiple of 0.02 s up to 1 s.
     - `rivalry` (1.0): see *Rewards*.
-    - `render_mode` (`None`): `"rgb_array"`: `render()` returns a picture; `"human"`: every step is shown in a window.
-    - `view` (`"both"`): `"track"`, `"both"`, `"car_0"` or `"car_1"`.
-    - `render_size` (`(960, 640)`): width and height in pixels.
     - `max_cycles` (`None`): steps after which an episode is truncated.
-    - every other argument of `DriveEnv`, with its meaning and default there.
 
     ## Vectorized environment
 
@@ -320,7 +295,6 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     declared = Declared(
         DriveOptions,
         positional=("track", "race"),
-        named=("opponent", "time_step", "rivalry"),
         changed={"opponent": None, "time_step": 0.02, "rivalry": 1.0},
     )
 
@@ -329,23 +303,9 @@ class DriveHeadToHeadVectorEnv(BatchVectorEnv):
     """Many races of :class:`DriveHeadToHeadEnv` in one, with the same numbers for the same seeds.
 
     Environment ``2 i`` is car 0 of race ``i``, and ``2 i + 1`` its car 1: one policy that acts in all of them races
-    against itself. Seeds belong to races: ``reset(seed=...)`` takes one for each race.
-
-    Parameters
-    ----------
-    num_envs : int
-        Twice the number of races.
-    time_step, rivalry, **settings
-        As for :class:`DriveHeadToHeadEnv`, without ``opponent``: for opponents that learn nothing there is
-        :class:`pcs_racing.envs.drive.DriveVectorEnv`.
-    autoreset_mode : AutoresetMode or str
-        What happens after an episode has ended: see :class:`pcs_racing.envs.vector.BatchVectorEnv`.
-    max_episode_steps : int, optional
-        Steps after which an episode is truncated, in addition to its duration.
-    threads : int, optional
-        Threads that share a step; the result does not depend on it.
-    render_mode, view, render_size
-        As for :class:`DriveHeadToHeadEnv`; `render` returns a frame for each environment.
+    against itself. Seeds belong to races: ``reset(seed=...)`` takes one for each race. The arguments are those of
+    :class:`DriveHeadToHeadEnv`, without ``opponent``, and of :class:`pcs_racing.envs.vector.BatchVectorEnv`. For
+    opponents that learn nothing there is :class:`DriveVectorEnv`.
 
     Examples
     --------
@@ -360,11 +320,10 @@ class DriveHeadToHeadVectorEnv(BatchVectorEnv):
     players = 2
 
 
-def parallel_env(**arguments: Any) -> DriveHeadToHeadEnv:
-    """Make a :class:`DriveHeadToHeadEnv` (PettingZoo's parallel interface); the arguments are the class's."""
-    return DriveHeadToHeadEnv(**arguments)
+parallel_env = DriveHeadToHeadEnv
+"""PettingZoo's name for what makes an environment of its parallel interface."""
 
 
 def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], Any]:
     """Make the same environment in PettingZoo's turn-by-turn interface: both agents act, then a step is driven."""
-    return parallel_to_aec(DriveHeadToHeadEnv(**arguments))
+    return parallel_to_aec(parallel_env(**arguments))

@@ -74,13 +74,8 @@ class DuelEnv(ScalarEnv):
 
     ## Information
 
-    Numbers: ``time`` (s), ``progress`` and ``lead`` (m), ``crash`` and ``opponent_crash``
-    (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the own car is to blame for a crash),
-    ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that
-    pays nobody), ``opponent`` (index of the game's opponent), ``move`` and ``opponent_move`` (-1 before the first, and
-    for a driver), ``policy`` (index in the archive), ``action_mask``, ``laps`` (complete ones, from one crossing of the
-    line s = 0 to the next), ``lap_time`` and ``best_lap`` (s, of the last and the shortest of them; -1 if there is
-    none), and where episodes differ in it, ``track`` (its number) and what ``randomize`` drew.
+    The numbers of :class:`pcs_racing.envs.drive.DriveEnv`, and ``move`` and ``opponent_move`` (-1 before the first, and
+    for a driver), ``policy`` (index in the archive) and ``action_mask``.
     ``env.unwrapped.metadata["codes"]`` holds the words of all codes; ``env.unwrapped.outcome()`` is the info in words.
 
     ## Arguments
@@ -88,8 +83,7 @@ class DuelEnv(ScalarEnv):
     Parameters
     ----------
     track : str, Path or Track, a list of these, "random" or RandomCircuits
-        A circuit's name, its folder, or a track. Of a list one is drawn for each episode; with "random" each episode is
-        driven on a newly generated circuit, or as :class:`pcs_racing.race.random_circuits.RandomCircuits` says.
+        As for :class:`pcs_racing.envs.drive.DriveEnv`.
     archive : str, Path or PolicyArchive
     opponent : str, competitor, or list
         By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each game and kept);
@@ -105,15 +99,9 @@ class DuelEnv(ScalarEnv):
         Whether models take their best move; if not, they draw with a generator of their own, which no seed of this
         environment reaches.
     vehicle : VehicleParams, dict, str or Path, or a list of two
-        Parameters of both cars, or of car 0 and car 1: a dict or a YAML file names those that differ from F1TENTH's
-        (:class:`pcs_racing.VehicleParams`), such as ``{"mu": 0.8}``.
     randomize : Randomization, dict, str or Path, optional
-        Ranges from which each episode draws friction, mass, steering delay and steering noise of its cars
-        (:class:`pcs_racing.envs.randomization.Randomization`), such as ``{"friction": [0.7, 1.1]}``.
     obstacles : Obstacles, int, dict, str or Path, optional
-        Boxes that stand on the track, drawn for each episode: how many, or their settings
-        (:class:`pcs_racing.envs.obstacles.Obstacles`).
-        A car that touches one has crashed as into a wall, and the lattice planner avoids most.
+        As for :class:`pcs_racing.envs.drive.DriveEnv`; there is no lidar to draw the noise of.
     render_mode : {"rgb_array", "rgb_array_list", "human"}, optional
         With "rgb_array" a frame shows how a step ended; with "rgb_array_list" `render` returns all frames since it was
         last called, or since the reset, 25 for each second of racing
@@ -174,27 +162,7 @@ class DuelEnv(ScalarEnv):
 class DuelVectorEnv(BatchVectorEnv):
     """Many :class:`DuelEnv` in one, with the same numbers for the same seeds.
 
-    Parameters
-    ----------
-    num_envs : int
-        Number of games.
-    autoreset_mode : AutoresetMode or str
-        What happens after a game has ended: see :class:`pcs_racing.envs.vector.BatchVectorEnv`.
-    max_episode_steps : int, optional
-        Moves after which a game is truncated.
-    threads : int, optional
-        Threads that share a step, all cores by default; the result does not depend on it.
-    track, archive, opponent, race, deterministic_opponent, vehicle, randomize, obstacles, render_mode, view
-        As for :class:`DuelEnv`; `render` returns a frame for each environment.
-    render_size, **settings
-        As for :class:`DuelEnv`.
-
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
+    The arguments are those of :class:`DuelEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`.
 
     Examples
     --------
@@ -222,14 +190,8 @@ class SelfPlayVectorEnv(DuelVectorEnv):
     """Games in which both cars belong to the agent: environment ``2 i`` is car 0 of game ``i``, ``2 i + 1`` its car 1.
 
     One policy that acts in all environments plays against itself; rewards of a pair add up to zero. Seeds belong to
-    games: ``reset(seed=...)`` takes one for each game.
-
-    Parameters
-    ----------
-    num_envs : int
-        Twice the number of games.
-    **arguments
-        As for :class:`DuelVectorEnv`, without ``opponent``.
+    games: ``reset(seed=...)`` takes one for each game. The arguments are those of :class:`DuelVectorEnv`, without
+    ``opponent``.
     """
 
     declared = replace(DuelVectorEnv.declared, changed={"opponent": None})
@@ -338,11 +300,10 @@ class HeadToHeadEnv(ParallelBatchEnv):
             yield from self.batch.film(self._open_renderer(), 0)
 
 
-def parallel_env(**arguments: Any) -> HeadToHeadEnv:
-    """Make a :class:`HeadToHeadEnv` (PettingZoo's parallel interface); the arguments are the class's."""
-    return HeadToHeadEnv(**arguments)
+parallel_env = HeadToHeadEnv
+"""PettingZoo's name for what makes an environment of its parallel interface."""
 
 
 def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], int | None]:
     """Make the same environment in PettingZoo's turn-by-turn interface: both cars move, then a step is driven."""
-    return parallel_to_aec(HeadToHeadEnv(**arguments))
+    return parallel_to_aec(parallel_env(**arguments))

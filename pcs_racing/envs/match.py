@@ -145,27 +145,7 @@ class MatchEnv(DuelEnv):
 class MatchVectorEnv(DuelVectorEnv):
     """Many :class:`MatchEnv` in one, with the same numbers for the same seeds.
 
-    Parameters
-    ----------
-    num_envs : int
-        Number of matches.
-    autoreset_mode : AutoresetMode or str
-        What happens after a match has ended: see :class:`pcs_racing.envs.vector.BatchVectorEnv`.
-    max_episode_steps : int, optional
-        Steps after which a match is truncated.
-    threads : int, optional
-        Threads that share a step, all cores by default; the result does not depend on it.
-    track, archive, opponent, race, races, race_moves, deterministic_opponent, vehicle, randomize, obstacles
-        As for :class:`MatchEnv`.
-    render_mode, view, render_size, **settings
-        As for :class:`MatchEnv`; `render` returns a frame for each environment.
-
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
+    The arguments are those of :class:`MatchEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`.
 
     Examples
     --------
@@ -189,14 +169,7 @@ class SelfPlayMatchVectorEnv(MatchVectorEnv):
     """Matches in which both cars belong to the agent: environment ``2 i`` is car 0 of match ``i``, ``2 i + 1`` car 1.
 
     One policy that acts in all environments plays against itself. Seeds belong to matches: ``reset(seed=...)`` takes
-    one for each match.
-
-    Parameters
-    ----------
-    num_envs : int
-        Twice the number of matches.
-    **arguments
-        As for :class:`MatchVectorEnv`, without ``opponent``.
+    one for each match. The arguments are those of :class:`MatchVectorEnv`, without ``opponent``.
 
     Examples
     --------
@@ -286,11 +259,10 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
         return self.batch.match
 
 
-def parallel_env(**arguments: Any) -> HeadToHeadMatchEnv:
-    """Make a :class:`HeadToHeadMatchEnv` (PettingZoo's parallel interface); the arguments are the class's."""
-    return HeadToHeadMatchEnv(**arguments)
+parallel_env = HeadToHeadMatchEnv
+"""PettingZoo's name for what makes an environment of its parallel interface."""
 
 
 def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], int | None]:
     """Make the same environment in PettingZoo's turn-by-turn interface: both players choose, then a race is driven."""
-    return parallel_to_aec(HeadToHeadMatchEnv(**arguments))
+    return parallel_to_aec(parallel_env(**arguments))

@@ -34,7 +34,6 @@ class Declared:
 
     options: type[Any]  #: Dataclass of the batch's arguments; the environment's have the same defaults, unless changed.
     positional: tuple[str, ...] = ()  #: Those that may be given by position, in order.
-    named: tuple[str, ...] | None = None  #: The others that the class describes itself; all of them by default.
     more: type[Any] | None = None  #: Dataclass of which every field may be given, too.
     changed: Mapping[str, Any] = field(default_factory=dict)  #: Other defaults, by name.
 
@@ -51,14 +50,12 @@ class Declared:
         """Signature of a class: the batch's arguments, and those of its method ``begin`` except ``arguments``."""
         own = [one for name, one in signature(begin).parameters.items() if name not in ("self", "arguments")]
         listed = [name for name in self.defaults if name not in self.positional]
-        if self.named is not None:
-            listed = [name for name in listed if name in self.named]
         kinds = {one.name: one.type for one in fields(self.options)}
         parameters = [one.replace(kind=_BY_PLACE, default=players) for one in own if one.name == "num_envs"]
         for names, way in ((self.positional, _BY_PLACE), (listed, _BY_NAME)):
             parameters += [Parameter(name, way, default=self.defaults[name], annotation=kinds[name]) for name in names]
         parameters += [one.replace(kind=_BY_NAME) for one in own if one.name != "num_envs"]
-        if self.more is not None or self.named is not None:
+        if self.more is not None:
             parameters.append(Parameter("settings", Parameter.VAR_KEYWORD, annotation=Any))
         return Signature(parameters)
 

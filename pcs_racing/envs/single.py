@@ -147,20 +147,10 @@ class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin a new episode.
+        """Begin a new episode; without a seed the random generator goes on.
 
-        Parameters
-        ----------
-        seed : int, optional
-            Seed of the random generator; without it the generator goes on.
-        options : dict, optional
-            "track" and "opponent" replace the environment's arguments from now on; "state" continues from what
-            `get_state` returned; the class lists the others.
-
-        Returns
-        -------
-        observation : ndarray of float32
-        info : dict
+        Of the options, "track" and "opponent" replace the environment's arguments from now on; "state" continues from
+        what `get_state` returned; the class lists the others.
         """
         self._restart(seed, options)
         self._unseen = []
@@ -179,13 +169,7 @@ class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
         return words(self.batch.info(0), self.batch.codes)
 
     def set_state(self, state: EnvState) -> NDArray[np.float32]:
-        """Continue from what `get_state` returned, here or in an environment with equal arguments.
-
-        Returns
-        -------
-        ndarray of float32
-            The observation at that moment.
-        """
+        """Continue from what `get_state` returned, and return the observation at that moment."""
         super().set_state(state)
         self._unseen = []
         if self._steps is not None:

@@ -123,10 +123,7 @@ class Variety:
 
     def info(self, episode: int) -> dict[str, Any]:
         """What was drawn for one episode, as numbers."""
-        info = {"track": int(self.circuits.number[episode])} if self.circuits.several else {}
-        if self.obstacles is not None:
-            info["obstacles"] = len(self.boxes[episode])
-        return {**info, **{name: float(values[episode]) for name, values in self.drawn.items()}}
+        return {name: values[episode].item() for name, values in self.infos().items()}
 
     def get_state(self) -> tuple[Any, ...]:
         """Return copies of all that changes."""

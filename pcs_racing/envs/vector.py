@@ -37,6 +37,25 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
     - ``SAME_STEP``: a new one begins at once; the step returns its first observation, and ``info["final_obs"]`` and
       ``info["final_info"]`` hold what the old one ended with;
     - ``DISABLED``: nothing, until ``reset(options={"reset_mask": mask})`` begins new ones where the mask is true.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of environments; in self-play two for each episode.
+    autoreset_mode : AutoresetMode or str
+    max_episode_steps : int, optional
+        Steps after which an episode is truncated, in addition to its own end.
+    threads : int, optional
+        Threads that may share a step, all cores by default; the result does not depend on it.
+    render_mode, view, render_size, **arguments
+        As for the environment of one episode; `render` returns a frame for each environment.
+
+    Raises
+    ------
+    InputError
+        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
+    UnknownArgumentError
+        A TypeError, if there is no such argument.
     """
 
     metadata: dict[str, Any] = {**OverBatch.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -111,19 +130,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         return self._observations(), self._infos()
 
     def step(self, actions: NDArray[Any]) -> Step:
-        """Make a step in every environment.
-
-        Parameters
-        ----------
-        actions : array_like, shape (num_envs, ...)
-
-        Returns
-        -------
-        observations : ndarray of float32, shape (num_envs, D)
-        rewards : ndarray of float64, shape (num_envs,)
-        terminations, truncations : ndarray of bool, shape (num_envs,)
-        info : dict
-        """
+        """Make a step in every environment; the class for one agent describes its actions."""
         checked = self.batch.check_actions(actions, (self.num_envs,))
         self._check_started()
         again = np.flatnonzero(self._over)
@@ -179,13 +186,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         return VectorState(self.batch.get_state(), generators, self._over.copy(), self._steps.copy())
 
     def set_state(self, state: VectorState) -> NDArray[np.float32]:
-        """Continue from what `get_state` returned, here or in an environment with equal arguments.
-
-        Returns
-        -------
-        ndarray of float32, shape (num_envs, D)
-            The observations at that moment.
-        """
+        """Continue from what `get_state` returned, and return the observations at that moment, shape (num_envs, D)."""
         if not isinstance(state, VectorState):
             raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
         self.batch.set_state(state.batch)

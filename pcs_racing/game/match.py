@@ -215,7 +215,7 @@ class MatchGame:
     ) -> MatchState:
         """Let both players move in the races that go on, or in some, and drive a step.
 
-        Moves, shape (B, 2), are indices in :attr:`RaceGame.competitor_moves`; the conditions are those of :meth:`start`.
+        Moves, shape (B, 2), are indices in :attr:`RaceGame.competitor_moves`, conditions those of :meth:`start`.
         """
         new = state.copy()
         going = np.flatnonzero(state.racing)

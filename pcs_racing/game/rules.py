@@ -16,7 +16,7 @@ through :class:`RaceGame`: functions from one :class:`GameState` to the next, fo
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -106,16 +106,7 @@ class RaceGame:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what the game was made of, not what was derived from it."""
-        return RaceGame, (
-            self.track,
-            self.archive,
-            self.config,
-            self.opponent_planner,
-            self.threads,
-            self.ego_planner,
-            self.vehicles,
-            self.most_delay,
-        )
+        return RaceGame, tuple(getattr(self, one.name) for one in fields(self))
 
     def __copy__(self) -> "RaceGame":
         """Return the game itself: it never changes."""

@@ -18,7 +18,6 @@ from pcs_racing import (
     load_track,
     parse_policy,
 )
-from pcs_racing.envs import circuits
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
@@ -300,4 +299,3 @@ def test_impossible_random_circuits_are_refused(changes):
 def test_a_single_number_is_a_range_and_settings_are_taken_as_they_are():
     assert load_randomization({"friction": 0.8}) == Randomization(friction=(0.8, 0.8))
     assert load_randomization(Randomization(mass=(3.0, 4.0))).names == ("mass",)
-    assert circuits.is_circuits("random")
