@@ -68,6 +68,7 @@ class Circuits:
             if self.several:
                 self.number[rows] = [generator.integers(len(self._listed)) for generator in generators]
             return
+        # The generator is asked once; later circuits follow from the key, so that they can be built ahead of time.
         for row, generator in zip(rows, generators, strict=True):
             if self._past[row] < 0:
                 self._keys[row] = generator.integers(2**63)

@@ -102,6 +102,7 @@ class DriveBatch:
         planner = EXTERNAL
         if self.opponents:
             planner = shared_planner(self.opponents, self._moving.game if self._moving else None)
+        # The memory of late commands has one size for all episodes: that of the longest delay.
         delay = self.variety.randomization.most_delay
         self.setup = RaceSetup(self.variety.circuits.track(0), config, (EXTERNAL, planner), self.variety.cars, delay)
         self._ticks = options.ticks
@@ -112,6 +113,7 @@ class DriveBatch:
             **self.variety.codes,
         }
         self.elements = drive_elements(options)
+        # Refused before arrays of this size are made.
         environments = self.episodes * players
         if environments * len(self.elements) > MOST_NUMBERS:
             raise InputError(
@@ -189,6 +191,7 @@ class DriveBatch:
         #: All races; written to by `restart` and `step`.
         self.state = take(course.grid, np.zeros(races, np.intp))
         self.drawn = np.zeros(races, np.int64)  #: Index of each race's opponent.
+        # Equal weights draw a whole number, others a share: which of the two is part of what a seed means.
         weights = np.array([opponent.weight for opponent in self.opponents] or [1.0])
         self._edges = None if (weights == weights[0]).all() else np.cumsum(weights) / weights.sum()
         self.theta = np.zeros((races, 2, setup.theta_size))
@@ -240,6 +243,7 @@ class DriveBatch:
         groups = [(self.course(circuit), some) for circuit, some in self.variety.groups(rows)]
         places, seeds, at = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.uint64), np.zeros((len(rows), 2))
         grids: list[RaceState] = []
+        # The draws of an episode come in this order whatever is given, so that one seed is one episode.
         for course, some in groups:
             grid = course.grid
             if starts is not None:
@@ -251,17 +255,20 @@ class DriveBatch:
                 places[i] = generator.integers(course.grid.races)
                 self._draw_opponent(int(rows[i]), generator)
                 seeds[i] = generator.integers(2**64, dtype=np.uint64)
+                # What stands where the options say has a row of its own instead of a place on the grid.
                 if grid is not course.grid:
                     places[i] = k
             at[some] = grid.frenet[places[some], :, 0]
             grids.append(grid)
         self.variety.place_obstacles(rows, at, generators, boxes)
+        # Before anything is written: a reset that is refused leaves the races as they were.
         if boxes is not None:
             for (course, some), grid in zip(groups, grids, strict=True):
                 self._check_clear(course.setup, rows[some], take(grid, places[some]))
         for (course, some), grid in zip(groups, grids, strict=True):
             for row in rows[some]:
                 arrays = self.variety.track(int(row)).arrays
+                # Races with obstacles have arrays of their own, and are stepped apart from the others.
                 own = arrays is not course.scene.arrays
                 self._scenes[row] = course.scene._replace(arrays=arrays) if own else course.scene
                 self._uniform &= not own
@@ -342,33 +349,37 @@ class DriveBatch:
         races, ticks = self.episodes, self._ticks
         results = self._results()
         if self._in_python:
+            # The kernel then pays and observes, but does not drive: 0 ticks.
             set_commands(actions, *self._limits, self.state.memory, 0, races)
             self._advance_in_python(ticks)
             ticks = 0
-        threads = self.threads
-        edges = [races * k // threads for k in range(threads + 1)]
-        # This thread does the first part itself: to wake another one takes as long as some races' step.
-        parts = [
-            self._pool.submit(self._step_part, actions, ticks, edges[k], edges[k + 1], k, results)
-            for k in range(1, threads)
-        ]
-        self._step_part(actions, ticks, 0, edges[1], 0, results)
-        for part in parts:
-            part.result()
+        if self.threads == 1:
+            self._step_part(actions, ticks, 0, races, 0, results)
+        else:
+            edges = [races * k // self.threads for k in range(self.threads + 1)]
+            parts = [
+                self._pool.submit(self._step_part, actions, ticks, edges[k], edges[k + 1], k, results)
+                for k in range(1, self.threads)
+            ]
+            # This thread does the first part itself: to wake another one takes as long as some races' step.
+            self._step_part(actions, ticks, 0, edges[1], 0, results)
+            for part in parts:
+                part.result()
         if self._moving is not None:
             self._moving.move(self.state, self.theta, self.opponents, self.drawn, generators)
         return BatchStep(results.observations, results.reward, results.terminated, results.truncated)
 
     def _results(self) -> StepResults:
         count = self.episodes * self.players
-        ends = np.empty(count, np.bool_), np.empty(count, np.bool_)
+        ended, late = np.empty(count, np.bool_), np.empty(count, np.bool_)
         observations = np.empty((count, len(self.elements)), np.float32)
-        return StepResults(self.state.progress.copy(), np.empty(count), *ends, observations)
+        return StepResults(self.state.progress.copy(), np.empty(count), ended, late, observations)
 
     def _step_part(
         self, actions: NDArray[np.float64], ticks: int, first: int, last: int, worker: int, results: StepResults
     ) -> None:
         """Step a part of the races, on one thread."""
+        # Races on the same circuit stand side by side, so that a call of the kernel takes a run of them.
         runs = [(0, last - first)] if self._uniform or first == last else runs_of(self._scenes[first:last])
         for low, high in runs:
             scene = self._scenes[first + low] if first < last else self._scenes[0]
@@ -390,6 +401,7 @@ class DriveBatch:
                 self._buffers[worker],
                 results,
             )
+            # Looked up once: to find the machine code by the types of all arguments takes longer than a step.
             if self._compiled is None:
                 self._compiled = compiled_for(step_races, arguments)
             self._compiled(*arguments)
@@ -421,6 +433,7 @@ class DriveBatch:
         """How each race has ended for each player, shape (B, players); alone a car races nobody: its result is open."""
         state, config = self.state, self.setup.config
         result = np.zeros((self.episodes, self.players), np.int64)
+        # In most steps no race is over, and nobody need be asked who won.
         over = (state.crash[:, 0] != 0) | (state.crash[:, 1] != 0) | (state.tick >= config.ticks)
         if self.alone or not over.any():
             return result
@@ -484,6 +497,7 @@ class DriveBatch:
             arrays = self.variety.track(row).arrays
             self._scenes[row] = scene if arrays is scene.arrays else scene._replace(arrays=arrays)
             self._uniform &= self._scenes[row] is self._scenes[0]
+        # Into the own arrays: the state that was given stays as it is.
         for name, own in self.state._asdict().items():
             own[...] = getattr(races, name)
         self.drawn[:], self.theta[:, 1] = drawn, theta

@@ -72,6 +72,7 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
     first two numbers of its memory say. Car 1 stays where it is, and nothing is summed up for characteristics.
     """
     keep = settings.noise_keep
+    # What is added to the disturbance makes up for what fades, so that its spread stays that of the rules.
     share = np.sqrt(1.0 - keep * keep)
     half = 0.5 * track.length
     for race in range(first, last):
@@ -79,6 +80,7 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
         own = state.cars[race, 0]
         p = vehicles[race, 0]
         noise_sd = steering_sd(settings, p)
+        # A race that is over stands still: its numbers are the last ones until it is restarted.
         while state.tick[race] < end and state.crash[race, 0] == 0:
             tick = state.tick[race]
             if tick % CONTROL_EVERY == 0:
@@ -93,11 +95,13 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
                         state.memory[race, 0], p[_vehicle.STEER_DELAY], tick, state.command[race, 0, 0]
                     )
             _vehicle.step_to_target(own, state.command[race, 0, 0], state.command[race, 0, 1], p, DT)
+            # Walls and progress are looked at after a control period, as often as in races of two cars.
             tick += 1
             state.tick[race] = tick
             if tick % CONTROL_EVERY == 0:
                 before = state.frenet[race, 0, 0]
                 s, d = project(track, own[_vehicle.X], own[_vehicle.Y], before)
+                # From one end of the line to the other s jumps by a lap; what was driven is the short way.
                 driven = s - before
                 if driven > half:
                     driven -= track.length
@@ -129,6 +133,7 @@ def _see_own(line, ds, cars, frenet, memory, race, car, row, k):  # type: ignore
     row[k + 4] = memory[race, car, 0]
     row[k + 5] = memory[race, car, 1]
     row[k + 6] = frenet[race, car, 1]
+    # Between two samples the heading follows from the curvature, which is constant there.
     heading = line[here, PSI] + (s - here * ds) * line[here, KAPPA]
     row[k + 7] = angle_between(cars[race, car, _vehicle.PSI], heading)
 
@@ -185,6 +190,7 @@ def _in_sight(track, cars, race, car, reach):  # type: ignore[no-untyped-def]
     dx = cars[race, 1 - car, _vehicle.X] - x
     dy = cars[race, 1 - car, _vehicle.Y] - y
     apart = np.sqrt(dx * dx + dy * dy)
+    # No ray has a direction between two cars at the same place; they see each other.
     if apart > reach or apart == 0.0:
         return apart == 0.0
     u = (x - track.origin_x) / track.cell
@@ -259,6 +265,7 @@ def _noisy(scan, seed, car, tick, noise, most):  # type: ignore[no-untyped-def]
     """Add to each range noise that depends on the race's seed, the car, the time and the beam alone."""
     beams = scan.shape[0]
     for k in range(beams):
+        # A number of its own for each beam at each moment: no scan repeats the noise of another.
         draw = steering_noise(seed ^ _LIDAR_KEY, car, tick * beams + k)
         scan[k] = min(max(scan[k] + noise * draw, 0.0), most)
 
@@ -284,6 +291,7 @@ def set_commands(actions, steer_max, top_speed, memory, first, last):  # type: i
     """
     for race in range(first, last):
         for car in range(actions.shape[1]):
+            # The driver of a player's car does nothing but hold what stands in its memory.
             memory[race, car, 0] = steer_max * min(max(actions[race, car, 0], -1.0), 1.0)
             memory[race, car, 1] = 0.5 * top_speed * (1.0 + min(max(actions[race, car, 1], -1.0), 1.0))
 

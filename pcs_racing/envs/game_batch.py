@@ -190,8 +190,10 @@ class GameBatch:
             lines = [self.game_of(row).start_lines for row in rows]
             drawn_lines = [line[gen.integers(len(line))] for line, gen in zip(lines, generators, strict=True)]
             starts = Starts(np.array(drawn_lines), np.array([gen.integers(2) for gen in generators], np.int64))
+        # Without obstacles to draw nobody reads the places.
         places = np.zeros((len(rows), 2)) if starts is None else np.repeat(starts.s[:, None], 2, axis=1)
         self.variety.place_obstacles(rows, places, generators, boxes)
+        # A game is a function of this key, whatever the generator draws later.
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
         drawn, drivers = self._draw_opponents(generators)
         if self.state is None:
@@ -250,6 +252,7 @@ class GameBatch:
         return BatchStep(self._observations(), rewards, done, np.zeros(len(done), np.bool_))
 
     def _apply(self, state: GameState, moves: NDArray[np.int64]) -> GameState:
+        # On one circuit the whole batch is one call: no games are taken out and put back.
         groups = self.variety.groups(np.arange(self.episodes))
         if len(groups) == 1:
             circuit, rows = groups[0]
@@ -275,6 +278,7 @@ class GameBatch:
             on = among[some]
             for k, opponent in enumerate(opponents):
                 rows = on[self.drawn[on] == k]
+                # A driver makes no moves.
                 if len(rows) == 0 or opponent.policies:
                     continue
                 asked = ask_moves(
@@ -377,6 +381,7 @@ class GameBatch:
         """Where the pieces of driving of an episode's last step began, and the parameters that drove them."""
         state = self.started()
         theta, begun = state.theta[episode : episode + 1].copy(), self._begun[episode]
+        # The first step was driven when the game began; it starts on the grid, which is made again from the keys.
         if begun is not None:
             conditions = self.variety.conditions(np.array([episode]))
             noise = state.race.seed[episode : episode + 1]
@@ -428,6 +433,7 @@ class GameBatch:
     def _check_state(self, state: Any) -> None:
         if not isinstance(state, GameState) or state.games != self.episodes:
             raise InputError(f"the state is not one of {self.episodes} games; use what get_state returned")
+        # Shapes before values: an index in an archive says nothing if the arrays belong to another game.
         model = self._empty()
         names = (*model.race._fields, *model._fields[1:])
         given: list[Any] = [*state.race, *state[1:]]

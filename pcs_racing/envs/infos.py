@@ -92,6 +92,7 @@ def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
 
 def race_results(winner: NDArray[np.int8], crashed: NDArray[np.bool_], players: int) -> NDArray[np.int64]:
     """How races that are over ended for each player: :class:`Result`, shape (B, players)."""
+    # Without a winner it was a tie, or a crash that the rules give to nobody.
     nobody = np.where(crashed, Result.CRASH, Result.TIE)
     cars = np.arange(players)
     won = np.where(winner[:, None] == cars, Result.WIN, Result.LOSS)
@@ -102,6 +103,7 @@ def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
     """Return the same of one car in one race, as plain numbers: in a tenth of the time that arrays of one take."""
     other = 1 - car
     progress = races.progress.item(race, car)
+    # The first crossing of the line begins a lap and ends none.
     laps = max(int(races.laps.item(race, car, MOST_CROSSINGS)) - 1, 0)
     return {
         "time": races.tick.item(race) * DT,

@@ -84,6 +84,7 @@ class MatchBatch(GameBatch):
         self.variety.draw(rows, generators)
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
         drawn, drivers = self._draw_opponents(generators)
+        # Of all rows, on any circuit, for the shapes; each circuit then writes its own.
         fresh = self.match.begin(keys, opponents=drivers)
         for circuit, some in self.variety.groups(rows):
             own = None if starts is None else starts.take(some)
@@ -130,6 +131,7 @@ class MatchBatch(GameBatch):
             if len(racing):
                 played = self._move(played, racing, generators, actions)
         else:
+            # Races of a batch end at different times, by crashes; those that go on are driven to their end.
             while (going := np.flatnonzero(played.racing)).size:
                 played = self._move(played, going, generators, None)
         self._follow(played)
@@ -154,8 +156,10 @@ class MatchBatch(GameBatch):
                     chosen = ask_choices(opponent.competitor, match, played, 1, rows=rows, memory=memory)
                     choices[rows, 1] = chosen[rows]
             started = match.start(started, choices, on, conditions)
+        # A new race is a new game for an opponent that remembers.
         self._forget(between)
         self.moves[between] = -1
+        # Only single environments make films; a batch would keep copies for nobody.
         if self.episodes == 1:
             race, setup = int(played.race[0]), self.game_of(0).setup
             starts = Starts(played.starts[:, race], played.sides[:, race])
@@ -175,10 +179,12 @@ class MatchBatch(GameBatch):
         moves = np.full((self.episodes, 2), stay, np.int64)
         if actions is not None:
             policies = len(game.archive)
+            # Actions below the number of policies are choices, which nobody asked for while a race goes on.
             moves[:, : self.players] = np.where(actions < policies, stay, actions - policies)
         if self.players == 1:
             seen = game.observation(played.game)
             replies = self._replies(played.game, generators, seen[:, 1], rows)
+            # One that chooses before a race keeps its policy in it, even if it could also move.
             choosing = np.array([isinstance(each.competitor, Chooser) for each in self.opponents])
             moves[:, 1] = np.where(choosing[self.drawn], stay, replies)
         self.moves[rows] = moves[rows]

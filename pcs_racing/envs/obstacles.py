@@ -54,12 +54,14 @@ class Obstacles(Settings):
         boxes: list[list[float]] = []
         places: list[float] = []
         for _ in range(int(generator.integers(self.count[0], self.count[1] + 1))):
+            # An episode with fewer obstacles is better than one that hangs on a narrow circuit.
             for _ in range(TRIES):
                 s, across, heading = generator.random(3) * (length, 1.0, np.pi)
                 sides = self.size[0] + (self.size[1] - self.size[0]) * generator.random(2)
                 if self.shape == "circle" or (self.shape == "both" and generator.random() < 0.5):
                     heading, sides[1] = 0.0, 0.0
                 sample = line[int(s / track.arrays.ds) % len(line)]
+                # Whatever its heading, a box stays within half of its diagonal.
                 reach = 0.5 * float(np.hypot(*sides))
                 d = -sample[RIGHT] + across * (sample[LEFT] + sample[RIGHT])
                 free = max(sample[LEFT] - d, sample[RIGHT] + d) - reach

@@ -51,6 +51,7 @@ class Declared:
         own = [one for name, one in signature(begin).parameters.items() if name not in ("self", "arguments")]
         listed = [name for name in self.defaults if name not in self.positional]
         kinds = {one.name: one.type for one in fields(self.options)}
+        # Python wants arguments by place first: the number of environments, the circuit, the opponent.
         parameters = [one.replace(kind=_BY_PLACE, default=players) for one in own if one.name == "num_envs"]
         for names, way in ((self.positional, _BY_PLACE), (listed, _BY_NAME)):
             parameters += [Parameter(name, way, default=self.defaults[name], annotation=kinds[name]) for name in names]
@@ -227,6 +228,7 @@ class OverBatch:
     def _show_step(self) -> None:
         """Show the first environment's last step in the window."""
         renderer = self._open_renderer()
+        # A window shows what is drawn; a step too short for a film is a single frame.
         frames = 0
         for _ in self.batch.film(renderer, 0, WINDOW_TICKS):
             frames += 1

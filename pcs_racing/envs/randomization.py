@@ -76,6 +76,7 @@ class Randomization(Settings):
     @property
     def _delays(self) -> NDArray[np.int64]:
         low, high = self.steering_delay or (0.0, 0.0)
+        # Multiples of 0.02 s are hardly ever exact in floating point; 1e-9 is no other delay.
         first, last = np.ceil(low / COMMAND_PERIOD - 1e-9), np.floor(high / COMMAND_PERIOD + 1e-9)
         return np.arange(int(first), int(last) + 1)
 

@@ -53,6 +53,7 @@ class SingleEnv(OverBatch):
         given = self._options(options, "state", *self.ignored_options)
         for name in self.ignored_options:
             given.pop(name, None)
+        # Everything that can be refused is refused before the environment changes.
         batch, arguments = self._batch_for(given)
         state = given.pop("state", None)
         if state is None:
@@ -110,6 +111,7 @@ class SingleEnv(OverBatch):
         """Continue from what `get_state` returned, here or in an environment with equal arguments."""
         if not isinstance(state, EnvState):
             raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
+        # A generator of its own: two environments restored from one state must not share a stream.
         generator = None
         if state.generator is not None:
             generator = np.random.default_rng()

@@ -71,6 +71,7 @@ class Variety:
         """
         if given is None and self.obstacles is None and not self._blocked:
             return
+        # Those of the last episode go, even where none are put.
         for i, row in enumerate(rows):
             self._tracks[row], self.boxes[row] = None, np.empty((0, len(BOX)))
             if given is None and self.obstacles is None:
@@ -102,6 +103,7 @@ class Variety:
     def conditions(self, rows: NDArray[np.int64]) -> RaceConditions:
         """Cars and tracks of some episodes, for a batch that holds these alone."""
         vehicles = np.ascontiguousarray(self.vehicles[rows]) if self.drawn else None
+        # None where nothing differs from the setup: the kernels then drive all races in one call.
         tracks = None
         if self._blocked and any(self._tracks[row] is not None for row in rows):
             tracks = tuple(self.track(row) for row in rows)

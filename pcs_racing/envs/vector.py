@@ -119,6 +119,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         batch, arguments = self._batch_for(given)
         if batch is not self.batch and len(rows) < batch.episodes:
             raise InputError("all environments share track and opponent; they can't be changed with a reset_mask")
+        # Kept only when all episodes have begun: after a refused reset the former seeds are in force.
         generators, seeds = self._renewed_generators(seed)
         batch.forget(np.flatnonzero([one is not None for one in seeds]))
         batch.restart(rows, [generators[i] for i in rows], given)
@@ -146,14 +147,17 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         self._steps += 1
         if self.max_episode_steps is not None:
             truncated |= np.repeat(self._steps >= self.max_episode_steps, self.players) & ~terminated
+        # NEXT_STEP: the step that ended an episode is followed by one that only begins the next.
         if len(again):
             self._restart(again, observations)
             begun = np.repeat(self._over, self.players)
             rewards[begun], terminated[begun], truncated[begun] = 0.0, False, False
         over = terminated | truncated
+        # Both cars of an episode end with it.
         self._over = over[:: self.players].copy()
         final: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
+            # Before the restart: it writes the first observations over the last ones.
             final = self._final(observations, over)
             self._restart(np.flatnonzero(self._over), observations)
             self._over[:] = False

@@ -88,6 +88,7 @@ class PolicyArchive:
         if self.learned is not None:
             if not isinstance(self.learned, LearnedCharacteristics):
                 raise InputError(f"{where}: learned is {self.learned!r:.80}; it must be LearnedCharacteristics")
+            # Before its axes are looked up by name.
             register_learned(self.learned)
         get_characteristics(self.characteristics)
         object.__setattr__(self, "settings", check_facts(f"{where}: settings", self.settings))
@@ -143,6 +144,7 @@ class PolicyArchive:
     def content_hash(self) -> str:
         """SHA-256 of the policies and their coordinates; the name is not part of it."""
         digest = hashlib.sha256()
+        # With lengths before texts and shapes before arrays, no two archives have the same bytes.
         for text in (self.planner, *self.parameter_names, *self.characteristics):
             digest.update(f"{len(text)} {text};".encode())
         for key in ("parameters", "coordinates", "ideal", "nadir"):
@@ -166,6 +168,7 @@ class PolicyArchive:
         At -1 or 1 the two axes are one, and half of the moves are the other half. It is NaN where all policies have the
         same value on an axis.
         """
+        # Written out: numpy's corrcoef warns where an axis has no spread, and may leave -1 to 1 by a bit.
         pairs = list(combinations(range(len(self.characteristics)), 2))
         away = self.coordinates - self.coordinates.mean(axis=0)
         extent = np.sqrt((away**2).sum(axis=0))
@@ -194,6 +197,7 @@ class PolicyArchive:
         flat = points.reshape(-1, axes)
         nearest = np.empty(len(flat), np.int64)
         for first in range(0, len(flat), 4096):  # bounded memory however many points there are
+            # Differences, not a matrix product: equal distances stay equal, and the lowest index wins everywhere.
             offsets = flat[first : first + 4096, None, :] - self.normalised
             nearest[first : first + 4096] = np.argmin(np.sum(offsets * offsets, axis=-1), axis=1)
         return nearest.reshape(points.shape[:-1])

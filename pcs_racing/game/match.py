@@ -148,6 +148,7 @@ class MatchGame:
         drawn_lines = game.start_lines[(bits[:, :, 0] % np.uint64(len(game.start_lines))).astype(np.int64)]
         places = np.array(np.broadcast_to(drawn_lines if lines is None else np.asarray(lines), (count, races)))
         side = (bits[:, 0, 1] % np.uint64(2)).astype(np.int64) if sides is None else np.asarray(sides, np.int64)
+        # Places swap from race to race, so that neither side of the grid decides a match.
         turns = (side[:, None] + np.arange(races)) % 2
         axes = len(game.characteristics)
         grid = game.empty_state(start_races(game.setup, Starts(places[:, 0], turns[:, 0]), bits[:, 0, 4]))
@@ -260,6 +261,7 @@ class MatchGame:
     def memory(self, state: MatchState) -> NDArray[np.float32]:
         """What each player observes between two races, shape (B, 2, D): all that it knows of the match."""
         between = ~state.racing & ~self.done(state)
+        # After the last race there is no next side; the index stays inside the array and is masked.
         side = state.sides[np.arange(state.matches), np.minimum(state.race, self.config.races - 1)]
         front = np.stack([side == 0, side == 1], axis=1) & between[:, None]
         return encode_match(state.own, state.measured, state.leads, state.scores, state.driven, state.race, front)

@@ -67,6 +67,7 @@ def encode_match(
     matches, races = leads.shape
     lead = np.clip(leads / LEAD_SCALE, -LEAD_BOUND, LEAD_BOUND)
     shared = np.broadcast_to(driven[:, None, :, None], (matches, 2, races, 1))
+    # 0.0 - lead, not -lead: a lead of 0 must not become -0.0, whose bits differ.
     leads_of_cars = np.stack([lead, 0.0 - lead], axis=1)[..., None]
     parts = np.concatenate([own, measured[:, ::-1], leads_of_cars, scores[..., None], shared], axis=-1)
     left = np.broadcast_to(((races - race) / races)[:, None, None], (matches, 2, 1))

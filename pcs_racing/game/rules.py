@@ -228,6 +228,7 @@ class RaceGame:
             return self.start(policy, grid, bits[:, 4], theta[rows], outside[rows], own)
 
         state = begin(np.arange(count), 0)
+        # Drawn again the same way, a game that is fixed would crash again.
         free = drawn.any(axis=1) | (starts is None)
         for attempt in range(1, REDRAWS + 1):
             again = np.flatnonzero(state.race.crashed & free)

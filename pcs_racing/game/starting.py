@@ -84,6 +84,7 @@ def random_bits(keys: NDArray[np.uint64], attempt: int) -> NDArray[np.uint64]:
 
     A hash of the key and not a stream: a game is the same in a batch of any size.
     """
+    # Every attempt has numbers of its own, none of which another attempt reads.
     counters = np.arange(5, dtype=np.uint64) + np.uint64(5 * attempt + 1)
     return _mix(_mix(keys)[:, None] + counters * np.uint64(0x9E3779B97F4A7C15))
 
