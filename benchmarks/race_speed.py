@@ -35,6 +35,7 @@ from pcs_racing.race.progress import update_progress
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
 from pcs_racing.race.rates import CONTROL_EVERY, ITTC_EVERY, PLAN_EVERY
 from pcs_racing.race.state import RaceState, take
+from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays
 from pcs_racing.track.loading import load_track
 
 REPEATS = 8
@@ -67,25 +68,16 @@ def _progresses(n, line, ds, length, cars, frenet, progress, laps):  # type: ign
 
 @njit(error_model="numpy")
 def _collisions(n, t, cars, frenet, crash, fault, params):  # type: ignore[no-untyped-def]
-    distance, walls, start, seen, far, middle = (
-        t.distance,
-        t.walls,
-        t.seen_start,
-        t.seen,
-        t.seen_distance,
-        t.seen_middle,
-    )
-    x, y, cell, stretch = t.origin_x, t.origin_y, t.cell, t.seen_stretch
+    near = WallArrays(*t[WALLS_BEGIN:WALLS_END])
     for _ in range(n):
-        collide(distance, x, y, cell, walls, start, seen, far, middle, stretch, cars, frenet, crash, fault, 0, params)
+        collide(near, cars, frenet, crash, fault, 0, params)
 
 
 @njit(error_model="numpy")
 def _ittcs(n, t, cars, frenet, sums, params):  # type: ignore[no-untyped-def]
-    walls, start, seen, far, middle = t.walls, t.seen_start, t.seen, t.seen_distance, t.seen_middle
-    stretch = t.seen_stretch
+    near = WallArrays(*t[WALLS_BEGIN:WALLS_END])
     for _ in range(n):
-        measure_ittc(walls, start, seen, far, middle, stretch, cars, frenet, sums, 0, params, 10.0)
+        measure_ittc(near, cars, frenet, sums, 0, params, 10.0)
 
 
 def best_of(action: Callable[[], object]) -> float:

@@ -367,9 +367,8 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
     if sight.alone:
         advance_alone(track, state, vehicles, settings, ticks, first, last)
     else:
-        advance_races(
-            track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, first, last, scratch, work
-        )
+        drivers = (plan0, control0, plan1, control1)
+        advance_races(track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work)
     _end_step(
         state.progress,
         state.crash,

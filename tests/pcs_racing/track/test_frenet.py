@@ -25,35 +25,18 @@ def _difference(track, a, b):
     return (a - b + 0.5 * track.length) % track.length - 0.5 * track.length
 
 
-def _inside(track, rng, count, share=0.95):
-    """Random points (s, d) between the walls, nearer than the line's centre of curvature."""
-    s = rng.uniform(0.0, track.length, count)
-    row = track.line[(s / track.arrays.ds).astype(int) % len(track.line)]
-    d = share * rng.uniform(-row[:, RIGHT], row[:, LEFT])
-    limit = 0.8 / np.maximum(np.abs(row[:, KAPPA]), 1e-9)
-    return np.column_stack([s, np.clip(d, -limit, limit)])
-
-
-@given(along=fractions, across=st.floats(-1.0, 1.0), off=st.floats(-1.0, 1.0))
-def test_projecting_a_point_that_was_built_from_s_and_d_gives_them_back(oval, along, across, off):
-    s = along * oval.length
-    x, y, _ = frenet.to_cartesian(oval.arrays, s, across)
-    s_found, d_found = frenet.project(oval.arrays, x, y, s + off)
-    assert abs(_difference(oval, s_found, s)) < 1e-9
-    assert abs(d_found - across) < 1e-9
-    assert 0.0 <= s_found < oval.length
-
-
-@given(along=fractions, share=st.floats(-0.9, 0.9))
-def test_projecting_gives_s_and_d_back_on_a_circuit_whose_curvature_changes_everywhere(along, share):
+@given(along=fractions, share=st.floats(-0.9, 0.9), off=st.floats(-1.0, 1.0))
+def test_projecting_a_point_that_was_built_from_s_and_d_gives_them_back(along, share, off):
+    """On a circuit whose curvature changes everywhere, from a hint some way off."""
     track = load_track("Vellindra")
     s = along * track.length
     row = track.line[int(s / track.arrays.ds) % len(track.line)]
     d = share * min(row[LEFT], row[RIGHT], 0.5 / max(abs(row[KAPPA]), 1e-9))
     x, y, _ = frenet.to_cartesian(track.arrays, s, d)
-    s_found, d_found = frenet.project(track.arrays, x, y, s)
+    s_found, d_found = frenet.project(track.arrays, x, y, s + off)
     assert abs(_difference(track, s_found, s)) < 1e-9
     assert abs(d_found - d) < 1e-9
+    assert 0.0 <= s_found < track.length
 
 
 def test_the_oval_is_what_geometry_says(oval):
@@ -124,27 +107,6 @@ def test_shapes_are_kept(oval):
     assert oval.to_frenet(np.zeros((3, 4, 2))).shape == (3, 4, 2)
     assert oval.to_cartesian(np.zeros((3, 4, 2))).shape == (3, 4, 3)
     assert oval.wall_distance(np.zeros((3, 4, 2))).shape == (3, 4)
-
-
-def test_headings_are_those_of_the_line_between_samples(oval):
-    """The heading is the direction in which `to_cartesian` moves with s."""
-    s = np.arange(0.0, oval.length, 0.013)
-    sd = np.column_stack([s, np.zeros_like(s)])
-    eps = np.array([1e-5, 0.0])
-    move = oval.to_cartesian(sd + eps)[:, :2] - oval.to_cartesian(sd - eps)[:, :2]
-    psi = oval.to_cartesian(sd)[:, 2]
-    turned = np.arctan2(move[:, 1], move[:, 0]) - psi
-    assert np.abs((turned + np.pi) % (2.0 * np.pi) - np.pi).max() < 1e-6
-    np.testing.assert_allclose(np.linalg.norm(move, axis=1), 2e-5, rtol=1e-4)
-
-
-def test_a_real_circuit_round_trip(spielberg):
-    sd = _inside(spielberg, np.random.default_rng(5), 20_000)
-    points = spielberg.to_cartesian(sd)[:, :2]
-    found = spielberg.to_frenet(points)
-    np.testing.assert_allclose(spielberg.to_cartesian(found)[:, :2], points, atol=1e-9)
-    np.testing.assert_allclose(_difference(spielberg, found[:, 0], sd[:, 0]), 0.0, atol=1e-9)
-    np.testing.assert_allclose(found[:, 1], sd[:, 1], atol=1e-9)
 
 
 @njit

@@ -2,7 +2,6 @@
 
 import dataclasses
 import logging
-import shutil
 
 import numba
 import numpy as np
@@ -195,17 +194,6 @@ def test_real_circuits_can_be_raced_on(real_maps, name):
     assert on_track.min() > 0.4
     jumps = np.abs(np.diff(track.to_frenet(track.centerline[:, :2])[:, 0]))
     assert np.minimum(jumps, track.length - jumps).max() < 1.5
-
-
-def test_a_real_map_with_nothing_but_yaml_and_picture(real_maps, tmp_path):
-    folder = tmp_path / "with space"
-    folder.mkdir()
-    for kind in ("map.yaml", "map.png"):
-        shutil.copy(real_maps / "Oschersleben" / f"Oschersleben_{kind}", folder)
-    track = load_track(folder)
-    assert track.name == "Oschersleben"
-    assert track.wall_distance(track.line[:, :2]).min() >= 0.28
-    assert abs(track.length - 251.0) < 5.0
 
 
 def test_all_tracks_have_one_compiled_type(oval, folder):
