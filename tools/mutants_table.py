@@ -73,7 +73,7 @@ MODULES = {
         lane_switcher: ; lane_switcher
         """,
     ),
-    **_modules("kernels", "pcs_racing/race", "kernel contacts progress steering: race_kernel; laps race"),
+    **_modules("kernels", "pcs_racing/race", "kernel contacts progress steering: race_kernel; race"),
     **_modules(
         "rules",
         "pcs_racing/race",
