@@ -158,36 +158,34 @@ def test_even_a_speck_hits_a_wall_it_is_inside_of(oval):
             assert car_hits_wall(oval.arrays, 0.0, y, 0.3, 0.002, 0.001, 6.0) == (y < wall)
 
 
-def test_a_rear_end_contact_is_the_followers_fault():
-    follower = state(v=5.0)
-    for leader_speed in (3.0, 0.5, 0.0):  # also when the leader brakes to a stop
-        for y in (-0.2, 0.0, 0.2):
-            leader = state(x=0.55, y=y, v=leader_speed)
-            assert contact_fault(follower, leader) == (True, False)
+NEITHER_MORE, FIRST, SECOND = (True, True), (True, False), (False, True)
 
 
-def test_a_reversing_leader_shares_the_fault_by_its_speed():
-    assert contact_fault(state(v=2.0), state(x=0.55, v=-4.0)) == (False, True)
-    assert contact_fault(state(v=2.0), state(x=0.55, v=-2.0)) == (True, True)
-
-
-def test_side_by_side_the_car_that_moves_over_is_at_fault():
-    straight = state(v=6.0)
-    for y in (0.3, -0.3):
-        drifting = state(x=0.1, y=y, v=5.0, beta=-0.05 * np.sign(y))
-        assert contact_fault(straight, drifting) == (False, True)
-    assert contact_fault(state(v=6.0, beta=0.01), state(y=0.3, v=6.0, beta=-0.03)) == (False, True)
-
-
-def test_a_car_that_turns_its_tail_into_another_is_at_fault():
-    spinning = state(v=5.0, rate=1.0)  # its tail moves to the right
-    assert contact_fault(spinning, state(x=-0.4, y=-0.3, v=5.0)) == (True, False)
-    assert contact_fault(spinning, state(x=0.4, y=0.3, v=5.0)) == (True, False)
-
-
-def test_head_on_at_equal_speed_is_both_cars_fault():
-    assert contact_fault(state(v=3.0), state(x=0.5, psi=np.pi, v=3.0)) == (True, True)
-    assert contact_fault(state(v=4.0), state(x=0.5, psi=np.pi, v=3.0)) == (True, False)
+@pytest.mark.parametrize(
+    ("first", "second", "faults"),
+    [
+        # Into the rear of a car, also when that one brakes to a stop or stands to one side.
+        *((state(v=5.0), state(x=0.55, y=y, v=v), FIRST) for v in (3.0, 0.5, 0.0) for y in (-0.2, 0.0, 0.2)),
+        # A leader that reverses shares the fault by its speed.
+        (state(v=2.0), state(x=0.55, v=-4.0), SECOND),
+        (state(v=2.0), state(x=0.55, v=-2.0), NEITHER_MORE),
+        # Side by side, the car that moves over, or moves over faster.
+        *((state(v=6.0), state(x=0.1, y=y, v=5.0, beta=-0.05 * np.sign(y)), SECOND) for y in (0.3, -0.3)),
+        (state(v=6.0, beta=0.01), state(y=0.3, v=6.0, beta=-0.03), SECOND),
+        # A car that spins counterclockwise hits with its tail to the right, and with its nose to the left.
+        (state(v=5.0, rate=1.0), state(x=-0.4, y=-0.3, v=5.0), FIRST),
+        (state(v=5.0, rate=1.0), state(x=0.4, y=0.3, v=5.0), FIRST),
+        # Head on.
+        (state(v=3.0), state(x=0.5, psi=np.pi, v=3.0), NEITHER_MORE),
+        (state(v=4.0), state(x=0.5, psi=np.pi, v=3.0), FIRST),
+        # At one place at rest, alike or turned.
+        (state(), state(), NEITHER_MORE),
+        (state(), state(psi=0.7), NEITHER_MORE),
+    ],
+)
+def test_who_is_at_fault(first, second, faults):
+    assert contact_fault(first, second) == faults
+    assert contact_fault(second, first) == faults[::-1]
 
 
 def centroid(polygon):
@@ -255,11 +253,6 @@ def test_the_car_that_moves_into_the_other_one_faster_is_at_fault(sizes):
 )
 def test_nearly_equal_closing_speeds_are_both_cars_fault(own, other, faults):
     assert contact_fault(state(v=own), state(x=0.5, psi=np.pi, v=other)) == faults
-
-
-@pytest.mark.parametrize("psi", [0.0, 0.7])
-def test_cars_at_the_same_place_at_rest_are_both_at_fault(psi):
-    assert contact_fault(state(), state(psi=psi)) == (True, True)
 
 
 def test_the_order_of_two_cars_that_overlap_as_much_along_two_axes_does_not_matter():

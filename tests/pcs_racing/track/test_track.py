@@ -4,16 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from oval_values import oval_values
 
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, PSI, RIGHT, SIN, SPEED
 from pcs_racing.track.track import build_track
-
-
-@pytest.fixture
-def values(oval):
-    return oval_values(oval)
 
 
 def test_the_oval_has_the_measures_of_a_stadium(oval):
