@@ -59,7 +59,7 @@ MODULES = {
         collision: collision /pcs_racing/race/race_kernel
         ittc: ittc /pcs_racing/race/race_kernel
         lidar_kernel: lidar
-        lanes: ; lanes
+        lanes: ; vehicle
         """,
     ),
     **_modules(

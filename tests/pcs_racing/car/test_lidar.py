@@ -96,10 +96,10 @@ def test_an_opponent_around_the_lidar_is_seen_from_within(oval):
     assert np.allclose(lidar.scan(pose, other), rectangle_ranges(np.array(pose), lidar.angles, other), atol=1e-6)
 
 
-def test_every_beam_is_settled_without_any_list_of_segments(oval):
+def test_every_beam_is_settled_without_any_list_of_corners(oval):
     """Beams that nothing fills are followed through the grid."""
     arrays = oval.arrays
-    empty = arrays._replace(seen_start=np.zeros_like(arrays.seen_start))
+    empty = arrays._replace(corners_start=np.zeros_like(arrays.corners_start), corners=np.full((2, 16), np.nan))
     lidar = Lidar(oval, beams=200, fov=2.0 * np.pi)
     out = np.empty(200)
     for x, y, psi in poses_on(oval, 20):
