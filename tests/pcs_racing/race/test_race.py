@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recorded_races import PYTHON
 
 from pcs_racing import (
     CONTEST,
@@ -29,31 +30,16 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
-from pcs_racing.planners.view import OWN_D, OWN_PSI, OWN_S
 from pcs_racing.race.driving import _pieces, pad_parameters
 from pcs_racing.race.progress import count_crossing
 from pcs_racing.race.races import start_lines, starts_of
 from pcs_racing.race.rates import DT
 from pcs_racing.race.state import ITTC, ITTC_SAMPLES, NO_CRASH, WALL_CRASH, empty_state
-from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.track import Calibration
 
 SHORT = load_race_config("paper", duration=6.0)
 NOISY = load_race_config("contest", duration=6.0)
 LONG = load_race_config("paper", duration=30.0)
-
-
-def towards_the_line(track, theta, view, memory):
-    """A driver in plain Python: back to the race line, at a share of its speed; remembers how often it was asked."""
-    memory[0] += 1.0
-    sample = track.line[int(view[OWN_S] / track.arrays.ds) % len(track.line)]
-    turn = np.mod(sample[4] - view[OWN_PSI] + np.pi, 2.0 * np.pi) - np.pi
-    return 1.2 * turn - 0.6 * view[OWN_D] + 0.33 * sample[5], theta[0] * sample[SPEED]
-
-
-PYTHON = Planner(
-    "python", (Parameter("pace", 0.1, 1.0, 0.7, "share of the speed"),), drive=towards_the_line, memory_size=1
-)
 
 
 @compiled

@@ -2,11 +2,11 @@ import re
 
 import numpy as np
 import pytest
+from recorded_races import PYTHON
 from scipy.interpolate import CubicSpline
 
 from pcs_racing import (
     InputError,
-    Parameter,
     Planner,
     RaceSetup,
     Starts,
@@ -18,23 +18,14 @@ from pcs_racing import (
     start_races,
 )
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.view import OWN_PSI, OWN_S
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.rates import PLAN_EVERY
 from pcs_racing.race.recording import LAST_INDEX, record_drive, tell_apart
-from pcs_racing.track.frenet import SPEED
 
 PAPER = load_race_config("paper", duration=6.0)
 CONTEST = load_race_config("contest", duration=6.0)
 
 
-def along(track, theta, view, memory):
-    sample = track.line[int(view[OWN_S] / track.arrays.ds) % len(track.line)]
-    turn = np.mod(sample[4] - view[OWN_PSI] + np.pi, 2.0 * np.pi) - np.pi
-    return turn + 0.33 * sample[5], theta[0] * sample[SPEED]
-
-
-PYTHON = Planner("python", (Parameter("pace", 0.1, 1.0, 0.6, "share of the speed"),), drive=along)
 BLIND = Planner("blind", (), drive=lambda track, theta, view, memory: (0.0, 6.0))
 
 
