@@ -25,20 +25,6 @@ def _difference(track, a, b):
     return (a - b + 0.5 * track.length) % track.length - 0.5 * track.length
 
 
-@given(along=fractions, share=st.floats(-0.9, 0.9), off=st.floats(-1.0, 1.0))
-def test_projecting_a_point_that_was_built_from_s_and_d_gives_them_back(along, share, off):
-    """On a circuit whose curvature changes everywhere, from a hint some way off."""
-    track = load_track("Vellindra")
-    s = along * track.length
-    row = track.line[int(s / track.arrays.ds) % len(track.line)]
-    d = share * min(row[LEFT], row[RIGHT], 0.5 / max(abs(row[KAPPA]), 1e-9))
-    x, y, _ = frenet.to_cartesian(track.arrays, s, d)
-    s_found, d_found = frenet.project(track.arrays, x, y, s + off)
-    assert abs(_difference(track, s_found, s)) < 1e-9
-    assert abs(d_found - d) < 1e-9
-    assert 0.0 <= s_found < track.length
-
-
 def test_the_oval_is_what_geometry_says(oval):
     """Left of the line (d > 0) is inside, since the oval is driven counterclockwise; its bends have a radius of 4 m."""
     x, y, psi = oval.to_cartesian([[0.0, 0.0], [6.0, 0.5], [12.0 + 2.0 * np.pi, 1.0]]).T
@@ -176,3 +162,17 @@ def test_the_slope_of_the_line_between_samples_is_that_of_its_points(oval):
         ahead, behind = (oval.to_cartesian(np.column_stack([s + h, at]))[:, :2] for h in (1e-5, -1e-5))
         way = np.arctan2(*(ahead - behind).T[::-1])
         np.testing.assert_allclose(np.cos(way - here[:, 2]), 1.0, atol=1e-7)
+
+
+@given(along=fractions, share=st.floats(-0.9, 0.9), off=st.floats(-1.0, 1.0))
+def test_projecting_a_point_that_was_built_from_s_and_d_gives_them_back(along, share, off):
+    """On a circuit whose curvature changes everywhere, from a hint some way off."""
+    track = load_track("Vellindra")
+    s = along * track.length
+    row = track.line[int(s / track.arrays.ds) % len(track.line)]
+    d = share * min(row[LEFT], row[RIGHT], 0.5 / max(abs(row[KAPPA]), 1e-9))
+    x, y, _ = frenet.to_cartesian(track.arrays, s, d)
+    s_found, d_found = frenet.project(track.arrays, x, y, s + off)
+    assert abs(_difference(track, s_found, s)) < 1e-9
+    assert abs(d_found - d) < 1e-9
+    assert 0.0 <= s_found < track.length
