@@ -147,39 +147,6 @@ def test_lists_of_real_circuits_hold_nearly_all_that_is_seen(real_maps, name):
     assert _missed(load_track(real_maps / name), 60, 720, np.random.default_rng(7)) < 1e-4
 
 
-def test_scans_of_the_walls_agree_with_the_exact_ones(real_maps, reference):
-    """The walls stand for the cells: the goals of the lidar are met by them, before anything else."""
-    walls = load_track(real_maps / "Spielberg").arrays.walls
-    everything = np.arange(len(walls), dtype=np.int32)
-    with np.load(reference / "scans_spielberg.npz") as file:
-        poses, angles, exact, reach = file["poses"], file["beam_angles"], file["exact_scans"], float(file["max_range"])
-    found = np.array([_scan(walls, everything, x, y, psi + angles, reach) for x, y, psi in poses])
-    error = np.abs(found - exact)
-    assert np.median(error) <= 0.01
-    assert np.quantile(error, 0.99) <= 0.2
-    assert np.mean(error > 1.0) <= 1e-3
-    # These scans take pixels up to 128 for wall, the map's own threshold those up to 140: its walls are a bit nearer.
-    assert abs(np.mean(np.clip(found - exact, -0.3, 0.3))) < 0.01
-
-
-def test_distances_on_a_real_circuit_are_those_to_the_nearest_wall(real_maps):
-    """Interpolated distances against the wall cells' squares: within the bound that the docstring states."""
-    track = load_track(real_maps / "Oschersleben")
-    arrays = track.arrays
-    rng = np.random.default_rng(2)
-    rows, cols = np.nonzero(arrays.distance > 0.0)
-    for k in rng.integers(len(rows), size=300):
-        i, j = rows[k], cols[k]
-        u, v = rng.random(2)
-        near = arrays.distance[max(i - 40, 0) : i + 41, max(j - 40, 0) : j + 41]
-        wall_i, wall_j = np.nonzero(near == 0.0)
-        dx = np.maximum(np.abs(wall_j + max(j - 40, 0) - j - u + 0.5) - 0.5, 0.0)
-        dy = np.maximum(np.abs(wall_i + max(i - 40, 0) - i - v + 0.5) - 0.5, 0.0)
-        exact = arrays.cell * np.hypot(dx, dy).min()
-        point = [arrays.origin_x + (j + u) * arrays.cell, arrays.origin_y + (i + v) * arrays.cell]
-        assert abs(track.wall_distance(point) - exact) <= 0.71 * arrays.cell
-
-
 # Corners
 
 BOXES = np.array([[1.0, 2.0, 0.3, 0.4, 0.3], [3.0, 1.0, 0.0, 0.5, 0.0]])  # a box and a round one
