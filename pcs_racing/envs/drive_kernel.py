@@ -369,8 +369,7 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
     if sight.alone:
         advance_alone(track, state, vehicles, settings, ticks, first, last)
     else:
-        advance_races(
-            track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, first, last, scratch, work
-        )
+        drivers = (plan0, control0, plan1, control1)
+        advance_races(track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work)
     _end_step(state, settings.end_tick, weights, sight, results, first, last)
     observe_races(track, state, vehicles, sight, rows, first, last, row, scan_work, results.observations)
