@@ -68,7 +68,9 @@ def test_a_driver_of_50_hz_is_a_network_planner(coarse_oval):
 def test_a_learner_sees_where_it_went(coarse_oval):
     """Alike in both races until one of them steers: then speed, steering and heading tell them apart."""
     opponent = get_planner("pure-pursuit").policy()
-    races = LearnerEnv(2, track=coarse_oval, race=load_race_config(PAPER, duration=1.0), opponent=opponent, time_step=0.02)
+    races = LearnerEnv(
+        2, track=coarse_oval, race=load_race_config(PAPER, duration=1.0), opponent=opponent, time_step=0.02
+    )
     first, _ = races.reset(seed=4)
     assert first.shape == (2, len(INPUTS))
     for _ in range(5):
