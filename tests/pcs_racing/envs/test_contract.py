@@ -362,6 +362,16 @@ def test_a_moment_can_be_kept_copied_and_pickled(kind, arguments, many):
         fresh.step(act(fresh))
 
 
+@pytest.mark.parametrize(("single", "pair"), list(zip(SINGLE, PAIRS, strict=True)))
+def test_an_opponent_in_place_of_the_second_agent_makes_it_the_environment_of_one(single, pair):
+    arguments = {"opponent": "pure-pursuit", "rivalry": 1.0} if single is DriveEnv else {"opponent": "lattice:pace=0.5"}
+    one, two = make(single, **arguments), make(pair, **arguments)
+    expected, found = play(one, 6), play(two, 6)
+    assert two.possible_agents == ["car_0"]
+    assert found == [[{"car_0": part} for part in answer] for answer in expected]
+    np.testing.assert_array_equal(two.state()[: len(expected[-1][0])], np.float32(expected[-1][0]))
+
+
 @EVERY
 def test_steps_at_the_wrong_time_are_refused(kind):
     env = make(kind)
