@@ -393,6 +393,8 @@ def test_max_cycles_truncates_and_decides_nothing(kind):
     assert answers[-1][2:4] == [dict.fromkeys(AGENTS, False), dict.fromkeys(AGENTS, True)]
     assert answers[-1][4]["car_0"]["result"] == Result.RUNNING
     assert env.agents == []
+    whole = play(make(kind), 1)
+    assert play(make(kind, max_cycles=len(whole) - 1), 1) == whole  # what ends by itself in that step is not cut off
 
 
 @EVERY
