@@ -176,7 +176,7 @@ def networks(folders: list[Path]) -> Digests:
 def statistics(folders: list[Path]) -> Digests:
     """Ratings, a clustered mean, a t-test."""
     from pcs_racing_agents.tournament.ratings import rate
-    from pcs_racing_agents.tournament.statistics.clusters import clustered_mean, t_interval
+    from pcs_racing_agents.tournament.statistics import clustered_mean, t_interval
 
     rng = np.random.default_rng(0)
     names = np.array([f"agent {k}" for k in range(8)])
@@ -187,7 +187,7 @@ def statistics(folders: list[Path]) -> Digests:
     yield "ratings", [np.asarray(value) for value in vars(ratings).values() if isinstance(value, np.ndarray)]
     estimate = clustered_mean(rng.normal(size=600), first, second)
     yield "clustered mean", tuple(estimate)
-    yield "t-test", [t_interval(t, 1.0, df, 0.95) for t in (0.5, 2.0, 5.0) for df in (3, 30, 300)]
+    yield "t-test", [t_interval(t, 1.0, df) for t in (0.5, 2.0, 5.0) for df in (3, 30, 300)]
 
 
 def archive(folders: list[Path]) -> Digests:

@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.tournament.statistics import clustered_mean, compare
-from pcs_racing_agents.tournament.statistics.clusters import t_interval
+from pcs_racing_agents.tournament.statistics import clustered_mean, compare, t_interval
 
 Floats = NDArray[np.float64]
 FULL = (20, 20, 10)  # egos, opponents, races of each pair
@@ -128,7 +127,7 @@ def plain_two_way(data: Data) -> bool:
         return True
     # The fewer clusters of the two decide: with five egos there are four differences between egos to learn from.
     df = min(len(np.unique(data.ego)), len(np.unique(data.opponent))) - 1
-    _, _, p = t_interval(data.differences.mean() - data.truth, sqrt(variance) / len(residual), df, 0.95)
+    _, _, p = t_interval(data.differences.mean() - data.truth, sqrt(variance) / len(residual), df)
     return p < 0.05
 
 

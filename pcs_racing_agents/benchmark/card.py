@@ -69,6 +69,7 @@ def read_card(path: Path) -> Card:
     """Read a card from its folder or its ``card.json``."""
     file = path / "card.json" if path.is_dir() else path
     try:
+        # A card may come from anybody: its size is limited, and what it holds is checked by the types that it makes.
         values = json.loads(read_limited(file, LARGEST, "a card"))
     except OSError as error:
         raise InputError(
@@ -152,6 +153,7 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
     cards = [read_card(path) for path in files]
     if not cards:
         raise InputError("there are no cards; give at least one folder that 'pcs-racing benchmark' wrote")
+    # Scores of two protocols, or of one with another archive or other opponents, say nothing about each other.
     first, names = cards[0], set()
     for path, card in zip(files, cards, strict=True):
         if card.protocol != first.protocol:
@@ -166,6 +168,7 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
                 f"{path} is a second card of agent {card.agent!r}; give one of each (--name renames an agent)"
             )
         names.add(card.agent)
+    # By name where scores are equal, so that the page does not depend on the order of the folders.
     return sorted(cards, key=lambda card: (-card.score().score, card.agent))
 
 

@@ -32,7 +32,7 @@ def run(
 ) -> None:
     """Run a complete study: archive, game trees, networks, agents, races and report."""
     from pcs_racing_agents.study import load_study_config, run_study
-    from pcs_racing_agents.study.stages import stage_seconds
+    from pcs_racing_agents.study.run import stage_seconds
 
     changes: dict[str, Any] = {} if seed is None else {"seed": seed}
     if archive is not None:

@@ -22,7 +22,7 @@ from pcs_racing_agents.agents.from_network import AdaptiveStrategy
 from pcs_racing_agents.agents.observing import earlier, opponent, own
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.results.races import RaceTable
-from pcs_racing_agents.tournament.watching import record_game
+from pcs_racing_agents.tournament.runner import record_game
 
 Floats = NDArray[np.float64]
 
@@ -102,7 +102,7 @@ def explain_game(
     Parameters
     ----------
     policies, start, seed, candidates
-        As for :func:`pcs_racing_agents.tournament.watching.record_game`.
+        As for :func:`pcs_racing_agents.tournament.runner.record_game`.
     car : int
         The car whose moves are explained, 0 or 1.
     """
@@ -118,6 +118,7 @@ def explain_game(
     played, arena = recording.played, recording.game
     names = recording.replay.car_names
     config, strategy = arena.config, getattr(competitor, "strategy", None)
+    # A strategy may have a network of another kind, whose outputs are no values of moves.
     network = getattr(strategy, "network", None)
     network = network if isinstance(network, RegretNetwork) else None
     return Explanation(
@@ -145,6 +146,7 @@ def _steps(
     strategy = getattr(competitor, "strategy", None)
     steps = []
     for k in range(int((played.moves.codes[0, car] >= 0).sum())):
+        # The last observation holds all earlier ones: cut off, it is what the agent saw before this move.
         observation = earlier(played.observations[:, car], axes, k)
         default_move = None
         if isinstance(strategy, AdaptiveStrategy):

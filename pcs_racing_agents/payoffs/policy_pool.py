@@ -99,7 +99,8 @@ def slot_payoffs(pool: PolicyPool, *, name: str = "pairs", **run: Unpack[Run]) -
     payoffs = np.zeros((len(pool.tracks), pool.folds, 2, count, count))
     for (_, track, block), result in zip(tasks, results, strict=True):
         for (i, j), won in zip(block, result["payoffs"], strict=True):
-            if i == j:  # either car is the policy
+            if i == j:
+                # Either car is the policy: what one slot wins the other one loses, so that both are told by one number.
                 front = (won[:, 0] - won[:, 1]) / 2.0
                 won = np.stack([front, -front], axis=1)
             payoffs[track, :, :, i, j] = won
@@ -117,6 +118,7 @@ def _race_block(task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: in
         setup = RaceSetup(track, pool.config, (ego.planner, rival.planner))
         state = start_races(setup, starts, pool.noise(number, i, j))
         theta = np.stack([pad_parameters([policy], setup.theta_size)[0] for policy in (ego, rival)])
+        # The kernel reads a row for each race, although the policies are the same in all of them.
         theta = np.ascontiguousarray(np.broadcast_to(theta, (pool.races, *theta.shape)))
         advance(setup, state, theta, pool.config.ticks, threads=threads, ittc=False)
         scores[row] = race_scores(winners(pool.config, state))

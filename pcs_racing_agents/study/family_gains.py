@@ -114,6 +114,7 @@ def family_gains(races: RaceTable, best: str, blind: str) -> list[FamilyGain]:
             differences.append(first.score - matched_scores(first, second, f"{track} against {opponent}"))
             place = (np.full(len(first), opponents.index(opponent)), np.full(len(first), tracks.index(track)))
             labels.append(np.column_stack([first.variants, *place, first.start_s.round(4)]))
+        # Races are pooled, not gains of rows: a row with few races must not count as much as one with many.
         gain = _estimate(np.concatenate(differences), np.concatenate(labels))
         numbers = (gain.units, gain.mean, gain.low, gain.high, gain.se, gain.df)
         gains.append(FamilyGain(family.name, family.use, opponents, tracks, *numbers))
@@ -122,6 +123,7 @@ def family_gains(races: RaceTable, best: str, blind: str) -> list[FamilyGain]:
 
 def _estimate(differences: NDArray[np.float64], labels: NDArray[np.float64]) -> Estimate:
     """Cluster by the ego's variant, by the variant of the opponent and by the start line of the circuit."""
+    # A variant is one of its opponent's and a line one of its circuit's: equal numbers of two are different clusters.
     columns = ([0], [2, 1], [3, 4])
     kinds = [np.unique(labels[:, own], axis=0, return_inverse=True)[1].reshape(-1) for own in columns]
     return clustered_mean(differences, *(codes for codes in kinds if codes.max() > 0))

@@ -50,6 +50,7 @@ def play_trees(study: Study) -> None:
     config = study.config
     if config.pairs == 0:
         return
+    # All circuits side by side: no worker waits at the end of one for the last trees of it.
     with ExitStack() as opened:
         groups = [
             opened.enter_context(
@@ -152,6 +153,7 @@ def choose_blind(study: Study) -> None:
         races=config.fitting_games,
         seed=config.seed + FITTING_SEED,
     )
+    # Spread over the archive, since a search over all policies of a large one would drive most races in vain.
     targets = None
     if 0 < config.fixed_targets < len(study.archive):
         rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(FITTING_SEED,)))
@@ -201,6 +203,7 @@ def train_ppo_baseline(study: Study) -> None:
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
     from pcs_racing_agents.learning.ppo.train import train_ppo
 
+    # Learned on the study's own game, or a comparison with its agents would say nothing.
     settings = load_ppo_settings(config.ppo, tracks=config.circuits)
     trained = train_ppo(
         settings,

@@ -17,8 +17,7 @@ from pcs_racing.race.replay_files import replay_page
 from pcs_racing_agents.explain.situations import Situations, situations_text
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.text_table import Column, is_number, table_rows
-from pcs_racing_agents.study.highlights import ExplainedRace
-from pcs_racing_agents.study.report_inputs import ReplyLoss, mean_scores, scores_and_losses, total_losses
+from pcs_racing_agents.study.report_inputs import ExplainedRace, ReplyLoss, mean_scores, scores_and_losses, total_losses
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin
@@ -81,6 +80,7 @@ def page_environment(package: str) -> Environment:
 
 def report_page(content: ReportContent) -> str:
     """Return the report as HTML from the template ``report.html``; all text is escaped."""
+    # Names of agents and circuits come from files: nothing gets into the page without being escaped.
     environment = page_environment("pcs_racing_agents.study")
     environment.filters |= {"p_value": p_text, "plain": _plain, "data": _data}
     environment.tests["number"] = is_number
@@ -109,6 +109,7 @@ def _draw(name: str, *arguments: Any, **options: Any) -> bytes:
     from pcs_racing_agents.study import figures
     from pcs_racing_agents.tournament import table
 
+    # The template names a picture; only modules that are imported here, for a report alone, can draw one.
     home = next(module for module in (figures, curves, table, pcs_picture, situations) if hasattr(module, name))
     return picture_bytes(getattr(home, name)(*arguments, **options))
 

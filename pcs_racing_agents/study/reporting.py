@@ -21,12 +21,19 @@ from pcs_racing_agents.results.text_table import table_rows
 from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.family_gains import COLUMNS as FAMILY_COLUMNS
 from pcs_racing_agents.study.family_gains import family_gains, write_family_gains
-from pcs_racing_agents.study.highlights import KINDS, Highlight, select_highlights, watch_race
-from pcs_racing_agents.study.playing import PLAYING_SEED, REPLY_SEED
+from pcs_racing_agents.study.playing import PLAYING_SEED, RATING_SEED, REPLY_SEED, TABLE_SEED, StudyRaces, table_races
 from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
-from pcs_racing_agents.study.racing import RATING_SEED, TABLE_SEED, StudyRaces, table_races
 from pcs_racing_agents.study.report import ExplainedRace, ReportContent, TitledTable, write_page
-from pcs_racing_agents.study.report_inputs import ReplyLoss, read_curves, read_losses, software
+from pcs_racing_agents.study.report_inputs import (
+    KINDS,
+    Highlight,
+    ReplyLoss,
+    read_curves,
+    read_losses,
+    select_highlights,
+    software,
+    watch_race,
+)
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.study.table import StudyTable, make_table
 from pcs_racing_agents.study.table_text import (
@@ -53,7 +60,9 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
     """
     pairings = []
     for table, pairing, _ in study_races:
+        # A blind agent's moves in situations would show the situations, not the agent.
         if table == "main" and isinstance(pairing.ego, Agent) and not is_blind(pairing.ego):
+            # Begun anew for each pairing: all agents are shown in the same races.
             rng = np.random.default_rng(np.random.SeedSequence(study.config.seed, spawn_key=(SEED,)))
             pairings.append(pairing.take(np.sort(rng.permutation(len(pairing))[:races])))
     if not pairings:
@@ -243,6 +252,7 @@ def _seeds(study: Study) -> dict[str, int]:
 
 def _watched(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[ExplainedRace]:
     """Yield a win by switching, a loss and a crash of the best agent, each from the first row that has one."""
+    # By names, since the baseline of a race is the pairing with the same circuit and opponent.
     raced = {(f.pairing.game.track.name, *f.pairing.names): f for f in study_races if f.table == "main"}
     first: dict[str, tuple[Pairing, Highlight]] = {}
     for (track, ego, opponent), races in raced.items():

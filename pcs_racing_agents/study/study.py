@@ -75,6 +75,7 @@ class Study:
             agent = build("cfr-argmax", self.setting, seed=seed, network=self.network(name))
             assert isinstance(agent, Agent)
             return Agent(name, agent.strategy, agent.setting, agent.seed, agent.facts)
+        # What this study has trained goes before what is shipped; a stage that did not run leaves the shipped one.
         options: dict[str, Any] = {}
         kind = NETWORK_AGENTS.get(name)
         if name == "adaptive" and self.config.responses:

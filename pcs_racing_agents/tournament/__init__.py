@@ -14,9 +14,8 @@ from pcs_racing_agents.tournament.play import (
     record_row,
     tournament_settings,
 )
-from pcs_racing_agents.tournament.runner import play_games, play_pairing, play_pairings
+from pcs_racing_agents.tournament.runner import play_games, play_pairing, play_pairings, record_game
 from pcs_racing_agents.tournament.table import payoff_matrix, payoff_picture, standings, tournament_text
-from pcs_racing_agents.tournament.watching import record_game
 
 __all__ = [
     "Pairing",

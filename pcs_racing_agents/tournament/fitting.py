@@ -68,6 +68,7 @@ def evaluate(
             # Different start policies against each opponent, the same for all candidates.
             rolled = schedule._replace(draws=np.roll(schedule.draws, 2 * k, axis=0))
             common.append(schedule_pairing(game, candidates[0], opponent, rolled, training.seed))
+    # Pairings that differ in their ego alone: what candidates have in common is driven once, most of it.
     pairings = [replace(pairing, ego=candidate) for candidate in candidates for pairing in common]
     means = np.array([races.score.mean() for races in play_pairings(pairings, name=name, **run)])
     return means.reshape(len(candidates), -1).mean(axis=1)
@@ -214,6 +215,7 @@ def fit_psro(
     played = play_pairings(pairings, name=f"psro-{first}-{len(members)}", **run)
     # Won minus lost: a race that pays nobody counts as 0, like a tie.
     excess = [np.mean(1.0 * (races.winner == 0) - 1.0 * (races.winner == 1)) for races in played]
+    # The game is zero-sum, so that one of the two directions of a pair is enough.
     payoffs = np.zeros((len(members), len(members)))
     if known is not None:
         payoffs[:first, :first] = known.payoffs

@@ -75,6 +75,7 @@ def race_columns(
     arena = game_between(game, egos[0], opponent)
     for ego in egos[1:]:
         check_competitor(arena, ego)
+    # No conversion to whole numbers here: policies given as 2.7 or True would become others without a word.
     keys, variants = np.asarray(seeds), np.asarray(policies)
     if variants.shape != (len(starts), 2) or variants.dtype.kind not in "iu" or keys.shape != (len(starts),):
         raise InputError(
@@ -116,6 +117,7 @@ def _drive(
         [car.policies[i] for i in variants[:, place]] if isinstance(car, Driver) else None
         for place, car in enumerate((egos[0], opponent))
     ]
+    # A driver's variant is no policy of the archive; -1 leaves its place to it.
     first = np.where([driver is None for driver in drivers], variants, -1)
     state = arena.reset(keys, policies=first, starts=starts, egos=drivers[0], opponents=drivers[1])
     # At first every ego's game k is row k of the state. A row is copied only when its egos part, so the state grows
@@ -160,6 +162,8 @@ def _ask_ego(
     ego: Competitor, arena: RaceGame, state: GameState, rows: Indices, seen: NDArray[np.float32], memories: list[Any]
 ) -> tuple[Indices, list[Any]]:
     """Moves of an ego in its games, which are some rows of a state, and what it remembers of each of them after it."""
+    # ask_moves knows memories by the row of the state; several egos' games may lie in the same row, so each ego has
+    # a list of its own.
     remembered: list[Any] = [None] * state.games
     for row, memory in zip(rows, memories, strict=True):
         remembered[row] = memory
@@ -171,6 +175,7 @@ def _branched(memories: list[Any], parents: Indices) -> list[Any]:
     """What is remembered in each branch; branches that part do not share what may be changed in place."""
     if all(memory is None for memory in memories):
         return [None] * len(parents)
+    # Copied only where games part: in all others the model goes on with its own object.
     parted = np.bincount(parents) > 1
     return [copy.deepcopy(memories[parent]) if parted[parent] else memories[parent] for parent in parents]
 
@@ -182,6 +187,7 @@ def _columns(arena: RaceGame, games: _SharedGames, ego: int) -> Arrays:
     return {
         "lead": race.lead,
         "winner": arena.winner(state),
+        # A race has one code. That of a contact of the cars is the higher one: it may end at a wall for one of them.
         "crash": race.crash.max(axis=1),
         "fault": race.fault,
         "overtakes": narrow(race.overtakes),

@@ -62,6 +62,8 @@ def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Ra
             "driven from both sides"
         )
     starts = draw_starts(track, replace(config, start_lines=races // 2), races, seed)
+    # Large numbers, of which the remainder selects a variant: a schedule is drawn before anybody knows who races, and
+    # pairs with equally many variants start alike.
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     draws = generator.integers(2**63, size=(races // 2, 2), dtype=np.uint64)
     swapped = np.stack([draws, draws[:, ::-1]], axis=1).reshape(races, 2)
@@ -162,11 +164,13 @@ def cross_pairing(
     cars = (as_competitor(ego), as_competitor(opponent))
     arena = game_between(game, *cars)
     check_whole("lines", lines, 1, 1000)
-    race_seeds(seed, 1)  # checks the seed
+    # A wrong seed is refused here, in the words of the function that will use it, before anything is drawn with it.
+    race_seeds(seed, 1)
     first = _variants("egos", egos, variant_count(arena, cars[0]), seed, 3)
     second = _variants("opponents", opponents, variant_count(arena, cars[1]), seed, 4)
     rules = replace(arena.setup.config, start_lines=lines * LINE_SETS)
     positions = start_lines(arena.track, rules, np.random.SeedSequence(seed, spawn_key=(0,)))
+    # The side changes fastest: races 2j and 2j + 1 are the two sides of one line, as in a schedule.
     grid = np.meshgrid(first, second, np.arange(lines), np.arange(2), indexing="ij")
     a, b, own_line, side = (axis.reshape(-1).astype(np.int64) for axis in grid)
     pairs = len(first) * len(second)
@@ -180,6 +184,7 @@ def cross_pairing(
 
 
 def _variants(noun: str, requested: int | Sequence[int], available: int, seed: int, stream: int) -> NDArray[np.int64]:
+    # The streams 0, 3, 4 and 5 are the draws of one pairing: another number of egos leaves the opponents as they are.
     if is_whole(requested):
         if requested < 1:
             raise InputError(f"{noun} is {requested}; a pairing needs at least one variant")

@@ -22,8 +22,7 @@ from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_races
 from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import Pairing, RaceSchedule, draw_schedule, schedule_pairing
-from pcs_racing_agents.tournament.runner import play_pairings
-from pcs_racing_agents.tournament.watching import Recording, record_game
+from pcs_racing_agents.tournament.runner import Recording, play_pairings, record_game
 
 Entrant = str | Policy | Competitor
 Rules = GameConfig | RaceConfig | str | Path
@@ -84,6 +83,7 @@ def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
     rules = load_race_config(race)
     steps = load_game_config(rules, **settings).moves + 1
     if "step_seconds" not in settings:
+        # In whole tenths, the time between two plans: a step of 8.1666 s would end between them.
         tenths = round(rules.duration * 10.0)
         if tenths % steps:
             raise InputError(
@@ -117,7 +117,8 @@ def plan_tournament(
     for track in circuits:
         game = RaceGame(track, setting.archive, setting.config)
         for entrant in competitors:
-            game_between(game, entrant, entrant)  # raises before any race is simulated
+            # Against itself: whoever does not fit is refused before any race is simulated, not in the middle of them.
+            game_between(game, entrant, entrant)
     return plan
 
 

@@ -107,7 +107,9 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
         All pairs shared the start lines. A crash without a winner is no tie.
     """
     first, second = drivers(names, races).T
+    # The winner -1, of a tie or of nobody, takes the last place.
     won = np.array([1.0, -1.0, 0.0])[races.winner]
+    # Such races count in a score (as lost for both), but say nothing about who of the two is stronger.
     unpaid = races.crashed & (won == 0.0)
     total, count = np.zeros((len(names),) * 2), np.zeros((len(names),) * 2)
     paid = np.where(unpaid, 0.0, 0.5)
@@ -118,6 +120,7 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
     scores = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0.0)
     places = races.places
     noise = _noise(np.minimum(first, second), np.maximum(first, second), np.where(first < second, won, -won), places)
+    # A game with a missing payoff has no equilibrium; a mean in its place would invent a result.
     met = bool((count[~np.eye(len(names), dtype=bool)] > 0.0).all())
     return RoundRobin(
         names=tuple(names),
@@ -144,6 +147,7 @@ def _noise(first: NDArray[np.intp], second: NDArray[np.intp], won: Floats, line:
     variances = []
     for i, j in sorted(set(zip(first.tolist(), second.tolist(), strict=True))):
         rows = (first == i) & (second == j)
+        # Races from one line, from both sides, are not independent: a line is what was drawn.
         codes = np.unique(line[rows], return_inverse=True)[1]
         means = np.bincount(codes, won[rows]) / np.bincount(codes)
         if len(means) > 1:
@@ -160,6 +164,7 @@ def _ratings(
     seed: int,
 ) -> Ratings | None:
     """Fit the ratings, with intervals if there are enough start lines."""
+    # A bootstrap over few lines draws much the same ones again, and its interval is too short.
     several = len(np.unique(line[~unpaid])) >= FEWEST_LINES
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6_000_000,))) if several else None
     try:

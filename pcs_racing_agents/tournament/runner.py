@@ -1,4 +1,4 @@
-"""Simulation of pairings as tasks (:mod:`pcs_racing_agents.jobs.jobs`): in parallel, resumable, reproducible.
+"""Races of pairings and what comes of them: at once (:func:`play_games`), recorded, or as tasks of a job.
 
 Pairings with the same races against the same opponent are simulated together, since what their egos have in common must
 be driven only once (:mod:`pcs_racing_agents.tournament.games`).
@@ -9,14 +9,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.errors import InputError
 from pcs_racing.game.moves import move_names
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
+from pcs_racing.race.recording import record_drive
+from pcs_racing.race.replay import Replay
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor, competitor_hash
@@ -24,6 +27,7 @@ from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import Job, Run, run_with_or_without
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
+from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import Pairing, RaceBlock, race_block
 
 BLOCK = 400  # races of one task: about a second of work
@@ -57,6 +61,66 @@ def play_games(
     pairing = Pairing(game, *cars, np.asarray(policies), starts, np.asarray(seeds), 0)
     (columns,) = pairing.race([pairing.ego])
     return race_table(pairing, columns)
+
+
+class Recording(NamedTuple):
+    """A recorded game."""
+
+    replay: Replay
+    played: RaceTable  #: Result of the one game, with the observations of both cars.
+    game: RaceGame  #: The game as it was played, with the planners of both cars.
+
+
+def record_game(
+    game: RaceGame,
+    ego: Competitor | Policy,
+    opponent: Competitor | Policy,
+    *,
+    policies: ArrayLike,
+    start: Starts,
+    seed: int,
+    candidates: bool = True,
+) -> Recording:
+    """Play one game as :func:`pcs_racing_agents.tournament.play_games` does, and record its race.
+
+    Parameters
+    ----------
+    policies : array_like of int, shape (2,)
+    start : Starts
+        Of one game.
+    seed : int
+        Key of its noise.
+    candidates : bool
+        Whether to keep the candidate paths of each planner.
+    """
+    variants = np.asarray(policies)
+    if variants.shape != (2,):
+        raise InputError(f"policies have shape {variants.shape}; one game has two")
+    cars = (as_competitor(ego), as_competitor(opponent))
+    pairing = Pairing(game, *cars, variants[None], start, np.array([seed], np.uint64), 0)
+    (columns,) = pairing.race([cars[0]])
+    path = columns["path"][0]
+    arena = game_between(game, *cars)
+    # A step without a policy follows a crash; two drivers have none in any step, and drive in a single one.
+    driven = int((path >= 0).any(axis=0).sum()) or 1
+    theta = np.zeros((driven, 2, arena.setup.theta_size))
+    for car, competitor in enumerate(cars):
+        for step in range(driven):
+            if isinstance(competitor, Driver):
+                parameters = competitor.policies[variants[car]].parameters
+            else:
+                parameters = arena.archive.policy(int(path[car, step])).parameters
+            theta[step, car, : len(parameters)] = parameters
+    replay = record_drive(
+        arena.setup,
+        start,
+        columns["noise"][0],
+        theta,
+        names=pairing.names,
+        step_ticks=arena.config.step_ticks,
+        candidates=candidates,
+    )
+    return Recording(replay, race_table(pairing, columns), arena)
 
 
 def play_pairing(pairing: Pairing, **run: Unpack[Run]) -> RaceTable:
@@ -95,7 +159,8 @@ def play_pairings(
         if progress is not None:
             progress(round(total * done / tasks) if tasks else 0, total, label)
 
-    chunk_name = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:80] or "races"  # a name as jobs want it
+    # A circuit or an agent may be called anything; a job's chunks may not.
+    chunk_name = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:80] or "races"
     worker = partial(race_block, groups, observations)
     results = run_with_or_without(chunk_name, worker, blocks, job=job, executor=executor, progress=report)
     tables: dict[int, RaceTable] = {}
@@ -136,6 +201,7 @@ def _groups(pairings: Sequence[Pairing]) -> list[list[int]]:
     groups: dict[Any, list[int]] = {}
     for i, pairing in enumerate(pairings):
         draws = (pairing.variants, pairing.starts.s, pairing.starts.side, pairing.noise)
+        # By identity: two games that are equal but not the same would be compared map by map.
         same: Any = (id(pairing.game), id(pairing.opponent), *(array.tobytes() for array in draws))
         groups.setdefault(i if isinstance(pairing.ego, Driver) else same, []).append(i)
     return list(groups.values())
@@ -150,6 +216,7 @@ def _blocks(number: int, group: Sequence[Pairing], observations: bool, *, hashed
         calibration = {preset: calibration_values(own) for preset, own in game.track.calibration.items()}
         track = fingerprint(game.track.content_hash, calibration)
         common = fingerprint(track, game.archive.content_hash, game.config, hashes, observations)
+    # Counted over all egos, although they share what they drive: at worst they part at the first move.
     size = max(1, BLOCK // len(group))
     for first in range(0, len(pairing), size):
         last = min(first + size, len(pairing))

@@ -72,6 +72,7 @@ def rating_interval(low: float, high: float) -> str:
 def standings(tournament: Tournament) -> list[Standing]:
     """Return the table of a tournament, highest score first."""
     table = []
+    # Kept by sum_up, since text, matrix and picture need it as well and the bootstrap takes time.
     together, races = sum_up(tournament), tournament.races
     drove = drivers(tournament.plan.names, races)
     # Conditions on a car have shape (N, 2), conditions on a race (N, 1).
@@ -185,6 +186,7 @@ def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
     axes.set_yticks(range(len(names)), labels)
     for (i, j), value in np.ndenumerate(matrix):
         if not np.isnan(value):
+            # Perceived lightness of the cell (ITU-R BT.601): white digits on dark ones.
             dark = image.cmap(image.norm(value))[:3] @ np.array([0.299, 0.587, 0.114]) < 0.5
             axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color="white" if dark else INK)
     axes.tick_params(length=0)

@@ -24,7 +24,7 @@ from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
 from pcs_racing_agents.explain.explain import ExplainedDecision, explain_game, mark_moves
 from pcs_racing_agents.results.races import RaceTable
-from pcs_racing_agents.tournament.watching import record_game
+from pcs_racing_agents.tournament.runner import record_game
 from pcs_racing_agents.view.view_page import fill, player_parts, template
 from pcs_racing_agents.view.view_server import Answer, error_answer
 
@@ -46,6 +46,7 @@ class _GivenMoves:
         self, observation: NDArray[np.float32], state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.int64], None]:
         """Return the move for each observation."""
+        # From the observation, not from a counter: the same object may be asked for any race, in any order.
         made = moves_made(observation, self.axes)
         padded = np.array([*self.moves, self.stay])
         return padded[np.minimum(made, len(self.moves))], None
@@ -144,6 +145,7 @@ class PersonRaces:
         for move in moves:
             if not 0 <= move < len(names):
                 raise InputError(f"move {move} is none of the moves 0 to {len(names) - 1} ({', '.join(names)})")
+        # The whole race each time: nothing is kept between two questions.
         person = _GivenMoves(moves, len(names) - 1, len(game.archive.characteristics))
         variants = len(self.opponent.policies) if isinstance(self.opponent, Driver) else len(game.archive)
         draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
@@ -160,6 +162,7 @@ class PersonRaces:
         else:
             explanation = explain_game(game, person, self.opponent, **race, car=1)
             replay, played, steps = explanation.replay, explanation.played, explanation.steps
+        # What would happen if the person stayed from now on must not be shown.
         if not self._over(played, len(moves)):
             replay = first_frames(replay, self._end(len(moves)))
         return replay, played, steps[: len(moves)]

@@ -17,16 +17,18 @@ from pcs_racing_agents.explain.situations import Situations
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
-from pcs_racing_agents.study.highlights import ExplainedRace, select_highlights, watch_race
 from pcs_racing_agents.study.report import ReportContent, TitledTable, report_page, write_page
 from pcs_racing_agents.study.report_inputs import (
+    ExplainedRace,
     ReplyLoss,
     mean_scores,
     read_curves,
     read_losses,
     scores_and_losses,
+    select_highlights,
     software,
     total_losses,
+    watch_race,
 )
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import overview_rows

@@ -22,8 +22,7 @@ from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
 from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.reporting import best_blind
-from pcs_racing_agents.study.run import seconds_counted, stages_to_run
-from pcs_racing_agents.study.stages import stage_seconds
+from pcs_racing_agents.study.run import seconds_counted, stage_seconds, stages_to_run
 from pcs_racing_agents.study.study import Study
 
 HERE = Path(__file__).parent

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from pcs_racing import InputError
-from pcs_racing_agents.tournament.statistics import clustered_mean, compare, holm, match_units, score
-from pcs_racing_agents.tournament.statistics.clusters import t_interval
+from pcs_racing_agents.tournament.statistics import clustered_mean, compare, holm, match_units, score, t_interval
 
 EGOS, OPPONENTS, RACES = 12, 12, 3
 EGO, OPPONENT, LINE = (index.ravel() for index in np.indices((EGOS, OPPONENTS, RACES)))

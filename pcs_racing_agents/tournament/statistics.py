@@ -1,7 +1,13 @@
-"""Cluster-robust intervals of means over races that share egos, opponents or start lines, and Student's t."""
+"""Statistics of paired races: scores, cluster-robust means and comparisons of two arms (agents), adjusted p-values.
+
+A unit is one race that both arms drove: (ego start policy, opponent, start line, side). Units that share an ego policy
+or an opponent are correlated, so 4,000 races of 20 ego policies against 20 opponents hold far less information than
+4,000 independent ones. ``docs/reports/statistics.md`` measures the coverage of the estimators on such data.
+"""
 
 import math
 from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from functools import reduce
 from itertools import combinations
 from typing import NamedTuple
@@ -85,6 +91,7 @@ def cluster_codes(labels: ArrayLike, values: Floats, kind: str) -> tuple[Ints, i
         raise InputError(f"{kind} labels have shape {array.shape}; there must be one for each of {len(values)} races")
     if array.dtype.kind not in "biufUS" or (array.dtype.kind == "f" and not np.isfinite(array).all()):
         raise InputError(f"{kind} labels must be text or finite numbers, not {array.dtype}")
+    # Labels are compared, never ordered or averaged: text and numbers are as good.
     unique, codes = np.unique(array, return_inverse=True)
     if len(unique) < 2:
         raise InputError(
@@ -172,6 +179,7 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
             raise InputError("same_pool is about the labels of ego and opponent; give both")
         variance = max(variance, _variance(x - mean, [pool_codes(clusters[0], clusters[1]), *kinds[2:]]))
     se = float(np.sqrt(variance))
+    # The kind with the fewest clusters limits what is known, however many races there are.
     df = min(numbers) - 1
     low, high, p = t_interval(mean, se, df)
     return Estimate(mean, low, high, se, df, p, len(x), numbers)
@@ -201,12 +209,14 @@ def _shared_variance(residual: Floats, kind: Kind) -> float:
 
     With two codes for each race (the policies of a pool that drove it) a pair may share both; it counts once.
     """
+    # The sum over pairs is that of squared cluster sums: linear in the races, where all pairs would be quadratic.
     size = max(int(codes.max()) for codes in kind) + 1
     first, last = kind[0], kind[-1]
     two = first != last
     sums = np.bincount(first, residual, size) + np.bincount(last[two], residual[two], size)
     number = int(np.count_nonzero(np.bincount(first, minlength=size) + np.bincount(last, minlength=size)))
     total = sums @ sums * _correction(number)
+    # Two races of the same two policies were counted with both of them.
     if two.any():
         pairs = np.minimum(first, last)[two] * size + np.maximum(first, last)[two]
         _, pair = np.unique(pairs, return_inverse=True)
@@ -217,3 +227,103 @@ def _shared_variance(residual: Floats, kind: Kind) -> float:
 
 def _correction(clusters: int) -> float:
     return clusters / (clusters - 1) if clusters > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Result of a comparison of arm a with arm b over the same races."""
+
+    mean_a: float  #: ``mean_a``, ``mean_b``: Mean scores.
+    mean_b: float
+    difference: float  #: ``mean_a - mean_b``.
+    #: ``low``, ``high``: Interval of the difference, robust to ego and opponent clusters; the result to quote.
+    low: float
+    high: float
+    se: float  #: Standard error behind it.
+    df: int  #: Its degrees of freedom.
+    p_clustered: float  #: Two-sided p-value that belongs to it.
+    #: p-value of the paper's test over ego variants. It takes the opponents as given: it is about these ones only.
+    p_paired_t: float
+    cohen_d: float  #: Difference over the standard deviation of the ego variants' differences.
+    units: int  #: ``units``, ``egos``, ``opponents``: Number of races of each arm, of ego variants and of opponents.
+    egos: int
+    opponents: int
+
+
+def compare(
+    a: ArrayLike,
+    b: ArrayLike,
+    ego: ArrayLike,
+    opponent: ArrayLike,
+    *,
+    start: ArrayLike | None = None,
+) -> Comparison:
+    """Compare two arms that raced the same units.
+
+    Parameters
+    ----------
+    a, b : array_like, shape (U,)
+        Scores of the arms (:func:`score`: 1 win, 0.5 tie, 0 else), race by race in the same order
+        (:func:`match_units`).
+    ego, opponent : array_like, shape (U,)
+        Labels of the ego start policy and of the opponent of each race. A single opponent is taken as given.
+    start : array_like, shape (U,), optional
+        Labels of the start lines, where all pairs shared the same few: they are then a third kind of cluster. Leave it
+        out where every pair had lines of its own.
+    """
+    first, second = check_arms(a, b)
+    # Such as a driver with one policy: one cluster has no spread, and the interval is for this opponent.
+    single = len(np.unique(np.asarray(opponent))) == 1
+    kinds = [ego, *([] if single else [opponent]), *([] if start is None else [start])]
+    result = clustered_mean(first - second, *kinds)
+    p_paired_t, cohen_d = _paired_t(first - second, ego)
+    return Comparison(
+        mean_a=float(first.mean()),
+        mean_b=float(second.mean()),
+        difference=result.mean,
+        low=result.low,
+        high=result.high,
+        se=result.se,
+        df=result.df,
+        p_clustered=result.p,
+        p_paired_t=p_paired_t,
+        cohen_d=cohen_d,
+        units=result.units,
+        egos=result.clusters[0],
+        opponents=1 if single else result.clusters[1],
+    )
+
+
+def holm(p_values: ArrayLike) -> Floats:
+    """Return the p-values of a table, adjusted for multiple testing by Holm's method (1979).
+
+    The family-wise error rate at 0.05 is at most 0.05, however the tests depend on each other. (scipy adjusts for the
+    false discovery rate only.)
+
+    Both have shape (T,) and the same order.
+    """
+    p = check_values("p_values", p_values)
+    wrong = (p < 0.0) | (p > 1.0)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(f"p_values[{at}] is {p[at]:g}; it must be from 0 to 1")
+    order = np.argsort(p, kind="stable")
+    adjusted = np.empty_like(p)
+    # The running maximum keeps the order of the p-values: a larger one never becomes the smaller one.
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1)))
+    return adjusted
+
+
+def _paired_t(differences: Floats, ego: ArrayLike) -> tuple[float, float]:
+    """Return the p-value and Cohen's d of the paper's paired t-test over the ego variants.
+
+    Each variant's races are averaged first. The test takes the opponents as given; where an arm's advantage varies over
+    opponents it rejects a true null hypothesis about all such opponents too often.
+    """
+    codes, number = cluster_codes(ego, differences, "ego")
+    means = np.bincount(codes, differences) / np.bincount(codes)
+    mean, deviation = float(means.mean()), float(means.std(ddof=1))
+    if deviation <= 1e-12 * float(np.abs(means).max()):
+        deviation = 0.0  # equal differences whose means differ in the last digit
+    _, _, p = t_interval(mean, deviation / math.sqrt(number), number - 1)
+    return p, ratio(mean, deviation)
