@@ -7,7 +7,7 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.planners.network import INPUTS, network_planner
 from pcs_racing.planners.trained import trained_planner
 from pcs_racing_agents.agents.agent import draw, hash_rows
-from pcs_racing_agents.learning.ppo.drives import Drives
+from pcs_racing_agents.learning.ppo.drives import LearnerEnv
 from pcs_racing_agents.solvers import GameTree, cfr, exploitability, play_value, solve_exact
 from pcs_racing_agents.solvers.cfr import VARIANTS
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
@@ -67,7 +67,10 @@ def test_a_driver_of_50_hz_is_a_network_planner(coarse_oval):
 
 def test_a_learner_sees_where_it_went(coarse_oval):
     """Alike in both races until one of them steers: then speed, steering and heading tell them apart."""
-    races = Drives(2, coarse_oval, load_race_config(PAPER, duration=1.0), [get_planner("pure-pursuit").policy()])
+    opponent = get_planner("pure-pursuit").policy()
+    races = LearnerEnv(
+        2, track=coarse_oval, race=load_race_config(PAPER, duration=1.0), opponent=opponent, time_step=0.02
+    )
     first, _ = races.reset(seed=4)
     assert first.shape == (2, len(INPUTS))
     for _ in range(5):

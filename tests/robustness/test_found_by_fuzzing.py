@@ -14,7 +14,7 @@ import yaml
 from PIL import Image
 
 from pcs_racing import GameConfig, InputError, RaceConfig, load_archive, load_race_config, load_track, make_game
-from pcs_racing.envs.batch import check_seed
+from pcs_racing.base.checks import check_seed
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.duel import HeadToHeadEnv
 from pcs_racing.game.characteristics import get_characteristics

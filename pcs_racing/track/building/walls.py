@@ -160,9 +160,8 @@ def simplify(outlines, tolerance, inset):  # type: ignore[no-untyped-def]
     """Simplify outlines to straight segments through the middles of cell faces (Douglas and Peucker, 1973).
 
     On a slanted wall the middles lie halfway between protruding cells and the cells behind them. A slanted ray meets
-    more of the protruding cells, so each segment is then shifted by a share of the protrusion: the ``inset``, whose
-    effect ``benchmarks/wall_accuracy.py`` measures. Before the shift no middle is farther than ``tolerance`` cells from
-    its segment.
+    more of the protruding cells, so each segment is then shifted by a share of the protrusion: the ``inset``. Before
+    the shift no middle is farther than ``tolerance`` cells from its segment.
 
     Returns
     -------

@@ -1,12 +1,8 @@
-import html
 import json
 import re
-import shutil
-import subprocess
 
 import numpy as np
 import pytest
-from PIL import Image
 from recorded_races import race_on_a_circle
 
 from pcs_racing.base.errors import InputError
@@ -171,31 +167,13 @@ document.body.dataset.seen = JSON.stringify(seen);
 </body>"""
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    """Opens a page without a display; gives what it printed (its DOM) and what it complained about."""
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if program is None:
-        pytest.skip("no chromium on PATH to open the page with")
-
-    def visit(path, moment, *arguments):
-        quiet = "--disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-component-update"
-        command = [program, "--headless", "--no-sandbox", *quiet.split(), "--disable-sync", "--enable-logging=stderr"]
-        command += [f"--user-data-dir={tmp_path_factory.mktemp('profile')}", "--window-size=1200,800"]
-        command += ["--virtual-time-budget=4000", *arguments, f"{path.as_uri()}#{moment}"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-        return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-
-    return visit
-
-
 def test_the_page_answers_to_its_viewer(tmp_path, browser):
     replay = race_on_a_circle(8.0, candidates=5, title=NASTY, car_names=(NASTY, "outer"))
     path = write_html(replay, tmp_path / "a race.html")
     path.write_text(path.read_text().replace("<head>", CLOCK).replace("</body>", VISIT))
-    dom, complaints = browser(path, "t=2.5&follow=0&candidates=1", "--dump-dom")
-    assert complaints == []
-    seen = json.loads(html.unescape(re.search(r'data-seen="([^"]*)"', dom).group(1)))
+    browser.open(f"{path.as_uri()}#t=2.5&follow=0&candidates=1")
+    seen = json.loads(browser.wait("document.body.dataset.seen || ''"))
+    assert browser.complaints == []
     assert seen["title"] == NASTY
     assert seen["bold"] == 1  # the clock's
     assert seen["start"] == [2.5, "0", True]
@@ -213,18 +191,21 @@ def test_the_page_answers_to_its_viewer(tmp_path, browser):
 )
 def test_the_page_draws_both_cars(tmp_path, browser, moment):
     path = write_html(race_on_a_circle(4.0, candidates=5, every=2), tmp_path / "race.html")
-    _, complaints = browser(path, moment, f"--screenshot={tmp_path / 'shot.png'}")
-    assert complaints == []
-    stage = np.array(Image.open(tmp_path / "shot.png").convert("RGB"))[120:430].astype(int)
+    browser.open(f"{path.as_uri()}#{moment}", 1200, 800)
     colours = [(88, 166, 255), (255, 176, 59)] if "dark" in moment else [(27, 111, 216), (224, 135, 0)]
-    for colour in colours:
-        assert np.count_nonzero(np.abs(stage - colour).sum(axis=-1) < 12) > 40
+
+    def drawn(pixels):
+        stage = pixels[120:430]
+        return all(np.count_nonzero(np.abs(stage - colour).sum(axis=-1) < 12) > 40 for colour in colours)
+
+    browser.look(drawn)
+    assert browser.complaints == []
 
 
 def test_a_bare_race_draws_too(tmp_path, browser):
     bare = race_on_a_circle(0.0, paths=None, ittc=None, line_speed=None, events=(), walls=np.zeros((0, 4)))
     path = write_html(bare, tmp_path / "bare.html")
     path.write_text(path.read_text().replace("<head>", CLOCK).replace("</body>", "<script>frames(3)</script></body>"))
-    dom, complaints = browser(path, "follow=1&play=1", "--dump-dom")
-    assert complaints == []
-    assert 'data-drawn="0.00"' in dom
+    browser.open(f"{path.as_uri()}#follow=1&play=1")
+    assert browser.wait("document.documentElement.dataset.drawn || ''") == "0.00"
+    assert browser.complaints == []
