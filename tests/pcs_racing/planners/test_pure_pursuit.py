@@ -116,7 +116,7 @@ def test_two_of_them_sort_themselves_out_at_the_start():
             for name in list_tracks()
         ]
         # They start in bends, too, and know no way round each other.
-        assert np.mean(crashes) < 0.2
+        assert np.mean(crashes) < 0.35
 
 
 # A driver written twice: compiled for numba, and in plain Python with the math module.

@@ -64,7 +64,9 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
         (trained_planner("driver", weights, hold), np.zeros(0)),
     ):
         setup = replace(batch.setup, planners=(planner, batch.setup.planners[1]))
-        state = take(batch.course(0).grid, places)._replace(seed=seeds.copy(), memory=np.zeros((6, 2, setup.memory_size)))
+        state = take(batch.course(0).grid, places)._replace(
+            seed=seeds.copy(), memory=np.zeros((6, 2, setup.memory_size))
+        )
         both = np.zeros((6, 2, setup.theta_size))
         both[:, 0, : len(theta)] = theta
         both[:, 1, : rivals.shape[1]] = rivals
