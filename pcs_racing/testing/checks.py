@@ -34,7 +34,7 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
 
     Policies between its bounds race each other: all numbers must stay finite and the parameters untouched; the same
     race must end the same driven again, alone, or cut in pieces; with the default policy the cars must not stand still;
-    and opponents beyond the planner's ``sight`` must make no difference.
+    and opponents beyond the planner's ``sight`` must make no difference, except by who leads.
 
     Parameters
     ----------
@@ -70,16 +70,22 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
     alone = drive(take(grid, [RACES - 1]), theta[RACES - 1 :])
     _assert_equal(alone, take(end, [RACES - 1]), f"{who}: a race ends differently without the others{same}")
     _assert_equal(drive(grid, theta, pieces=4), end, f"{who}: races end differently when cut in pieces{same}")
-    _check_sight(setup, take(grid, [0] * RACES), theta, rng)
+    for side in (1.0, -1.0):
+        _check_sight(setup, take(grid, [0] * RACES), theta, rng, side)
 
 
-def _check_sight(setup: RaceSetup, state: RaceState, theta: NDArray[np.float64], rng: np.random.Generator) -> None:
-    """Check that a driver of limited sight drives the same whatever the opponent does beyond it."""
+def _check_sight(
+    setup: RaceSetup, state: RaceState, theta: NDArray[np.float64], rng: np.random.Generator, side: float
+) -> None:
+    """Check that a driver of limited sight drives the same whatever an opponent ahead (1) or behind (-1) does beyond.
+
+    Who leads, a driver may know at any distance: on the way from one side to the other the cars are in sight.
+    """
     planner, track = setup.planners[0], setup.track
     near, far = planner.sight + 2.0, 0.5 * track.length - 2.0
     if near >= far:
         return
-    gap = np.linspace(near, far, RACES) * rng.permutation([1.0, -1.0] * RACES)[:RACES]
+    gap = np.linspace(near, far, RACES) * side
     s = np.mod(state.frenet[:, 0, 0] + gap, track.length)
     pose = track.to_cartesian(np.stack([s, np.zeros(RACES)], axis=-1))
     state.progress[:, 1] = state.progress[:, 0] + gap
