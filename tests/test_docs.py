@@ -132,7 +132,7 @@ def test_commands_within_lines_exist():
 
 def test_scripts_and_targets_exist():
     # A script that made one table once is gone; the page says at which commit it measured.
-    gone = re.compile(r"commit [0-9a-f]{7}\s+with\s+`python benchmarks/\w+\.py")
+    gone = re.compile(r"commit\s+[0-9a-f]{7}\s+with\s+`python benchmarks/\w+\.py")
     texts = [gone.sub("", text) for text in TEXTS.values()]
     scripts = {name for text in texts for name in re.findall(r"\b(?:examples|benchmarks|tools)/\w+\.py", text)}
     assert len(scripts) > 15
