@@ -9,7 +9,7 @@ from pcs_racing.base.checks import check_names, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive_files import load_archive, save_archive
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.game.learned_files import load_learned, save_learned
+from pcs_racing.game.learned import load_learned, save_learned
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import load_race_config
