@@ -66,7 +66,6 @@ REFERENCE = {
     "pcs_racing_agents.networks": "Networks",
     "pcs_racing_agents.agents": "Agents",
     "pcs_racing_agents.tournament": "Tournaments",
-    "pcs_racing_agents.tournament.statistics": "Statistics",
     "pcs_racing_agents.learning": "Robust answers and self-play",
     "pcs_racing_agents.learning.ppo": "PPO baselines",
     "pcs_racing_agents.learning.responses": "Responses learned from branched games",
