@@ -226,6 +226,7 @@ PARTS: dict[str, Callable[[list[Path]], Digests]] = {
 
 def digests(parts: list[str], folders: list[Path]) -> dict[str, str]:
     """Digest of each result; a part that fails says why instead."""
+    # A part that fails must not hide the digests of the others.
     found: dict[str, str] = {}
     for part in parts:
         try:
@@ -240,6 +241,7 @@ def digests(parts: list[str], folders: list[Path]) -> dict[str, str]:
 def other_process(setting: dict[str, str], arguments: list[str]) -> dict[str, str]:
     """The digests that a process with these environment variables prints."""
     with tempfile.TemporaryDirectory() as caches:
+        # Compiled code and tracks in the shared caches were made under other instructions.
         own = {"NUMBA_CACHE_DIR": f"{caches}/numba", "PCS_RACING_CACHE": f"{caches}/tracks"}
         environment = {**os.environ, "PYTHONPATH": str(ROOT), **own, **setting}
         command = [sys.executable, __file__, "--json", *arguments]

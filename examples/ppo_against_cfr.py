@@ -54,7 +54,7 @@ def main() -> None:
     except UnknownNameError as error:
         raise SystemExit(f"ppo_against_cfr: error: {error}; or race another one with --opponent") from None
 
-    # 1. Train, against opponents that PPO is to beat. The folder keeps checkpoints, curves and weights.
+    # 1. Train, against opponents that PPO is to beat. The folder keeps curves and weights.
     settings = DuelSettings(
         archive=arguments.archive,
         race=arguments.race,

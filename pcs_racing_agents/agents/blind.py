@@ -7,6 +7,7 @@ nothing else: what an agent gains over it comes from knowing the opponent.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,9 +17,9 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.moves import STAY
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.fits import FitSource, find_fit, fit_facts
+from pcs_racing_agents.agents.fits import FitSource, find_fit
 from pcs_racing_agents.agents.observing import ObservationBatch, lead, moves_made, own
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry
 
 Floats = NDArray[np.float64]
@@ -113,6 +114,7 @@ def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.i
     leads_to = np.asarray(table, np.int64)
     coordinates = np.asarray(points, np.float64)
     policies = len(leads_to)
+    # Distances in moves decide the way; where no way leads to the target, distances in the space decide the goal.
     steps = _distances(leads_to)
     distance = np.linalg.norm(coordinates - coordinates[target], axis=1)
     first = np.empty(policies, np.int64)
@@ -134,6 +136,7 @@ def _distances(leads_to: NDArray[np.int64]) -> NDArray[np.int64]:
     policies = len(leads_to)
     steps = np.full((policies, policies), policies, np.int64)
     np.fill_diagonal(steps, 0)
+    # No way is longer than there are policies; usually the first rounds find them all.
     for _ in range(policies):
         shorter = np.minimum(steps, 1 + steps[leads_to].min(axis=1))
         if (shorter == steps).all():
@@ -163,6 +166,16 @@ def random_moves(setting: Setting, *, name: str = "random-moves", seed: int = 0)
     return Agent(name, ConstantStrategy(probabilities), setting, seed)
 
 
+def _choice(kind: str, setting: Setting, agent: str, given: Any, fit: FitSource) -> tuple[Any, dict[str, str]]:
+    """Return what an agent does that was chosen on training races, and facts about it: what is given, or a fit's."""
+    if given is None:
+        loaded = find_fit(kind, setting, fit)
+        return loaded.choice, {"trained on": training_text(loaded.training)}
+    if fit is not None:
+        raise InputError(f"agent {agent!r} got {given!r} and a fit; give one of the two")
+    return given, {}
+
+
 def best_schedule(
     setting: Setting,
     *,
@@ -181,12 +194,7 @@ def best_schedule(
         A sequence selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_schedule`;
         the shipped one by default.
     """
-    facts = {}
-    if moves is None:
-        loaded = find_fit("best-schedule", setting, fit)
-        moves, facts = loaded.choice, fit_facts(loaded)
-    elif fit is not None:
-        raise InputError(f"agent {name!r} got moves and a fit; give one of the two")
+    moves, facts = _choice("best-schedule", setting, name, moves, fit)
     if isinstance(moves, str) or len(moves) != setting.config.moves:
         raise InputError(f"agent {name!r} got the plan {moves!r}; a game has {setting.config.moves} moves")
     sequence = np.array([setting.move(move) for move in moves], np.int64)
@@ -211,12 +219,7 @@ def best_fixed(
     fit : Fit or path, optional
         A target selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_fixed`; the shipped one by default.
     """
-    facts = {}
-    if target is None:
-        loaded = find_fit("best-fixed", setting, fit)
-        target, facts = loaded.choice, fit_facts(loaded)
-    elif fit is not None:
-        raise InputError(f"agent {name!r} got a target and a fit; give one of the two")
+    target, facts = _choice("best-fixed", setting, name, target, fit)
     strategy = walk_to(setting, target)
     return Agent(name, strategy, setting, seed, {**facts, "target": _policy_text(setting, target)})
 
@@ -241,12 +244,7 @@ def best_lead_plan(
         Targets selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_lead_plan`; the shipped ones by
         default.
     """
-    facts = {}
-    if targets is None:
-        loaded = find_fit("best-lead-plan", setting, fit)
-        targets, facts = loaded.choice, fit_facts(loaded)
-    elif fit is not None:
-        raise InputError(f"agent {name!r} got targets and a fit; give one of the two")
+    targets, facts = _choice("best-lead-plan", setting, name, targets, fit)
     if not isinstance(targets, Mapping) or set(targets) != set(LEAD_PLAN):
         raise InputError(f"agent {name!r} got targets {targets!r}; give a policy for each of {', '.join(LEAD_PLAN)}")
     strategy = LeadPlanStrategy(*(walk_to(setting, targets[place]) for place in LEAD_PLAN))

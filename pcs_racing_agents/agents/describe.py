@@ -57,6 +57,7 @@ def measured(archive: str, race: str, agent: str, sha256: str) -> Measured | Non
 @lru_cache(maxsize=1)
 def measurements() -> dict[tuple[str, str, str], Measured]:
     """Return all measurements, by archive, race and agent."""
+    # Read once for all agents: it is asked for with every one of them.
     path = measured_file()
     if not path.is_file():
         return {}

@@ -3,11 +3,10 @@
 from pathlib import Path
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.trained import NAME, load_driver, read_driver
 from pcs_racing_agents.agents.agent import Driver
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry
 
 
@@ -31,8 +30,9 @@ def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str |
         Name of the planner; by default that of the driver.
     """
     family = get_planner(planner or name)
-    variants = tuple(family.variants) or ("default",)
-    return Driver(name, tuple(_variant(family.name, variant) for variant in variants))
+    if not family.variants:
+        return Driver(name, (family.policy("default", name=family.name),))
+    return Driver(name, tuple(family.policy(variant, name=f"{family.name}:{variant}") for variant in family.variants))
 
 
 def trained_driver(
@@ -51,15 +51,10 @@ def trained_driver(
     _, manifest = read_driver(NAME if network is None else network)
     facts = {
         "network": manifest["name"],
-        "trained on": ", ".join(f"{key} {value}" for key, value in manifest["training"].items()) or "not said",
+        "trained on": training_text(manifest["training"]),
         "weights sha256": manifest["weights_sha256"],
     }
     return Driver(name, (planner.policy(name=name),), facts)
-
-
-def _variant(planner: str, variant: str) -> Policy:
-    name = planner if variant == "default" else f"{planner}:{variant}"
-    return get_planner(planner).policy(variant, name=name)
 
 
 RANDOM_POLICY = Entry(

@@ -18,10 +18,12 @@ from pcs_racing_agents.agents.setting import Setting
 FIT_FORMAT = ManifestFormat(
     "fit", ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"), "save_fit"
 )
-KINDS = {"best-schedule": list, "best-fixed": int, "best-lead-plan": dict}
-"""What kinds there are, and what a choice of each is: names of moves, the index of a policy, the index of a policy
-behind and ahead.
-"""
+KINDS: dict[str, tuple[type, str]] = {
+    "best-schedule": (list, "a list of moves"),
+    "best-fixed": (int, "the index of a policy"),
+    "best-lead-plan": (dict, "the indices of two policies, behind and ahead"),
+}
+"""What kinds there are, and what a choice of each is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +39,10 @@ class Fit:
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in KINDS:
             raise UnknownNameError(f"fit of {self.kind!r} is unknown; there are fits of {', '.join(KINDS)}")
-        index = KINDS[self.kind] is int
-        if not (is_whole(self.choice) if index else isinstance(self.choice, KINDS[self.kind])):
-            raise InputError(f"the choice of {self.kind} is {self.choice!r}; it must be {_wanted(self.kind)}")
+        kind, wanted = KINDS[self.kind]
+        # A bool is an int in Python, but no index of a policy.
+        if not (is_whole(self.choice) if kind is int else isinstance(self.choice, kind)):
+            raise InputError(f"the choice of {self.kind} is {self.choice!r}; it must be {wanted}")
         if not isinstance(self.game, GameIdentity):
             raise InputError(f"game is {self.game!r}; it must be a GameIdentity")
         if not isinstance(self.training, Mapping):
@@ -100,12 +103,6 @@ def find_fit(kind: str, setting: Setting, source: FitSource = None) -> Fit:
     return fit
 
 
-def fit_facts(fit: Fit) -> dict[str, str]:
-    """Return what reports say of an agent that follows a fit."""
-    trained = ", ".join(f"{key} {value}" for key, value in fit.training.items())
-    return {"trained on": trained or "not said"}
-
-
 def game_fields(game: GameIdentity) -> dict[str, Any]:
     """Return what a manifest records of a game; names of moves and elements are left out."""
     return {
@@ -125,11 +122,3 @@ def recorded_game(fields: Mapping[str, Any]) -> GameIdentity:
         raise InputError(f"epsilon is {epsilon!r}; it must be a list of numbers")
     decisions = check_whole("moves", fields["moves"], 1)
     return GameIdentity((), (), tuple(epsilon), archive, digest, preset, decisions)
-
-
-def _wanted(kind: str) -> str:
-    return {
-        "best-schedule": "a list of moves",
-        "best-fixed": "the index of a policy",
-        "best-lead-plan": "the indices of two policies, behind and ahead",
-    }[kind]

@@ -15,7 +15,7 @@ from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.observing import ObservationBatch
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry, build_member
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
@@ -93,6 +93,11 @@ class NetworkStrategy:
         return probabilities
 
 
+def network_agent(network: RegretNetwork, setting: Setting, seed: int = 0, decision: str = "argmax") -> Agent:
+    """Return the agent of a network, with the network's name."""
+    return Agent(network.name, NetworkStrategy(network, decision, len(setting.moves)), setting, seed)
+
+
 @dataclass(frozen=True, eq=False)
 class AdaptiveStrategy:
     """A strategy that follows a blind agent, unless a network predicts a gain above a margin."""
@@ -106,6 +111,7 @@ class AdaptiveStrategy:
     def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         default = self.blind.probabilities(observation)
+        # A move that the network does not value is no better than the mean of all: as an advantage, 0.
         values = np.zeros(default.shape)
         predicted = self.network.unclipped(observation)
         values[:, : predicted.shape[1]] = predicted
@@ -145,10 +151,9 @@ def network_facts(network: RegretNetwork) -> dict[str, str]:
     """Return facts about an agent's network for reports."""
     # The manifest has all fields; these are the ones about the amount of training data.
     figures = {key: value for key, value in network.training.items() if not key.startswith(_DETAILS)}
-    trained = ", ".join(f"{key} {value}" for key, value in figures.items())
     return {
         "network": f"{network.name}: {network.target}, preset {network.identity.preset}",
-        "trained on": trained or "not said",
+        "trained on": training_text(figures),
         "weights sha256": fingerprint(network.layers),
     }
 

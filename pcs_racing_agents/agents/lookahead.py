@@ -28,34 +28,24 @@ def search_game(game: RaceGame) -> RaceGame:
 
 
 def guess_games(game: RaceGame, search: RaceGame, state: GameState, car: int, seeds: NDArray[np.uint64]) -> GameState:
-    """Return the states of games as one of the players can guess them.
-
-    Positions and speeds are those of the game. The opponent drives the policy of the archive that is nearest to its
-    measurement in the last step; its planner's memory, its path and its command are reset. So is the steering
-    disturbance of both cars.
+    """Return the states of games that are not over as the player of a car can guess them, to be searched.
 
     Parameters
     ----------
-    game : RaceGame
-        The game that is played.
-    search : RaceGame
-        The game of the search (:func:`search_game`).
-    state : GameState
-        B games that are not over; not modified.
-    car : int
-        The car that searches.
     seeds : ndarray, shape (B,), uint64
         Keys of the noise in the search.
     """
+    # Positions and speeds can be seen; the planners' memories, plans and commands, and the noise, can not.
     other = 1 - car
     own_memory = game.setup.planners[car].memory_total
     memory = np.zeros((state.games, 2, search.setup.memory_size))
     memory[:, car, :own_memory] = state.race.memory[:, car, :own_memory]
-    guess = state.copy()
+    guess = state.copy()  # the game that is played must not notice
     race = guess.race._replace(seed=np.array(seeds, np.uint64), memory=memory)
     race.disturbance[:] = 0.0
     for array in (race.path, race.command):
         array[:, other] = 0.0
+    # The opponent's policy is hidden, too: it is taken for the one nearest to what was measured in the last step.
     nearest = search.archive.nearest(state.estimates[:, other])
     guess.own[:, other] = search.points[nearest]
     guess.policy[:, other] = nearest[np.arange(state.games), state.step]
@@ -65,18 +55,8 @@ def guess_games(game: RaceGame, search: RaceGame, state: GameState, car: int, se
 def merge_histories(table: Indices, policy: Indices, depth: int) -> list[Indices]:
     """Map every history of moves to the first one that passes through the same policies.
 
-    Parameters
-    ----------
-    table : ndarray, shape (K, A)
-        Policy after every move from every policy.
-    policy : ndarray, shape (B,)
-        Start policies.
-
-    Returns
-    -------
-    list of ndarray, shape (B, A**k)
-        For ``k`` from 0 to ``depth`` moves: for each history the first one with the same policies. Histories are in
-        row-major order, first move first.
+    ``table`` (K, A) holds the policy after every move from every policy, ``policy`` (B,) where they start. Of the
+    result, array ``k`` (B, A**k) is for histories of ``k`` moves in row-major order, first move first.
     """
     options = table.shape[1]
     first = (table[:, :, None] == table[:, None, :]).argmax(axis=2)  # of the moves that lead to the same policy
@@ -99,21 +79,15 @@ def look_ahead(
 ) -> Floats:
     """Simulate all histories of moves of the next steps, and return the values of their ends.
 
-    Histories of moves that pass through the same policies are simulated once. A crash ends its branch.
-
     Parameters
     ----------
     guess : GameState
         B games that are not over, all after the same number of moves and with at least ``depth`` moves left.
-    car : int
-        The car that searches.
     moves : tuple of two ndarray, shapes (A,) and (C,)
-        Indices of the moves of the car, and of those of the opponent.
+        Indices of the moves of the car that searches, and of those of the opponent.
     leaf : {"rollout", "now", "network"}
         Where a branch ends: at the end of the race, both cars keeping the policies of the last move; or after the last
         move, with observations for "network".
-    value : callable
-        ``value(search, states, car) -> (N,)``: value of the ends to the car.
 
     Returns
     -------
@@ -123,7 +97,8 @@ def look_ahead(
     options = tuple(len(m) for m in moves)
     tables = tuple(search.table[:, m] for m in moves)
     representative = tuple(merge_histories(tables[i], guess.policy[:, (car, 1 - car)[i]], depth) for i in range(2))
-    # row[g, i, j]: the row of `state` that holds game g after the i-th own and the j-th opponent's history.
+    # row[g, i, j]: the row of `state` that holds game g after the i-th own and the j-th opponent's history. Only
+    # histories of different policies are simulated, as in game trees; the others have the row of their first equal.
     state, row = guess, np.arange(guess.games).reshape(-1, 1, 1)
     for k in range(1, depth + 1):
         distinct = [representative[i][k] == np.arange(options[i] ** k) for i in range(2)]
@@ -133,7 +108,7 @@ def look_ahead(
         actions[:, car] = moves[0][own % options[0]]
         actions[:, 1 - car] = moves[1][other % options[1]]
         if k < depth or leaf == "network":
-            state = search.step(parents, actions)
+            state = search.step(parents, actions)  # measures characteristics, which observations need
         else:
             state = _drive_on(search, parents, actions, to_the_end=leaf == "rollout")
         row = np.zeros((guess.games, options[0] ** k, options[1] ** k), np.int64)
@@ -162,22 +137,16 @@ def _drive_on(search: RaceGame, state: GameState, actions: Indices, *, to_the_en
 def root_games(payoffs: Floats, options: tuple[int, int], depth: int) -> Floats:
     """Solve all but the first moves by backward induction over zero-sum matrix games.
 
-    Parameters
-    ----------
-    payoffs : ndarray, shape (B, A**depth, C**depth)
-        As :func:`look_ahead` returns them.
-    options : (int, int)
-        Numbers of moves A and C.
-
     Returns
     -------
     ndarray, shape (B, A, C)
-        Values of the first moves if both then play an equilibrium; against an opponent with a single move (C = 1)
-        the value of a best response.
+        Values of the first moves if both then play an equilibrium, of what :func:`look_ahead` returned for A and C
+        moves; against an opponent with a single move (C = 1) the value of a best response.
     """
     own, other = options
     values = payoffs
     for k in range(depth - 1, 0, -1):
+        # Each pair of histories of k moves leads to a matrix game of the moves that follow.
         games = values.reshape(-1, own**k, own, other**k, other).transpose(0, 1, 3, 2, 4)
         flat = games.reshape(-1, own, other)
         solved = flat.max(axis=1)[:, 0] if other == 1 else solve_matrix_games(flat).values

@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.from_network import NetworkStrategy
+from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_made, own
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.networks.network_files import NetworkSet, list_network_sets, load_network_set
+from pcs_racing_agents.networks.network_files import NetworkSet, check_weights, list_network_sets, load_network_set
 
 Floats = NDArray[np.float64]
 NetworkSetSource = str | NetworkSet | None
@@ -67,13 +67,7 @@ class Mixture:
 
 def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
     """Return a mixture of agents of one setting; members of weight 0 are left out."""
-    shares = np.asarray(weights, np.float64)
-    if len(members) == 0 or shares.shape != (len(members),):
-        raise InputError(
-            f"there are {len(members)} members and weights of shape {shares.shape}; give one weight for each"
-        )
-    if not np.isfinite(shares).all() or (shares < 0.0).any() or not shares.any():
-        raise InputError(f"weights are {shares.tolist()}; they must be finite, 0 or above, and not all 0")
+    shares = check_weights("weights", weights, len(members))
     for member in members:
         if not isinstance(member, Agent):
             raise InputError(f"{member!r} can't be a member of a mixture; only agents can")
@@ -111,16 +105,12 @@ def from_network_set(
         )
     loaded = load_network_set(source)
     check_same_game(loaded.identity, setting.identity, f"agent {name!r}: network set {loaded.name!r}")
-    members = [
-        Agent(network.name, NetworkStrategy(network, loaded.decision, len(setting.moves)), setting, seed)
-        for network in loaded.networks
-    ]
-    trained = ", ".join(f"{key} {value}" for key, value in loaded.training.items())
+    members = [network_agent(network, setting, seed, loaded.decision) for network in loaded.networks]
     facts = {
         "networks": f"{loaded.name}: {len(loaded.networks)}, preset {loaded.identity.preset}",
         "weights": ", ".join(f"{weight:.3g}" for weight in loaded.weights),
         "decision": loaded.decision,
-        "trained on": trained or "not said",
+        "trained on": training_text(loaded.training),
         "weights sha256": fingerprint([network.layers for network in loaded.networks], loaded.weights),
     }
     return Agent(name, make_mixture(members, loaded.weights), setting, seed, facts)

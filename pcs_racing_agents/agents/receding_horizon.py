@@ -136,6 +136,7 @@ class RecedingHorizon:
         games = np.zeros((state.games, len(own), len(moves[1])))
         observation = game.observation(state)[:, car]
         remaining = np.where(game.done(state), 0, game.config.moves - state.step)
+        # Games of a batch may have made different numbers of moves; those of equal depth are searched together.
         for moves_left in np.unique(remaining[remaining > 0]):
             depth = min(self.depth, int(moves_left))
             batch = max(1, STATES // (self.noises * (len(own) * len(moves[1])) ** depth))

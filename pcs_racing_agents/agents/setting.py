@@ -1,8 +1,10 @@
 """The archive and the rules of the game that an agent is made for."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +63,11 @@ class Setting:
     def check_fits(self, game: RaceGame, agent: str) -> None:
         """Check that a game is played with this archive, the same moves and the same observations."""
         check_same_game(self.identity, make_setting(game.archive, game.config).identity, f"agent {agent!r}")
+
+
+def training_text(facts: Mapping[str, Any]) -> str:
+    """Return what reports say of how an agent was trained."""
+    return ", ".join(f"{key} {value}" for key, value in facts.items()) or "not said"
 
 
 def make_setting(

@@ -163,6 +163,7 @@ def build(name: str, setting: Setting, *, seed: int = 0, **options: Any) -> Any:
         for key in options:
             raise InputError(f"agent {name!r} has no option {key!r}; it has none")
         return resolve_name(_ALWAYS)(setting, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed)
+    # An agent may have the name of a planner; anything else that begins with one is a policy.
     if name not in available:
         if name.partition(":")[0] in planner_names() and not options:
             return as_competitor(parse_policy(name))
@@ -194,6 +195,7 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
     A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``.
     """
     name, separator, rest = str(text).strip().partition(":")
+    # "lane-switcher:3" is a variant of the planner, not an option of the agent of that name.
     if not separator or name not in entries() or name in planner_names():
         return build(str(text).strip(), setting, seed=seed)
     options: dict[str, Any] = {}

@@ -14,8 +14,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict, TypeVar
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -78,59 +79,6 @@ class Job:
         group = TaskGroup(self, name, function, arguments)
         return run_groups([group], executor=executor, progress=progress, keep=keep)[0]
 
-    def run_chains(
-        self,
-        name: str,
-        function: Callable[[tuple[A, Arrays | None]], Mapping[str, Any]],
-        arguments: Sequence[A],
-        *,
-        executor: Executor | None = None,
-        on_state: Callable[[int, Arrays], None] | None = None,
-    ) -> list[Arrays]:
-        """Run chains of tasks: each task continues from the state that the previous one returned.
-
-        Parameters
-        ----------
-        name : str
-            As for :meth:`run`; the last state of chain 12 is kept in ``NAME-00012.npz``.
-        function : callable
-            ``function((argument, state))`` returns the next state: arrays by name, among them ``finished``. The first
-            task of a chain gets the state None.
-        arguments : sequence
-            One for each chain.
-        executor : Executor, optional
-            Where the tasks run. A worker that dies takes at most a task of each chain with it.
-        on_state : callable, optional
-            Called as ``on_state(index, state)`` with the state of every chain that was begun earlier, and after every
-            task.
-
-        Returns
-        -------
-        list of dict of ndarray
-            The last state of every chain.
-        """
-        marks = self._marks(name, arguments)
-        states = [self._stored(name, index, mark) for index, mark in enumerate(marks)]
-
-        def next_task(index: int) -> Task[int] | None:
-            state = states[index]
-            if state is not None and state["finished"]:
-                return None
-            return Task(index, function, (arguments[index], state))
-
-        def report(index: int) -> None:
-            state = states[index]
-            if state is not None and on_state is not None:
-                on_state(index, state)
-
-        for index in range(len(states)):
-            report(index)
-        first = (task for task in map(next_task, range(len(states))) if task is not None)
-        for index, value in run_tasks(first, executor, name, follow=next_task):
-            states[index] = self._keep(name, index, value, marks[index])
-            report(index)
-        return [state for state in states if state is not None]
-
     def read(self, name: str, index: int) -> Arrays:
         """Read a task's result."""
         return read_chunk(self.file(name, index))
@@ -139,6 +87,7 @@ class Job:
         """Digests of all that the results of tasks depend on."""
         if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
             raise InputError(f"the name of a group of tasks is {name!r}; use small letters, digits, - and _")
+        # Everything that a result depends on: a chunk of other settings or of another version is made again.
         identity = fingerprint(self.kind, self.settings, package_version(), name)
         return [fingerprint(identity, index, argument) for index, argument in enumerate(arguments)]
 
@@ -181,21 +130,10 @@ def run_groups(
     progress: Progress | None = None,
     keep: bool = True,
 ) -> list[list[Arrays]]:
-    """Run several groups of tasks, of one job or of several, side by side.
+    """Run the tasks of several groups, which may belong to several jobs, side by side: :meth:`Job.run` for each.
 
-    No worker waits at the end of a group for the others: the tasks of the next one follow at once.
-
-    Parameters
-    ----------
-    executor, keep
-        As for :meth:`Job.run`.
-    progress : callable, optional
-        Called as ``progress(done, total, name of a group)``, counting the tasks of all groups.
-
-    Returns
-    -------
-    list of list of dict of ndarray
-        For each group what :meth:`Job.run` returns.
+    No worker waits at the end of a group for the others: the tasks of the next one follow at once. ``progress`` is
+    called with the name of a group, and counts the tasks of all groups.
     """
     results: list[list[Arrays]] = [[{}] * len(group.arguments) if keep else [] for group in groups]
     marks = [group.job._marks(group.name, group.arguments) for group in groups]
@@ -231,15 +169,10 @@ class Run(TypedDict, total=False):
 
 
 def run_with_or_without(
-    job: Job | None,
-    name: str,
-    function: Callable[[A], Mapping[str, Any]],
-    arguments: Sequence[A],
-    *,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    name: str, function: Callable[[A], Mapping[str, Any]], arguments: Sequence[A], **run: Unpack[Run]
 ) -> list[Any]:
     """Return the results of all tasks in their order, kept in a job if there is one; else as :meth:`Job.run` does."""
+    job, executor, progress = run.get("job"), run.get("executor"), run.get("progress")
     if job is not None:
         return job.run(name, function, arguments, executor=executor, progress=progress)
     results: dict[int, Any] = {}
@@ -248,6 +181,15 @@ def run_with_or_without(
         if progress is not None:
             progress(len(results), len(arguments), name)
     return [results[index] for index in range(len(arguments))]
+
+
+def run_races(
+    name: str, race: Callable[..., Mapping[str, Any]], arguments: Sequence[Any], **run: Unpack[Run]
+) -> list[Any]:
+    """Return what :func:`run_with_or_without` does, of a function that drives with a number of ``threads``."""
+    # Without an executor races are shared among all cores; with one its workers share the cores.
+    driven = race if run.get("executor") is None else partial(race, threads=1)
+    return run_with_or_without(name, driven, arguments, **run)
 
 
 def _plain_arrays(value: Any, where: str) -> Arrays:

@@ -52,13 +52,12 @@ def ego_values(trees: EgoTrees, continuation: Continuation = "best") -> list[tup
         if callable(continuation):
             observations = trees.observations(level)
             policy = np.asarray(continuation(observations.reshape(-1, observations.shape[-1])), np.float64)
-            if policy.shape != (q.size // trees.options, trees.options) or not np.isfinite(policy).all():
+            fits = policy.shape == (q.size // trees.options, trees.options) and np.isfinite(policy).all()
+            if not fits or (policy < 0.0).any() or not np.allclose(policy.sum(axis=1), 1.0, atol=1e-4):
                 raise InputError(
                     f"the continuation returned shape {policy.shape} for {q.size // trees.options} observations; it "
-                    f"must return finite probabilities of {trees.options} moves"
+                    f"must return probabilities of {trees.options} moves, which sum up to 1"
                 )
-            if (policy < 0.0).any() or not np.allclose(policy.sum(axis=1), 1.0, atol=1e-4):
-                raise InputError("the continuation's probabilities must be 0 or above and sum up to 1")
             value = (q * policy.reshape(q.shape)).sum(axis=-1)
         else:
             value = q.max(axis=-1)
@@ -67,13 +66,11 @@ def ego_values(trees: EgoTrees, continuation: Continuation = "best") -> list[tup
 
 
 def ego_rows(trees: EgoTrees, continuation: Continuation = "best") -> Rows:
-    """Return training rows: car 0's observations, and the values of its moves (:func:`ego_values`).
-
-    Situations that histories of the same policies share are one row; its weight is the probability to get there with
-    moves at random. Races that are over give none.
-    """
+    """Return training rows: car 0's observations, and the values of its moves, where the race goes on."""
     blocks = []
     for level, (q, _) in enumerate(ego_values(trees, continuation)):
+        # Situations that histories of the same policies share are one row. Its weight is the probability to get there
+        # with moves at random: that of as many histories as go along its path.
         paths = trees.paths[level]
         first = np.zeros(paths.shape, np.bool_)
         weight = np.zeros(paths.shape)

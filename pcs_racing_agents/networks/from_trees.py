@@ -10,16 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing.game.moves import STAY
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
 from pcs_racing_agents.networks.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, draw_pairs, join_rows, pair_number
 from pcs_racing_agents.networks.settings import TrainSettings, settings_for_trees
-from pcs_racing_agents.networks.targets import get_target, solve_for
+from pcs_racing_agents.networks.targets import PlayedTree, get_target, solve_for, tree_rows
 from pcs_racing_agents.networks.training import TrainingResult, train_network
-from pcs_racing_agents.networks.tree_rows import PlayedTree, tree_rows
 
 
 class TrainedOnTrees(NamedTuple):
@@ -66,7 +64,7 @@ def train_on_trees(
     settings = settings_for_trees(settings)
     numbers = pair_number(pairs)
     held_out = hold_out(numbers, settings, 3 if settings.test_share > 0.0 else 2, "trees")
-    solve = _TreeSolver(settings, len(identity.moves) - 1 if identity.moves[-1] == STAY else None)
+    solve = _TreeSolver(settings)
     rows: list[Rows | None] = [None] * len(held_out)
     tasks = numbered_tasks(solve, (tree_at(i) for i in range(len(held_out))))
     for done, (i, block) in enumerate(run_tasks(tasks, executor, "solving trees"), start=1):
@@ -113,7 +111,6 @@ class _TreeSolver:
     """The function that solves a tree and returns its rows; it can be pickled."""
 
     settings: TrainSettings
-    stay: int | None  #: Index of the move "stay", which the trees do not know.
 
     def __call__(self, race_tree: PlayedTree) -> Rows | None:
         """Return the rows; None if the race is over before the first move."""
@@ -126,8 +123,6 @@ class _TreeSolver:
             race_tree,
             solution,
             settings.target,
-            opponent=settings.opponent,
-            stay=self.stay,
             row_weights=settings.row_weights or "uniform",
             rows_per_step=settings.rows_per_step,
             seed=settings.seed,

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows
-from pcs_racing_agents.networks.targets import best_moves
-from pcs_racing_agents.networks.tree_rows import PlayedTree
+from pcs_racing_agents.networks.targets import PlayedTree, best_moves
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.solvers import (
     ExactResult,
@@ -131,6 +130,8 @@ def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | Non
     each = GameTree.from_payoffs(
         payoffs.reshape(seeds, *(count for pair in tree.moves for count in pair)), np.full(seeds, 1.0 / seeds)
     )
+    # The strategy sees its observations, which differ from seed to seed: each node is an infoset of its own. Its
+    # opponent knows the moves, but not the seed: nodes of all seeds are one infoset.
     own = [np.arange(each.nodes(k)) for k in range(each.depth)]
     shared = [np.tile(np.arange(tree.nodes(k)), seeds) for k in range(each.depth)]
     both_see = each.with_infosets(list(zip(own, own, strict=True)))
@@ -139,6 +140,7 @@ def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | Non
         value = exact.value if player == 0 else -exact.value
         labels = (own, shared) if player == 0 else (shared, own)
         game = each.with_infosets(list(zip(*labels, strict=True)))
+        # Only the player's half of the profile is the strategy; whoever answers brings the other half.
         uniform = uniform_profile(game)
 
         def against(other: Profile, player: int = player) -> Profile:

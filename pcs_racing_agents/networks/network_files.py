@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, ManifestFormat, shipped_folder
 from pcs_racing.base.checks import check_text
@@ -105,6 +105,14 @@ LARGEST = 64
 """Most networks of a set."""
 
 
+def check_weights(name: str, values: ArrayLike, count: int) -> NDArray[np.float64]:
+    """Return how often each of so many is met or played, in any unit."""
+    weights = np.asarray(values, np.float64)
+    if weights.shape != (count,) or not np.isfinite(weights).all() or (weights < 0.0).any() or not weights.any():
+        raise InputError(f"{name} are {values!r:.80}; give {count} finite numbers of 0 or above, not all of them 0")
+    return weights
+
+
 @dataclass(frozen=True, eq=False)
 class NetworkSet:
     """Networks of one game, one of which is drawn for each game that is played."""
@@ -112,9 +120,8 @@ class NetworkSet:
     name: str
     networks: tuple[RegretNetwork, ...]
     weights: NDArray[np.float64]  #: shape (C,): Probability of each; they sum to 1.
-    decision: (
-        str  #: How moves follow from a network's values (:data:`pcs_racing_agents.agents.from_network.DECISIONS`).
-    )
+    #: How moves follow from a network's values (:data:`pcs_racing_agents.agents.from_network.DECISIONS`).
+    decision: str
     #: How the set was made: texts and numbers by name.
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 
@@ -123,11 +130,7 @@ class NetworkSet:
         object.__setattr__(self, "networks", tuple(self.networks))
         if not 1 <= len(self.networks) <= LARGEST:
             raise InputError(f"{where} has {len(self.networks)} networks; give 1 to {LARGEST}")
-        weights = np.asarray(self.weights, np.float64)
-        if weights.shape != (len(self.networks),) or not np.isfinite(weights).all() or (weights < 0.0).any():
-            raise InputError(f"{where}: weights are {self.weights!r:.80}; give a number of 0 or more for each network")
-        if not weights.any():
-            raise InputError(f"{where}: all weights are 0; some must be above 0")
+        weights = check_weights(f"{where}: weights", self.weights, len(self.networks))
         object.__setattr__(self, "weights", weights / weights.sum())
         for network in self.networks[1:]:
             check_same_game(network.identity, self.identity, f"{where}: network {network.name!r}", "the first")
@@ -142,6 +145,7 @@ def save_network_set(networks: NetworkSet, folder: str | Path) -> Path:
     """Write a set into a folder, which is made if need be; returns the folder."""
     folder = Path(folder)
     names = [f"{i:02d}" for i in range(len(networks.networks))]
+    # Written last: a set whose networks are half replaced is no set.
     (folder / SET_FILE).unlink(missing_ok=True)
     for name, network in zip(names, networks.networks, strict=True):
         save_network(network, folder / name)

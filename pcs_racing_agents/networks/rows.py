@@ -89,11 +89,9 @@ def join_rows(sources: Sequence[Rows]) -> Rows:
 
 
 def pair_number(policies: ArrayLike) -> NDArray[np.int64]:
-    """Number of an unordered pair of starting policies, shape (...) for policies (..., 2).
-
-    The pairs (3, 7) and (7, 3) get the same number: the trees of the two are nearly mirror images, and a network that
-    learned from one should not be judged on the other.
-    """
+    """Number of an unordered pair of starting policies, shape (...) for policies (..., 2)."""
+    # The pairs (3, 7) and (7, 3) get the same number: the trees of the two are nearly mirror images, and a network that
+    # learned from one should not be judged on the other.
     both = np.sort(np.asarray(policies, np.int64), axis=-1)
     return both[..., 1] * (both[..., 1] + 1) // 2 + both[..., 0]
 
@@ -108,20 +106,7 @@ def draw_pairs(pairs: NDArray[np.int64], share: float, seed: np.random.SeedSeque
 
 
 def split_by_pair(rows: Rows, share: float, seed: int) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Choose starting pairs to validate on, so that no pair is on both sides.
-
-    Parameters
-    ----------
-    share : float
-        Share of the pairs to validate on, in (0, 1); at least one pair stays on either side.
-
-    Returns
-    -------
-    held_out : ndarray, shape (R,), bool
-        Which rows are validated on.
-    pairs : ndarray, int64
-        The pairs that they come from, sorted.
-    """
+    """Choose a share of the starting pairs to validate on; return which rows are, shape (R,), and the pairs, sorted."""
     validation_pairs = draw_pairs(rows.pair, share, np.random.SeedSequence(seed, spawn_key=(0,)))
     held_out = np.isin(rows.pair, validation_pairs)
     for side in (held_out, ~held_out):

@@ -7,7 +7,7 @@ from typing import Any
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import Settings, choice, flag, number, setting, whole, wholes
 from pcs_racing_agents.jobs.configuration import load_config
-from pcs_racing_agents.networks.targets import OPPONENTS, ROW_WEIGHTS, TARGETS
+from pcs_racing_agents.networks.targets import ROW_WEIGHTS, TARGETS
 from pcs_racing_agents.solvers import VARIANTS
 
 
@@ -28,7 +28,6 @@ class TrainSettings(Settings):
         choice(tuple(VARIANTS)),
         'Variant of CFR; "vanilla" is that of the paper, whose cumulative regrets can be negative.',
     )
-    opponent: str = setting("fixed-sequence", choice(tuple(OPPONENTS)), 'Opponent of the target "static-q".')
     continuation: str = setting(
         "learned",
         choice(("learned", "best")),

@@ -1,22 +1,33 @@
-"""Targets of networks: for every node of a solved tree and every player, a number for each move.
+"""Targets of networks, and training rows of game trees.
 
-The targets differ in what they assume of the opponent and in how they compare nodes:
+For every node of a solved tree and every player a target is a number for each move. The targets differ in what they
+assume of the opponent and in how they compare nodes:
 
 - cumulative regrets are the paper's target; they shrink with the opponent's probability of coming to a node, so that
   nodes which it avoids hardly count;
 - normalised regrets have the same size at every node;
 - equilibrium advantages ask the exact solution instead of CFR;
-- "static" values play best against an opponent that does not look at the race;
+- "static" values play best against an opponent that does not look at the race: it makes a sequence of moves that was
+  drawn uniformly beforehand, of which only the past is seen;
 - and "nash" is no value but the equilibrium strategy itself.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing_agents.solvers import CFRResult, ExactResult, GameTree, best_response, cfr, solve_exact
+from pcs_racing_agents.networks.rows import Rows, pair_number
+from pcs_racing_agents.solvers import (
+    CFRResult,
+    ExactResult,
+    GameTree,
+    best_response,
+    cfr,
+    solve_exact,
+    uniform_profile,
+)
 
 Floats = NDArray[np.float64]
 Solution = CFRResult | ExactResult
@@ -40,16 +51,9 @@ TARGETS = {
 }
 """Kinds of targets that trees give."""
 
-OPPONENTS = {
-    "fixed-sequence": "moves by a sequence drawn uniformly beforehand, of which only the past is seen",
-    "never-switch": "stays with its policy; only where 'stay' is a move",
-}
-"""Static opponents of the target "static-q"."""
-
 ROW_WEIGHTS = {
     "uniform": "every node counts the same, so that the last step makes up nearly everything",
     "random": "as often as random moves lead there: every step counts the same",
-    "reach": "as often as play leads there in which both follow the solution or a random move, evenly at each step",
 }
 """How much the nodes of a tree count."""
 
@@ -83,19 +87,13 @@ def solve_for(tree: GameTree, target: str, *, iterations: int = 1000, variant: s
     return solve_exact(tree)
 
 
-def node_targets(
-    tree: GameTree, solution: Solution, target: str, *, opponent: str = "fixed-sequence", stay: int | None = None
-) -> list[tuple[Floats, Floats]]:
+def node_targets(tree: GameTree, solution: Solution, target: str) -> list[tuple[Floats, Floats]]:
     """Return the targets of all infosets.
 
     Parameters
     ----------
     solution : CFRResult or ExactResult
         What :func:`solve_for` returned for the tree and target.
-    opponent : str
-        For "static-q": one of :data:`OPPONENTS`.
-    stay : int, optional
-        Index of the move "stay", where there is one.
 
     Returns
     -------
@@ -118,28 +116,100 @@ def node_targets(
         return list(solution.advantages)
     if target == "nash":
         return list(solution.profile)
-    profile = _static_profile(tree, opponent, stay)
-    q = [best_response(tree, profile, player).q for player in (0, 1)]
+    q = [best_response(tree, uniform_profile(tree), player).q for player in (0, 1)]
     return list(zip(*q, strict=True))
-
-
-def _static_profile(tree: GameTree, opponent: str, stay: int | None) -> list[tuple[Floats, Floats]]:
-    """Return the profile of two static opponents."""
-    if opponent not in OPPONENTS:
-        raise UnknownNameError(f"unknown static opponent {opponent!r}; there are {', '.join(OPPONENTS)}")
-    if opponent == "never-switch" and stay is None:
-        raise InputError("opponent 'never-switch' needs trees with the move 'stay'; take 'fixed-sequence'")
-    profile = []
-    for k, moves in enumerate(tree.moves):
-        both = []
-        for player, count in enumerate(moves):
-            play = np.full(count, 1.0 / count) if opponent == "fixed-sequence" else np.eye(count)[stay]
-            both.append(np.tile(play, (tree.rows(k, player), 1)))
-        profile.append((both[0], both[1]))
-    return profile
 
 
 def _normalised(regrets: Floats, reach: Floats) -> Floats:
     """Return rows divided by their largest magnitude: 0 where all regrets are, NaN where the opponent never came."""
     size = np.abs(regrets).max(axis=1, keepdims=True)
     return np.where(reach[:, None] > 0.0, regrets / np.where(size > 0.0, size, 1.0), np.nan)
+
+
+# Rows
+
+
+class PlayedTree(Protocol):
+    """The protocol of a tree of races with S noise seeds and ``N_k`` nodes at level k.
+
+    :class:`pcs_racing_agents.trees.RaceTree` is one.
+    """
+
+    @property
+    def policies(self) -> Any:
+        """Starting policies of the two cars, shape (2,)."""
+
+    @property
+    def payoffs(self) -> Any:
+        """Payoff of each leaf to car 0, shape (S, leaves)."""
+
+    @property
+    def over(self) -> Any:
+        """For each level whether the race was over before its decision, shape (S, N_k)."""
+
+    def game_tree(self) -> GameTree:
+        """Return the tree with payoffs averaged over the seeds, which no player sees."""
+
+    def observations(self, level: int) -> NDArray[np.float32]:
+        """Return both players' observations at the nodes of a level, shape (S, N_k, 2, D)."""
+
+
+def tree_rows(
+    race_tree: PlayedTree,
+    solution: Solution,
+    target: str,
+    *,
+    row_weights: str = "uniform",
+    rows_per_step: int = 0,
+    seed: int = 0,
+) -> Rows:
+    """Make training rows of a tree of races and its solution, all of one starting pair.
+
+    Both players' decisions at all nodes are rows, for each seed its own: the observations differ, the targets come from
+    the mean over the seeds, since no driver knows the noise. Nodes where the race is over are left out.
+
+    Parameters
+    ----------
+    solution : CFRResult or ExactResult
+        What :func:`solve_for` returns for ``race_tree.game_tree()``.
+    target, row_weights : str
+        One of :data:`TARGETS`, and one of :data:`ROW_WEIGHTS`.
+    rows_per_step : int
+        Most nodes of each step that are taken, drawn at random; 0 for all. The weights make up for it.
+    seed : int
+        Of that draw.
+    """
+    if row_weights not in ROW_WEIGHTS:
+        raise UnknownNameError(f"unknown row weights {row_weights!r}; there are {', '.join(ROW_WEIGHTS)}")
+    targets = node_targets(race_tree.game_tree(), solution, target)
+    payoffs = np.asarray(race_tree.payoffs, np.float64)
+    seeds = len(payoffs)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(int(p) for p in race_tree.policies)))
+    blocks: list[tuple[Any, ...]] = []
+    for k, (first, second) in enumerate(targets):
+        over = race_tree.over[k]
+        observed = race_tree.observations(k)
+        nodes = over.shape[1]
+        sample = np.arange(nodes)
+        if 0 < rows_per_step < nodes:
+            sample = np.sort(rng.permutation(nodes)[:rows_per_step])
+        # Every node counts 1 or 1 / nodes; those that are taken also stand for those that are not.
+        weight = (nodes if row_weights == "uniform" else 1.0) / len(sample) / seeds
+        running = ~over[:, sample]
+        # Where some seeds have crashed, differences between moves are those of the seeds that go on: a driver who has
+        # to decide knows that it has not crashed. The solution's values are means over all seeds: what the crashed ones
+        # pay, whatever is played, is taken off (advantages hold nothing of it), and the rest spread over the others.
+        ended_payoffs = np.where(over, payoffs.reshape(seeds, nodes, -1)[..., 0], 0.0).sum(axis=0)[sample]
+        for player, values in enumerate((first, second)):
+            goals = values[sample]
+            if target in ("advantage", "static-q"):
+                offset = ended_payoffs[:, None] * (1 - 2 * player) if target == "static-q" else 0.0
+                goals = (goals * seeds - offset) / np.maximum(running.sum(axis=0), 1)[:, None]
+            at = np.nonzero(running & np.isfinite(goals).all(axis=1))
+            count = len(at[0])
+            blocks.append((observed[:, sample, player][at], goals[at[1]], np.full(count, weight), np.full(count, k)))
+    observations, targets_of_rows, weights, steps = (np.concatenate(arrays) for arrays in zip(*blocks, strict=True))
+    if len(weights) == 0:
+        raise InputError(f"a tree of policies {list(race_tree.policies)} has no node where the race goes on")
+    pair = np.full(len(weights), pair_number(race_tree.policies))
+    return Rows(observations, targets_of_rows, weights, pair, steps)

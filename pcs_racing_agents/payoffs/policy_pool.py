@@ -3,9 +3,7 @@
 This is the game of choosing a policy before the start; :mod:`pcs_racing_agents.payoffs.headroom` analyses it.
 """
 
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations_with_replacement
 from typing import Unpack
 
@@ -23,8 +21,7 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Run, run_with_or_without
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run, run_races
 
 Floats = NDArray[np.float64]
 
@@ -84,22 +81,8 @@ def pool_payoffs(pool: PolicyPool, *, name: str = "pairs", **run: Unpack[Run]) -
     return np.asarray(slot_payoffs(pool, name=name, **run).mean(axis=2))
 
 
-def slot_payoffs(
-    pool: PolicyPool,
-    *,
-    name: str = "pairs",
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-) -> Floats:
-    """Race all pairs of a pool; payoffs by slot of the grid.
-
-    Parameters
-    ----------
-    name : str
-        Of the group of tasks in the job.
-    progress : callable, optional
-        Called as ``progress(done, total, label)``, counting blocks of pairs.
+def slot_payoffs(pool: PolicyPool, *, name: str = "pairs", **run: Unpack[Run]) -> Floats:
+    """Race all pairs of a pool, as tasks of this name; payoffs by slot of the grid.
 
     Returns
     -------
@@ -111,9 +94,7 @@ def slot_payoffs(
     step = max(1, _RACES_AT_ONCE // pool.races)
     blocks = [pool.pairs[first : first + step] for first in range(0, len(pool.pairs), step)]
     tasks = [(pool, track, block) for track in range(len(pool.tracks)) for block in blocks]
-    # With an executor its workers share the cores; without one a race kernel uses all of them.
-    race = _race_block if executor is None else partial(_race_block, threads=1)
-    results = run_with_or_without(job, name, race, tasks, executor=executor, progress=progress)
+    results = run_races(name, _race_block, tasks, **run)
     count = len(pool.policies)
     payoffs = np.zeros((len(pool.tracks), pool.folds, 2, count, count))
     for (_, track, block), result in zip(tasks, results, strict=True):

@@ -166,6 +166,7 @@ class RaceTable:
         """Numbers of the races by (track, ego, opponent, seed), in the order in which these first occur."""
         if not len(self):
             return {}
+        # Codes instead of words: numbers sort much faster than texts.
         columns = np.stack([self.track.codes, *self.agents.codes.T, self.seed.codes])
         _, first, pair = np.unique(columns, axis=1, return_index=True, return_inverse=True)
         pair = pair.reshape(-1)
@@ -219,6 +220,7 @@ def narrow(values: NDArray[Any]) -> NDArray[Any]:
     """Return whole numbers in the narrowest signed type that holds them, and other numbers as they are."""
     if values.dtype.kind != "i" or values.size == 0:
         return values
+    # -1 stands for missing values, so there must always be room for it.
     lowest, highest = min(-1, values.min()), max(0, values.max())
     return values.astype(np.promote_types(np.min_scalar_type(lowest), np.min_scalar_type(-1 - highest)))
 

@@ -45,15 +45,9 @@ def with_interval(value: float, low: float, high: float) -> str:
 
 
 def aligned(rows: Iterable[Sequence[str]], *, left: int | None = None) -> list[str]:
-    """Return rows as lines of plain text, without blanks at the end of a line.
+    """Return rows as lines of plain text, without blanks at the end of a line; the first row may be a head.
 
-    Parameters
-    ----------
-    rows : iterable of sequence of str
-        Of one length; the first may be a head.
-    left : int, optional
-        So many columns stand to the left, the others to the right. By default the first one and all that hold no
-        numbers do.
+    So many columns as ``left`` says stand to the left; by default the first one and all that hold no numbers do.
     """
     cells = [list(row) for row in rows]
     columns = list(zip(*cells, strict=True))

@@ -11,11 +11,8 @@ from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.jobs.jobs import Job, open_job
 from pcs_racing_agents.learning.responses.best_reply import BestReply, best_reply, write_replies
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.learning.robust.oracles import learn_psro
-from pcs_racing_agents.learning.robust.restricted import learn_robust
-from pcs_racing_agents.learning.robust.settings import load_psro_settings, load_robust_settings
-from pcs_racing_agents.learning.self_play.learner import learn_self_play, load_self_play_settings
-from pcs_racing_agents.learning.self_play.race_arena import RaceArena
+from pcs_racing_agents.learning.robust import learn_psro, learn_robust, load_psro_settings, load_robust_settings
+from pcs_racing_agents.learning.self_play import RaceArena, learn_self_play, load_self_play_settings
 from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
 from pcs_racing_agents.results.race_files import write_results
 from pcs_racing_agents.results.races import RaceTable

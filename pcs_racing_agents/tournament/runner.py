@@ -162,7 +162,7 @@ def play_pairings(
     # A circuit or an agent may be called anything; a job's chunks may not.
     chunk_name = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:80] or "races"
     worker = partial(race_block, groups, observations)
-    results = run_with_or_without(job, chunk_name, worker, blocks, executor=executor, progress=report)
+    results = run_with_or_without(chunk_name, worker, blocks, job=job, executor=executor, progress=report)
     tables: dict[int, RaceTable] = {}
     for number, members in enumerate(places):
         parts = [arrays for block, arrays in zip(blocks, results, strict=True) if block.group == number]

@@ -2,7 +2,7 @@
 
 A unit is one race that both arms drove: (ego start policy, opponent, start line, side). Units that share an ego policy
 or an opponent are correlated, so 4,000 races of 20 ego policies against 20 opponents hold far less information than
-4,000 independent ones. ``docs/statistics.md`` measures the coverage of the estimators on such data.
+4,000 independent ones. ``docs/reports/statistics.md`` measures the coverage of the estimators on such data.
 """
 
 import math

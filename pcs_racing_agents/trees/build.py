@@ -111,6 +111,7 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
     driven = live = 1
     for k in range(1, moves + 1):
         # A pair of paths continues the race of the pair of their parents.
+        # Paths of one car and of the other are independent: all pairs of them stand in a matrix.
         above = np.ix_(*(path.parent[k] for path in paths))
         parents, worth = row[above], worth[above]
         at = np.nonzero(parents >= 0)

@@ -26,7 +26,7 @@ CHUNK = 64
 
 
 class RaceEnds(NamedTuple):
-    """The ends of races: those parts of a :class:`RaceState` that decide the payoff."""
+    """The ends of B races: those parts of a :class:`RaceState` that decide the payoff."""
 
     progress: Floats  #: shape (B, 2)
     crash: NDArray[np.int8]  #: shape (B, 2)
@@ -42,14 +42,6 @@ class RaceEnds(NamedTuple):
         self.progress[rows] = ends.progress
         self.crash[rows] = ends.crash
         self.fault[rows] = ends.fault
-
-    def and_then(self, more: "RaceEnds") -> "RaceEnds":
-        """Return these races followed by others."""
-        return RaceEnds(
-            np.concatenate([self.progress, more.progress]),
-            np.concatenate([self.crash, more.crash]),
-            np.concatenate([self.fault, more.fault]),
-        )
 
     def as_races(self) -> RaceState:
         """Return a state that holds these numbers, as :meth:`RaceGame.worth` wants it."""
@@ -67,16 +59,7 @@ def _in_chunks(game: RaceGame, races: int, work: Callable[[slice], Any]) -> list
 
 
 def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: Indices) -> tuple[RaceState, Floats]:
-    """Simulate a step of the game from some states.
-
-    Parameters
-    ----------
-    parents : RaceState
-        Left as it is.
-    rows : array of int, shape (B,)
-        State that each child goes on from.
-    policies : array of int, shape (B, 2)
-        Policies of the two cars.
+    """Simulate a step of the game: child ``i`` goes on from state ``rows[i]`` with the two ``policies[i]``.
 
     Returns
     -------
@@ -99,19 +82,11 @@ def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: 
 def drive_to_the_end(
     game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, trace: bool = False
 ) -> tuple[RaceEnds, NDArray[np.float32]]:
-    """Simulate the last step of the game, in which no characteristics are measured.
-
-    Parameters
-    ----------
-    game, parents, rows, policies
-        As for :func:`drive_children`.
-    trace : bool
-        Whether to follow the progress.
+    """Simulate the last step of the game, in which no characteristics are measured, as :func:`drive_children` does.
 
     Returns
     -------
     ends : RaceEnds
-        Of the B races.
     trace : ndarray, shape (B, T, 2), float32
         Progress of each car whenever the drivers plan (every 0.1 s), the step's first and last moment included;
         ``T = 0`` without ``trace``.

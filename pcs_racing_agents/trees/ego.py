@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_seed, check_whole, check_whole_array
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.game.observation import encode_observation
 from pcs_racing.game.reward import reward
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.trees.build import check_game
 from pcs_racing_agents.trees.driving import drive_children
 from pcs_racing_agents.trees.far import finish
 from pcs_racing_agents.trees.paths import PolicyPaths, policy_paths
+from pcs_racing_agents.trees.tree import check_arrays, encode_histories
 
 Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -34,9 +34,6 @@ OPPONENTS = {
 
 KEEP = -1
 """In place of an opponent's move: keep the policy."""
-
-_WHOLE = ("policies", "seeds", "replies", "payoffs", "driven")  # the other arrays stand once for each level
-_TYPES = {"own": "f", "leads": "f", "estimates": "f", "over": "b", "payoffs": "f"}  # others: whole numbers
 
 MOST_ROOTS = 10**6
 BLOCK = 64  # roots driven together: some thousand races in the last step
@@ -89,21 +86,10 @@ class EgoTrees:
         """
         if not 0 <= level < self.moves:
             raise InputError(f"move {level} is none of the trees'; it must lie in 0 to {self.moves - 1}")
-        steps, axes = self.moves + 1, self.own[0].shape[2]
-        nodes = self.options**level
-        own = np.zeros((len(self), nodes, 2, steps, axes))  # car 1's observations are not used: its half stays 0
-        estimates = np.zeros_like(own)
-        leads = np.zeros((len(self), nodes, steps))
-        step = np.full((len(self), nodes), level)
-        for k in range(level, -1, -1):
-            above = np.repeat(np.arange(self.options**k), self.options ** (level - k))
-            own[:, :, 0, k] = self.own[k][:, above]
-            estimates[:, :, :, k] = self.estimates[k][:, above]
-            leads[:, :, k] = self.leads[k][:, above]
-            step[self.over[k][:, above]] = k
-        flat_own, flat_estimates = (array.reshape(-1, 2, steps, axes) for array in (own, estimates))
-        observations = encode_observation(flat_own, flat_estimates, leads.reshape(-1, steps), step.reshape(-1))[:, 0]
-        return observations.reshape(len(self), nodes, -1)
+        # Car 1's own policies are not kept: its half of the observations is not used.
+        own = [np.stack([points, np.zeros_like(points)], axis=2) for points in self.own[: level + 1]]
+        observations = encode_histories(level, self.options, self.moves, own, self.estimates, self.leads, self.over)
+        return observations[:, :, 0]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the trees as arrays by name, for files."""
@@ -145,19 +131,19 @@ def _check_shapes(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) ->
             f"{payoffs} and own_0 of {own} are no ego trees"
         )
     axes = own[2]
-    for name, array in arrays.items():
-        kind, _, number = name.rpartition("_") if name not in _WHOLE else (name, "", "0")
-        shapes: dict[str, tuple[int, ...]] = {"policies": (roots, 2), "replies": (roots, moves), "estimates": (2, axes)}
-        shapes |= {"payoffs": (roots, options**moves), "seeds": (roots,), "driven": (roots,), "own": (axes,)}
-        shape = shapes.get(kind, ())
-        if name not in _WHOLE:
-            shape = (roots, options ** int(number), *shape)
-        if array.shape != shape:
-            raise InputError(f"{where}: {name} has shape {array.shape}; it must have {shape}")
-        if array.dtype.kind not in _TYPES.get(kind, "iu"):
-            raise InputError(f"{where}: {name} is of type {array.dtype}; ego trees have another one there")
-        if not np.isfinite(array).all():
-            raise InputError(f"{where}: {name} holds NaN or infinity; every number of a tree must be finite")
+    wanted: dict[str, tuple[str, tuple[int, ...]]] = {
+        "policies": ("iu", (roots, 2)),
+        "seeds": ("iu", (roots,)),
+        "replies": ("iu", (roots, moves)),
+        "payoffs": ("f", (roots, options**moves)),
+        "driven": ("iu", (roots,)),
+        f"paths_{moves}": ("iu", (roots, options**moves)),
+    }
+    for k in range(moves):
+        level = (roots, options**k)
+        wanted |= {f"paths_{k}": ("iu", level), f"leads_{k}": ("f", level), f"over_{k}": ("b", level)}
+        wanted |= {f"own_{k}": ("f", (*level, axes)), f"estimates_{k}": ("f", (*level, 2, axes))}
+    check_arrays(arrays, wanted, where)
 
 
 def join_ego(batches: list[EgoTrees]) -> EgoTrees:
@@ -201,6 +187,7 @@ def play_ego(
     """
     check_ego(game, roots, opponent, seed, first)
     count, options = len(game.archive), game.table.shape[1]
+    # A generator for each root: it does not depend on how many others there are.
     generators = [np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2, first + i))) for i in range(roots)]
     pairs = np.stack([rng.integers(count, size=2) for rng in generators])
     drawn = np.stack([rng.integers(options, size=game.config.moves) for rng in generators])

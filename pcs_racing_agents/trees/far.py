@@ -28,25 +28,14 @@ UNKNOWN, KNOWN, CRASHES = range(3)
 def finish(
     game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, share: bool = True
 ) -> tuple[RaceEnds, int]:
-    """Compute how the last step of the game ends from some states.
+    """Compute how the last step of the game ends, and how many races were driven for that.
 
     Parameters
     ----------
-    parents : RaceState
-        Races that go on; left as they are.
-    rows : array of int, shape (B,)
-        State that each race goes on from.
-    policies : array of int, shape (B, 2)
-        Policies of the two cars.
+    parents, rows, policies
+        As for :func:`pcs_racing_agents.trees.driving.drive_children`.
     share : bool
         Whether to put races together where that is possible; it does not change the result.
-
-    Returns
-    -------
-    ends : RaceEnds
-        Of the B races.
-    driven : int
-        How many of them were driven.
     """
     sight = max(planner.sight for planner in game.setup.planners) + MARGIN
     ends = RaceEnds.empty(len(rows))
@@ -55,12 +44,13 @@ def finish(
     far = np.flatnonzero(apart[rows])
     drives = _different_drives(parents, rows[far], policies[far])
     status = np.full((2, int(drives.max(initial=-1)) + 1), UNKNOWN)
-    source = np.zeros_like(status)  # row of a known drive in ``known_ends`` and ``traces``
-    known_ends = RaceEnds.empty(0)
+    source = np.zeros_like(status)  # row of a known drive in ``known`` and ``traces``
+    known = np.zeros((0, 2))  # progress at the end of races that were driven
     traces = np.zeros((0, 1, 2), np.float32)
     waiting = np.arange(len(far))  # races whose end is not known yet
     count = 0
     not_shared = [np.flatnonzero(~apart[rows])]  # races that must be driven themselves
+    # Few races show every drive at least once; where a crash hid what the other car does, others are driven for it.
     while len(waiting):
         batch = waiting[_cover(drives[:, waiting], status)]
         if len(batch) == 0:
@@ -76,7 +66,7 @@ def finish(
             status[car, shown[apart_throughout & (batch_ends.crash[:, car] != 0)]] = CRASHES
             status[car, shown[complete]] = KNOWN
             source[car, shown[complete]] = len(traces) + np.flatnonzero(complete)
-        known_ends = known_ends.and_then(batch_ends)
+        known = np.concatenate([known, batch_ends.progress])
         traces = batch_trace if len(traces) == 0 else np.concatenate([traces, batch_trace])
         count += len(batch)
         waiting = np.setdiff1d(waiting, batch, assume_unique=True)
@@ -87,9 +77,8 @@ def finish(
         block = waiting[first : first + 4096]
         from0, from1 = (source[car, drives[car, block]] for car in range(2))
         apart_in_block = _stay_apart(traces[from0, :, 0], traces[from1, :, 1], length, sight)
-        combined = RaceEnds.empty(len(block))
-        combined.progress[:] = np.stack([known_ends.progress[from0, 0], known_ends.progress[from1, 1]], axis=1)
-        ends.write(far[block], combined)
+        # Neither car crashes in its known drive: together they would not, either, unless they come near each other.
+        ends.progress[far[block]] = np.stack([known[from0, 0], known[from1, 1]], axis=1)
         not_shared.append(far[block[~apart_in_block]])
     rest = np.concatenate(not_shared)
     ends.write(rest, drive_to_the_end(game, parents, rows[rest], policies[rest])[0])

@@ -31,19 +31,12 @@ class PolicyPaths(NamedTuple):
 
 
 def policy_paths(table: Indices, start: int, moves: int) -> PolicyPaths:
-    """Follow all moves from a policy.
-
-    Parameters
-    ----------
-    table : ndarray, shape (K, A)
-        Where every move leads from every policy.
-    moves : int
-        Moves to follow.
-    """
+    """Follow all moves from a policy, so many in turn; ``table`` (K, A) says where each leads from every policy."""
     policy, parent = [np.array([start], np.int64)], [np.zeros(1, np.int64)]
     history = [np.zeros(1, np.int64)]
     policies, options = table.shape
     for _ in range(moves):
+        # A path is known by the number of the one that it continues and by the policy that the move leads to.
         reached = np.arange(len(policy[-1]))[:, None] * policies + table[policy[-1]]
         different, which = np.unique(reached, return_inverse=True)
         parent.append(different // policies)

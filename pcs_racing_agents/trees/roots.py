@@ -58,15 +58,10 @@ def default_seeds(game: RaceGame) -> int:
 def draw_root(game: RaceGame, policies: Indices, seeds: int, rng: np.random.Generator) -> Root:
     """Draw start line, side and noise for a pair of policies, so that neither car crashes before the first move.
 
-    Like :meth:`RaceGame.reset`, it draws again where one does, and gives up after some attempts: a pair that
-    always crashes has a tree of nothing but crashes.
-
-    Parameters
-    ----------
-    policies : array of int, shape (2,)
-    seeds : int
-        Games of the root, which differ in their noise alone.
+    The games of a root, one for each of the ``seeds``, differ in their noise alone.
     """
+    # Like `RaceGame.reset`, it draws again where a car crashes, and gives up after some attempts: a pair that always
+    # crashes has a tree of nothing but crashes.
     noisy = game.config.race.steering_noise > 0.0
     start_s, side, kept = 0.0, 0, np.zeros(0, np.uint64)
     for _ in range(ATTEMPTS):

@@ -1,9 +1,10 @@
-"""Game trees in a folder: built by a resumable job on any executor, and read one by one."""
+"""Game trees and ego trees in a folder: built by a resumable job on any executor; game trees are read one by one."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, overload
 
@@ -15,16 +16,18 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk
+from pcs_racing_agents.jobs.chunks import Arrays, chunk_file, read_chunk
 from pcs_racing_agents.jobs.folders import read_job
 from pcs_racing_agents.jobs.jobs import TaskGroup, open_job, run_groups
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.trees.build import build_tree, check_game
+from pcs_racing_agents.trees.ego import MOST_ROOTS, EgoTrees, check_ego, join_ego, play_ego
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
 
-KIND = "game trees"
-NAME = "tree"
+KIND, EGO_KIND = "game trees", "ego trees"
+NAME, EGO_NAME = "tree", "ego"
+ROOTS = 32  # ego trees of a chunk
 MAKE_AGAIN = "run the command that made the folder again, and it is made anew"
 
 
@@ -36,16 +39,11 @@ class _TreeTask:
     seed: int
 
 
-@dataclass(frozen=True)
-class _Builder:
-    """The function of a task; it is pickled together with the game."""
-
-    game: RaceGame
-
-    def __call__(self, task: _TreeTask) -> dict[str, NDArray[Any]]:
-        rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(1, task.index)))
-        root = draw_root(self.game, task.policies, task.seeds, rng)
-        return build_tree(self.game, root.policies, (root.start_s, root.side), root.seeds).arrays()
+def _build(game: RaceGame, task: _TreeTask) -> Arrays:
+    # The root depends on the tree's number, not on what was drawn for others: missing trees are made again alone.
+    rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(1, task.index)))
+    root = draw_root(game, task.policies, task.seeds, rng)
+    return build_tree(game, root.policies, (root.start_s, root.side), root.seeds).arrays()
 
 
 def build_trees(
@@ -118,9 +116,9 @@ def open_trees(
         raise InputError(f"seeds_per_pair is {seeds}, but there is no steering noise: every seed drives the same")
     settings = {**game_settings(game), "pairs": start_pairs, "seeds_per_pair": int(seeds), "seed": int(seed)}
     tasks = [_TreeTask(pair, i, int(seeds), int(seed)) for i, pair in enumerate(start_pairs)]
-    builder = _Builder(replace(game, threads=1) if one_thread else game)
+    build = partial(_build, replace(game, threads=1) if one_thread else game)
     with open_job(folder, KIND, settings) as job:
-        yield TaskGroup(job, NAME, builder, tasks)
+        yield TaskGroup(job, NAME, build, tasks)
 
 
 def game_settings(game: RaceGame) -> dict[str, Any]:
@@ -199,11 +197,7 @@ class StoredTrees(Sequence[RaceTree]):
             return [self[i] for i in range(len(self))[index]]
         at = range(len(self))[index]
         file = self.file(at)
-        try:
-            arrays = read_chunk(file)
-        except InputError as error:
-            raise InputError(f"{error}; {MAKE_AGAIN}") from None
-        tree = tree_from_arrays(arrays, int(self.settings["rules"]["moves"]), str(file))
+        tree = tree_from_arrays(_read(file), int(self.settings["rules"]["moves"]), str(file))
         if tree.policies.tolist() != list(self.settings["pairs"][at]):
             raise InputError(
                 f"{file} is the tree of policies {tree.policies.tolist()}; there should be that of "
@@ -211,18 +205,23 @@ class StoredTrees(Sequence[RaceTree]):
             )
         return tree
 
-    def __iter__(self) -> Iterator[RaceTree]:
-        return (self[i] for i in range(len(self)))
-
     def check(self, game: RaceGame) -> None:
         """Check that the trees are those of a game."""
         for key, wanted in _plain(game_settings(game)).items():
             stored = self.settings.get(key)
             if stored != wanted:
                 if isinstance(wanted, dict) and isinstance(stored, dict):
+                    # `self` stands for a missing entry: no value of a manifest is equal to it.
                     inner = next(k for k in {**stored, **wanted} if stored.get(k, self) != wanted.get(k, self))
                     key, stored, wanted = f"{key} {inner}", stored.get(inner), wanted.get(inner)
                 raise InputError(f"the trees in {self.folder} are of another game: {key} is {stored!r}, not {wanted!r}")
+
+
+def _read(file: Path) -> Arrays:
+    try:
+        return read_chunk(file)
+    except InputError as error:
+        raise InputError(f"{error}; {MAKE_AGAIN}") from None
 
 
 def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> StoredTrees:
@@ -286,3 +285,73 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+# Ego trees
+
+
+@dataclass(frozen=True)
+class _EgoTask:
+    first: int
+    roots: int
+    opponent: str
+    seed: int
+
+
+def _play(game: RaceGame, task: _EgoTask) -> Arrays:
+    return play_ego(game, task.roots, opponent=task.opponent, seed=task.seed, first=task.first).arrays()
+
+
+def build_ego_trees(
+    game: RaceGame,
+    folder: str | Path,
+    *,
+    roots: int = 320,
+    opponent: str = "random",
+    seed: int = 0,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> EgoTrees:
+    """Build ego trees and store them in a folder; in a folder of the same settings the work resumes.
+
+    Parameters
+    ----------
+    folder : str or Path
+        New, empty, or left by the same call.
+    roots, opponent, seed
+        As for :func:`play_ego`; the roots are the same ones.
+    executor : concurrent.futures.Executor, optional
+        Where they are played, 32 at a time, each on one core; by default one after the other, each on all cores. It
+        does not change the result.
+    progress : callable, optional
+        Called as ``progress(done, total, label)`` after every 32 roots.
+    """
+    check_ego(game, roots, opponent, seed)
+    settings = {**game_settings(game), "roots": int(roots), "opponent": opponent, "seed": int(seed)}
+    tasks = [
+        _EgoTask(first, min(ROOTS, int(roots) - first), opponent, int(seed)) for first in range(0, int(roots), ROOTS)
+    ]
+    play = partial(_play, game if executor is None else replace(game, threads=1))
+    with open_job(folder, EGO_KIND, settings) as job:
+        job.run(EGO_NAME, play, tasks, executor=executor, progress=progress, keep=False)
+    return load_ego_trees(folder)
+
+
+def load_ego_trees(folder: str | Path) -> EgoTrees:
+    """Read all ego trees of a folder."""
+    roots = read_settings(folder, EGO_KIND).get("roots")
+    if type(roots) is not int or not 1 <= roots <= MOST_ROOTS:
+        raise InputError(
+            f"{Path(folder) / 'job.yaml'}: roots are {roots!r:.80}; they must be a whole number from 1 to {MOST_ROOTS}"
+        )
+    batches: list[EgoTrees] = []
+    for i in range(-(-roots // ROOTS)):
+        file = chunk_file(folder, EGO_NAME, i)
+        batch = EgoTrees.from_arrays(_read(file), str(file))
+        wanted = min(ROOTS, roots - i * ROOTS)
+        if len(batch) != wanted:
+            raise InputError(f"{file} holds {len(batch)} roots; there should be {wanted}: {MAKE_AGAIN}")
+        batches.append(batch)
+        if len({(one.moves, one.options, one.own[0].shape[2]) for one in (batch, batches[0])}) > 1:
+            raise InputError(f"{file} holds {batch!r}, the files before {batches[0]!r}: {MAKE_AGAIN}")
+    return join_ego(batches)

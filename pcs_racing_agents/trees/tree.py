@@ -1,6 +1,6 @@
 """The game tree of one start: all races that the players' moves can lead to, as plain arrays."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -142,20 +142,8 @@ class RaceTree:
         """
         if not 0 <= level < self.moves:
             raise InputError(f"move {level} is none of the tree's; it must lie in 0 to {self.moves - 1}")
-        seeds, nodes, width = len(self.seeds), (self.options**2) ** level, self.points.shape[1]
-        own = np.zeros((seeds, nodes, 2, self.moves + 1, width))
-        estimates = np.zeros_like(own)
-        leads = np.zeros((seeds, nodes, self.moves + 1))
-        step = np.full((seeds, nodes), level)
-        for k in range(level, -1, -1):
-            above = np.repeat(np.arange((self.options**2) ** k), (self.options**2) ** (level - k))
-            own[:, :, :, k] = self.points[self.policy[k]][above]
-            estimates[:, :, :, k] = self.estimates[k][:, above]
-            leads[:, :, k] = self.leads[k][:, above]
-            step[self.over[k][:, above]] = k
-        flat_own, flat_estimates = (array.reshape(-1, 2, self.moves + 1, width) for array in (own, estimates))
-        observations = encode_observation(flat_own, flat_estimates, leads.reshape(-1, self.moves + 1), step.reshape(-1))
-        return observations.reshape(seeds, nodes, *observations.shape[1:])
+        own = [self.points[policies][None] for policies in self.policy[: level + 1]]
+        return encode_histories(level, self.options**2, self.moves, own, self.estimates, self.leads, self.over)
 
     def game_tree(self) -> "GameTree":
         """Return the tree for the solvers, with payoffs averaged over the seeds.
@@ -189,60 +177,98 @@ class RaceTree:
         return {**plain, "payoffs": self.path_payoffs, **levels}
 
 
+def encode_histories(
+    level: int,
+    branches: int,
+    moves: int,
+    own: Sequence[Floats],
+    estimates: Sequence[NDArray[np.float32]],
+    leads: Sequence[Floats],
+    over: Sequence[NDArray[np.bool_]],
+) -> NDArray[np.float32]:
+    """Return what the players observe at the end of all histories, shape (S, N, 2, D), for ``N = branches**level``.
+
+    Parameters
+    ----------
+    level : int
+        Steps of the histories; each has so many ``branches``, histories in row-major order.
+    moves : int
+        Moves of a whole game.
+    own, estimates, leads, over : sequences
+        For each level the coordinates of the own policies and the measured ones, the leads, and whether the race was
+        over, shapes (S or 1, N_k, 2, G), (S, N_k, 2, G), (S, N_k) and (S, N_k).
+    """
+    seeds, nodes = over[level].shape
+    width = estimates[0].shape[-1]
+    seen_own = np.zeros((seeds, nodes, 2, moves + 1, width))
+    seen_estimates = np.zeros_like(seen_own)
+    seen_leads = np.zeros((seeds, nodes, moves + 1))
+    step = np.full((seeds, nodes), level)
+    # From the last step to the first: where a race was over, the earliest step at which it was remains.
+    for k in range(level, -1, -1):
+        above = np.repeat(np.arange(branches**k), branches ** (level - k))  # the node of level k that each came by
+        seen_own[:, :, :, k] = own[k][:, above]
+        seen_estimates[:, :, :, k] = estimates[k][:, above]
+        seen_leads[:, :, k] = leads[k][:, above]
+        step[over[k][:, above]] = k
+    flat_own, flat_estimates = (array.reshape(-1, 2, moves + 1, width) for array in (seen_own, seen_estimates))
+    observations = encode_observation(flat_own, flat_estimates, seen_leads.reshape(-1, moves + 1), step.reshape(-1))
+    return observations.reshape(seeds, nodes, *observations.shape[1:])
+
+
+# Trees as arrays of files
+
 _PLAIN = ("policies", "start_s", "side", "seeds", "table", "points", "driven", "live", "crashed")
 _LEVELS = ("leads", "estimates", "over")
 
 
-_KINDS = {"start_s": "f", "points": "f", "payoffs": "f", "leads": "f", "estimates": "f", "over": "b"}  # others: whole
+def check_arrays(
+    arrays: Mapping[str, NDArray[Any]], wanted: Mapping[str, tuple[str, tuple[int, ...]]], where: str
+) -> None:
+    """Check arrays by name, which stand in a file that anybody may have written.
 
-
-def _check_plain(arrays: Mapping[str, NDArray[Any]], wanted: list[str], moves: int, where: str) -> None:
-    """Check types, and the shapes from which all others follow."""
-    for name in wanted:
-        kind = _KINDS.get(name, _KINDS.get(name.rpartition("_")[0], "iu"))
-        if arrays[name].dtype.kind not in kind:
-            raise InputError(f"{where}: {name} is of type {arrays[name].dtype}; a tree has another one there")
-    seeds, table, points = (arrays[name].shape for name in ("seeds", "table", "points"))
-    if (
-        len(seeds) != 1
-        or len(table) != 2
-        or len(points) != 2
-        or 0 in (*seeds, *table, *points)
-        or table[0] != points[0]
-    ):
-        raise InputError(f"{where}: seeds, table and points have shapes {seeds}, {table} and {points}; they do not fit")
-    for name in ("start_s", "side", "driven", "live", "crashed"):
-        shape = () if name in ("start_s", "side") else seeds
-        if arrays[name].shape != shape:
-            raise InputError(f"{where}: {name} has shape {arrays[name].shape}; it must have {shape}")
-    check_size(table[1], moves)
+    Parameters
+    ----------
+    wanted : mapping
+        For each name the kinds of numbers ("f", "b" or "iu", as of ``dtype.kind``) and the shape.
+    """
+    for name, (kinds, shape) in wanted.items():
+        array = arrays[name]
+        if array.shape != shape:
+            raise InputError(f"{where}: {name} has shape {array.shape}; it must have {shape}")
+        if array.dtype.kind not in kinds:
+            raise InputError(f"{where}: {name} is of type {array.dtype}; a tree has another one there")
+        if not np.isfinite(array).all():
+            raise InputError(f"{where}: {name} holds NaN or infinity; every number of a tree must be finite")
 
 
 def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) -> RaceTree:
     """Return the tree of arrays from :meth:`RaceTree.arrays`."""
-    wanted = [*_PLAIN, "payoffs", *(f"{name}_{k}" for name in _LEVELS for k in range(moves))]
-    missing = [name for name in wanted if name not in arrays]
+    names = [*_PLAIN, "payoffs", *(f"{name}_{k}" for name in _LEVELS for k in range(moves))]
+    missing = [name for name in names if name not in arrays]
     if missing:
         raise InputError(f"{where} is no tree of {moves} moves: it holds no {missing[0]}")
-    _check_plain(arrays, wanted, moves, where)
+    seeds, table, points = (arrays[name].shape for name in ("seeds", "table", "points"))
+    fits = (len(seeds), len(table), len(points)) == (1, 2, 2) and table[0] == points[0]
+    if not fits or 0 in (*seeds, *table, *points):
+        raise InputError(f"{where}: seeds, table and points have shapes {seeds}, {table} and {points}; they do not fit")
+    whole: dict[str, tuple[str, tuple[int, ...]]] = dict.fromkeys(("seeds", "driven", "live", "crashed"), ("iu", seeds))
+    whole |= {"policies": ("iu", (2,)), "start_s": ("f", ()), "side": ("iu", ()), "table": ("iu", table)}
+    check_arrays(arrays, whole | {"points": ("f", points)}, where)
+    check_size(table[1], moves)
+    for name in ("table", "policies"):
+        if (arrays[name] < 0).any() or (arrays[name] >= table[0]).any():
+            raise InputError(f"{where} names a policy that it does not hold; there are {table[0]}")
     levels: dict[str, Any] = {f"path_{name}": tuple(arrays[f"{name}_{k}"] for k in range(moves)) for name in _LEVELS}
     plain: dict[str, Any] = {name: arrays[name] for name in _PLAIN}
     plain.update(start_s=float(plain["start_s"]), side=int(plain["side"]))
     tree = RaceTree(path_payoffs=arrays["payoffs"], **plain, **levels)
-    policies = len(tree.table)
-    valid = tree.table.dtype.kind in "iu" and ((tree.table >= 0) & (tree.table < policies)).all()
-    valid = valid and tree.policies.shape == (2,) and ((tree.policies >= 0) & (tree.policies < policies)).all()
-    if not valid:
-        raise InputError(f"{where} names a policy that it does not hold; there are {policies}")
-    seeds, axes = len(tree.seeds), tree.points.shape[-1]
-    for name, array in tree.arrays().items():
-        kind, _, number = name.rpartition("_")
-        if name == "payoffs" or kind in _LEVELS:
-            level = moves if name == "payoffs" else int(number)
-            shape: tuple[int, ...] = (seeds, *(paths.count(level) for paths in tree.paths))
-            shape += (2, axes) if kind == "estimates" else ()
-            if array.shape != shape:
-                raise InputError(f"{where}: {name} has shape {array.shape}; it must have {shape}")
-        if not np.isfinite(array).all():
-            raise InputError(f"{where}: {name} holds NaN or infinity; every number of a tree must be finite")
+    # How many paths a level has follows from the table: only now is it known what shapes its arrays must have.
+    count = [(*seeds, *(paths.count(k) for paths in tree.paths)) for k in range(moves + 1)]
+    of_levels: dict[str, tuple[str, tuple[int, ...]]] = {"payoffs": ("f", count[moves])}
+    for k in range(moves):
+        of_levels[f"leads_{k}"] = ("f", count[k])
+        of_levels[f"estimates_{k}"] = ("f", (*count[k], 2, points[1]))
+        of_levels[f"over_{k}"] = ("b", count[k])
+    check_arrays(arrays, of_levels, where)
     return tree

@@ -18,8 +18,7 @@ from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.learning.responses.best_reply import best_reply, race_on_circuits
 from pcs_racing_agents.learning.responses.learner import ResponseSettings
-from pcs_racing_agents.learning.robust.restricted import learn_robust
-from pcs_racing_agents.learning.robust.settings import RobustSettings
+from pcs_racing_agents.learning.robust import RobustSettings, learn_robust
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.pictures.style import COLOURS, SOFT, new_figure, picture, tidy
 from pcs_racing_agents.results.csv_files import write_csv

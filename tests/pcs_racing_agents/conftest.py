@@ -3,7 +3,6 @@ from concurrent.futures import Executor
 
 import numpy as np
 import pytest
-from chromium_pipe import Browser, chromium
 from zoo_games import CONFIG, toy_archive, untrained
 
 from pcs_racing import PolicyArchive, RaceGame, load_race_config, load_track, save_archive
@@ -78,12 +77,3 @@ def tournament_folder(archive, tmp_path_factory):
         tournament = play_plan(plan, job=job)
         write_results(tournament.races, folder / "results.csv")
     return folder, tournament
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if chromium() is None:
-        pytest.skip("no chromium on PATH to open the page with")
-    result = Browser(tmp_path_factory.mktemp("profile"))
-    yield result
-    result.close()

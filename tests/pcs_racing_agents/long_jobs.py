@@ -50,12 +50,12 @@ def commands(folder: Path) -> dict[str, list[str]]:
             "tournament", "--track", "Pipkin", "--agents", "random-moves", "never-switch", "lane-switcher",
             "--races", "4", "--duration", "16",
         ],
-        "ppo": ["ppo", "--config", str(ppo), "--seeds", "0", "1", "2", "--checkpoint", "0", "--no-picture"],
+        "ppo": ["ppo", "--config", str(ppo), "--seeds", "0", "1", "2", "--no-picture"],
     }  # fmt: skip
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Return what a command left, by path: all but times, which are in locks, TensorBoard's curves and checkpoints."""
+    """Return what a command left, by path: all but times, which are in locks, TensorBoard's curves and PPO's chunks."""
     found = {str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()}
     return {
         name: _without_times(file)

@@ -4,6 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from repository import REPOSITORY, run_python
+from warm_start import call_python
 
 from pcs_racing import load_track
 from pcs_racing.game.rules import RaceGame
@@ -102,3 +103,40 @@ def test_training_by_ppo(tmp_path, script):
     if script == "train_ppo.py":
         assert "PPO over random moves: " in out
         assert {path.name for path in (tmp_path / "out" / "train_ppo").iterdir()} == {"learning_curve.png", "model.zip"}
+
+
+def test_self_play_of_steering_and_speed(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    size = ("--steps", "512", "--envs", "8", "--rollout", "64", "--races", "2", "--duration", "2")
+    out = run_python(EXAMPLES / "drive_self_play.py", *size, "--track", "Pipkin", folder=tmp_path)
+    assert re.search(
+        r"^ +512 steps .* about +0\.0 left .* won against lattice: \d+% .paper., \d+% .contest.$", out, re.M
+    )
+    rows = re.findall(r"^(\S.*?) +(paper|contest) +([\d.]+)% +\S+ +([\d.]+)%$", out, re.M)
+    assert [row[:2] for row in rows] == [
+        ("lattice, archive default", "paper"),
+        ("ppo-drive", "paper"),
+        ("lattice, archive contest", "contest"),
+        ("ppo-drive", "contest"),
+    ]
+    assert all(0.0 <= float(won) <= 100.0 for _, _, won, _ in rows)
+
+
+def test_ppo_against_cfr(tmp_path):
+    arguments = ["--track", "Pipkin", "--steps", "100", "--opponent", "always-aggressiveness+", "--egos", "2"]
+    out = run_python(EXAMPLES / "ppo_against_cfr.py", *arguments, "--variants", "2", folder=tmp_path)
+    created = tmp_path / "out" / "ppo_against_cfr"
+    assert {path.name for path in (created / "training" / "policy").iterdir()} == {
+        "weights.safetensors",
+        "manifest.yaml",
+        "curve.csv",
+    }
+    assert "always-aggressiveness+     24 " in out
+    assert (created / "race.html").is_file()
+
+
+def test_an_unknown_opponent_is_told_before_training(tmp_path):
+    done = call_python(EXAMPLES / "ppo_against_cfr.py", "--opponent", "nobody", cwd=tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.startswith("ppo_against_cfr: error: agent 'nobody' is unknown")
+    assert not (tmp_path / "out").exists()

@@ -15,12 +15,15 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from pcs_racing.envs.arguments import Declared
 
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.settings import number, setting
 from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.drive_batch import DriveBatch
+from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.planners.network import INPUTS, TOP_SPEED, WEIGHT_LIMIT, network_inputs, network_planner
 from pcs_racing.planners.planner import Planner, Policy
@@ -30,12 +33,13 @@ from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import RaceSetup, run_races
+from pcs_racing.race.rates import DT
 from pcs_racing.race.state import take
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, score_races
+from pcs_racing_agents.learning.ppo.learner import split_envs
 from pcs_racing_agents.learning.ppo.settings import DriveSettings
-from pcs_racing_agents.learning.ppo.tasks import split_envs
 
 ACTION_LIMIT = 10.0  # tanh of it is 1 but for 4e-9
 EVALUATION_SEED = 1_000_003  # root of the races of evaluations
@@ -51,16 +55,15 @@ def _observe(track, state, vehicles, settings, rows, view, inputs, out):  # type
             out[race, k] = inputs[k]
 
 
-class LearnerBatch(DriveBatch):
-    """Races of which the learner observes what a network planner observes, and acts before the planner's ``tanh``.
+@dataclass(frozen=True, eq=False)
+class LearnerOptions(DriveOptions):
+    """Arguments of the races that a learner drives in."""
 
-    Parameters
-    ----------
-    leading : float
-        Reward for a second in front, m.
-    **arguments
-        Of :class:`pcs_racing.envs.drive_batch.DriveBatch`.
-    """
+    leading: float = setting(0.0, number(0.0, 1e6), "Reward for a second in front, m.")
+
+
+class LearnerBatch(DriveBatch):
+    """Races of which the learner observes what a network planner observes, and acts before the planner's ``tanh``."""
 
     def __init__(self, episodes: int, *, leading: float, **arguments: Any) -> None:
         super().__init__(episodes, **arguments)
@@ -76,6 +79,7 @@ class LearnerBatch(DriveBatch):
     def step(self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()) -> BatchStep:
         """Drive every race one step on."""
         _, rewards, terminated, truncated = super().step(actions, generators)
+        # Whoever leads at the end of a step counts as leading throughout it.
         rewards += self._leading * (self.state.lead > 0.0)
         observations = np.empty((self.episodes, len(INPUTS)), np.float32)
         self.observe(self._rows, observations)
@@ -87,52 +91,12 @@ class LearnerBatch(DriveBatch):
         _observe(self.track.arrays, self.state, self.vehicles, settings, rows, *self._view_buffers, out)
 
 
-class Drives(BatchVectorEnv):
-    """Races on one circuit against policies of one planner; car 0 belongs to the learner.
-
-    Race ``i`` has its own generator and begins anew in the step in which it ends.
-
-    Parameters
-    ----------
-    opponents : sequence of Policy
-        One of them is drawn for each race.
-    hold : int
-        Simulation steps of 0.01 s for which an action holds; even.
-    rivalry : float
-        Share of the opponent's progress that is subtracted from the own progress.
-    leading : float
-        Reward for a second in front, m.
-    crash_penalty : float
-        Penalty for a crash by own fault, m.
-    """
+class LearnerEnv(BatchVectorEnv):
+    """The control-level environment with the inputs and outputs of a network planner; car 0 is the learner's."""
 
     batch_type = LearnerBatch
     batch: LearnerBatch
-
-    def __init__(
-        self,
-        races: int,
-        track: Track,
-        config: RaceConfig,
-        opponents: Sequence[Policy],
-        *,
-        hold: int = 2,
-        rivalry: float = 0.5,
-        leading: float = 0.0,
-        crash_penalty: float = 10.0,
-    ) -> None:
-        arguments = {
-            "track": track,
-            "opponent": list(opponents),
-            "race": config,
-            "time_step": 0.01 * hold,
-            "top_speed": TOP_SPEED,
-            "look_ahead": (0.0,),
-            "rivalry": rivalry,
-            "leading": leading,
-            "crash_penalty": crash_penalty,
-        }
-        self._begin(arguments=arguments, num_envs=races, autoreset_mode=AutoresetMode.SAME_STEP, threads=1)
+    declared = Declared(LearnerOptions, changed={"top_speed": TOP_SPEED, "look_ahead": (0.0,)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,23 +119,26 @@ class DriveTask:
         """What the results depend on beside the settings."""
         return {"tracks_sha256": {track.name: track.content_hash for track in self.tracks}}
 
-    def env_groups(self) -> list[Drives]:
+    def env_groups(self) -> list[LearnerEnv]:
         """Make the training environments: a group for each circuit, rules and planner of opponents."""
         settings = self.settings
+        # One compiled planner drives car 1 of a batch: opponents with different planners need batches of their own.
         by_planner: dict[str, list[Policy]] = {}
         for policy, weight in zip(self.policies, settings.opponents.values(), strict=True):
             by_planner.setdefault(policy.planner.name, []).extend([policy] * weight)
         shares = split_envs(settings.envs, [len(policies) for policies in by_planner.values()])
         return [
-            Drives(
+            LearnerEnv(
                 share,
-                track,
-                self.learning_rules(track, config),
-                policies,
-                hold=settings.hold,
+                track=track,
+                race=self.learning_rules(track, config),
+                opponent=policies,
+                time_step=DT * settings.hold,
                 rivalry=settings.rivalry,
                 leading=settings.leading,
                 crash_penalty=settings.crash_penalty,
+                autoreset_mode=AutoresetMode.SAME_STEP,
+                threads=1,
             )
             for track in self.tracks
             for config in self.rules
@@ -190,6 +157,7 @@ class DriveTask:
         """Race with the planner of a policy, without exploration noise, under the unchanged rules."""
         policy = _learner_planner(layers.hidden, self.settings.hold).policy(layers.flat(), name="learner")
         names = list(self.settings.opponents)
+        # An even number: every start line is raced from both sides.
         races = 2 * max(1, self.settings.evaluation_races // (2 * len(names)))
         opponents = [opponent for opponent in self.policies for _ in range(races)]
         scores = {}

@@ -24,8 +24,8 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, score_races
+from pcs_racing_agents.learning.ppo.learner import group_seeds, split_envs
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
-from pcs_racing_agents.learning.ppo.tasks import group_seeds, split_envs
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import save_network
 
@@ -124,6 +124,7 @@ def make_duel_task(
     tracks = tuple(load_track(name) for name in settings.tracks)
     rules = load_game_config(settings.race, epsilon=settings.epsilon) if rules is None else rules
     games = [make_game(track, archive, rules) for track in tracks]
+    # One compiled planner drives car 1 of a batch: opponents with different planners need batches of their own.
     by_planner: dict[str, list[tuple[int, str]]] = {}
     for name, weight in settings.opponents.items():
         planner = parse_opponents(name, games[0])[0].planner or archive.family()

@@ -73,6 +73,7 @@ def mean_score(scores: Mapping[Matchup, MatchupScore], weights: Mapping[str, int
     shares /= shares.sum()
     rows = np.array([score[1:] for score in scores.values()])
     means = dict(zip(MatchupScore._fields[1:], (shares @ rows).tolist(), strict=True))
+    # The races of different matchups are independent: their variances add.
     means["error"] = float(np.sqrt(np.sum((shares * rows[:, MatchupScore._fields.index("error") - 1]) ** 2)))
     return MatchupScore(sum(score.races for score in scores.values()), **means)
 

@@ -1,14 +1,15 @@
 """A PPO model of Stable-Baselines3, built from settings and trained one update at a time.
 
 Stable-Baselines3 uses the global random generators of the process. :func:`own_randomness` restores their states after a
-learner has used them.
+model has used them.
 """
 
 import random
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,36 +18,13 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.planners.network import INPUTS
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, PPOSettings
-from pcs_racing_agents.learning.ppo.tasks import group_seeds
 from pcs_racing_agents.networks.torch_layers import layers_from_torch, torch_alone
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
 
-
 FIGURES = ("approx_kl", "clip_fraction", "entropy_loss", "explained_variance", "value_loss")
 """Recorded figures of every update, by the names of Stable-Baselines3."""
-
-
-class Learner(NamedTuple):
-    """A PPO model with its learning-rate schedule and weight limit."""
-
-    model: "PPO"
-    rate: "LinearRate"
-    limit: float  #: Largest weight that the policy may have.
-
-
-class LinearRate:
-    """A learning-rate schedule that falls linearly with the steps made so far."""
-
-    def __init__(self, settings: PPOSettings) -> None:
-        self.first, self.last, self.total = settings.learning_rate, settings.final_learning_rate, settings.steps
-        self.steps = 0
-
-    def __call__(self, _: float) -> float:
-        """Return the rate after the steps so far."""
-        share = min(self.steps / self.total, 1.0)
-        return self.first + share * (self.last - self.first)
 
 
 def check_packages() -> None:
@@ -70,22 +48,46 @@ def own_randomness() -> Iterator[None]:
             torch.set_rng_state(states[2])
 
 
-def make_learner(
-    settings: PPOSettings,
-    groups: Sequence[BatchVectorEnv],
-    seed: int,
-    activation: str,
-    limit: float,
-    threads: int = 1,
-) -> Learner:
-    """Make an untrained learner.
+# Groups of environments: the races of a group share a circuit, rules and a mixture of opponents.
+
+
+def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
+    """Return seeds so far apart that no two groups, seeds or purposes share a generator.
+
+    Parameters
+    ----------
+    purpose : int
+        0 for learning, 1 for evaluation.
+    """
+    sequences = [np.random.SeedSequence(seed, spawn_key=(purpose, group)) for group in range(groups)]
+    # Environment i of a group is seeded with its seed + i: two bits are left so that the sums do not overflow.
+    return [int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(2)) for sequence in sequences]
+
+
+def split_envs(envs: int, weights: Sequence[int]) -> list[int]:
+    """Return numbers of environments in proportion to weights, at least one for each.
+
+    Examples
+    --------
+    >>> split_envs(10, [3, 1])
+    [8, 2]
+    """
+    edges = np.cumsum([0, *weights]) * envs / sum(weights)
+    return [max(1, round(high) - round(low)) for low, high in pairwise(edges)]
+
+
+# The model
+
+
+def make_model(
+    settings: PPOSettings, groups: Sequence[BatchVectorEnv], seed: int, activation: str, threads: int = 1
+) -> "PPO":
+    """Make an untrained model.
 
     Parameters
     ----------
     activation : {"relu", "tanh"}
         Activation between the layers.
-    limit : float
-        Largest weight of the policy.
     threads : int
         Groups that are stepped at the same time; the result does not depend on it.
     """
@@ -95,7 +97,6 @@ def make_learner(
 
     from pcs_racing.envs.sb3 import SB3VecEnv
 
-    rate = LinearRate(settings)
     seeds = group_seeds(seed, len(groups), 0)
     envs = SB3VecEnv(list(groups), seeds=seeds, reward_scale=settings.reward_scale, threads=threads)
     policy: dict[str, Any] = {
@@ -118,7 +119,7 @@ def make_learner(
             "MlpPolicy",
             envs,
             seed=seed,
-            learning_rate=rate,
+            learning_rate=settings.learning_rate,
             n_steps=settings.rollout,
             batch_size=-(-steps // batches),
             n_epochs=settings.epochs,
@@ -133,15 +134,23 @@ def make_learner(
             **exploration,
         )
     model.set_logger(Logger(None, []))
-    return Learner(model, rate, limit)
+    return model
 
 
-def learn_once(learner: Learner) -> dict[str, float]:
-    """Collect the steps of one update, and make it; return :data:`FIGURES` and the mean reward of a step."""
+def learn_once(model: "PPO", settings: PPOSettings, limit: float) -> dict[str, float]:
+    """Collect the steps of one update, and make it; return :data:`FIGURES` and the mean reward of a step.
+
+    Parameters
+    ----------
+    limit : float
+        Largest weight that the policy may have.
+    """
     import torch
 
-    model = learner.model
-    learner.rate.steps = model.num_timesteps
+    # Stable-Baselines3's own schedule would begin anew with every call of `learn`, so each has a constant rate.
+    share = min(model.num_timesteps / settings.steps, 1.0)
+    rate = settings.learning_rate + share * (settings.final_learning_rate - settings.learning_rate)
+    model.lr_schedule = lambda _: rate
     is_nan = False
     try:
         model.learn(model.n_steps * model.n_envs, reset_num_timesteps=False, log_interval=None)  # type: ignore[arg-type]
@@ -149,13 +158,14 @@ def learn_once(learner: Learner) -> dict[str, float]:
         if isinstance(error, InputError):
             raise
         is_nan = True
+    # A planner's parameters have bounds, and the network is to be a planner: the limit holds while it learns, too.
     with torch.no_grad():
         for parameter in _actor(model):
-            parameter.clamp_(-learner.limit, learner.limit)
+            parameter.clamp_(-limit, limit)
     if is_nan or not all(torch.isfinite(parameter).all() for parameter in model.policy.parameters()):
         raise InputError(
             f"a weight is no longer a number after {model.num_timesteps} steps; take a learning_rate below "
-            f"{learner.rate.first:g}"
+            f"{settings.learning_rate:g}"
         )
     values = model.logger.name_to_value
     return {
@@ -164,9 +174,9 @@ def learn_once(learner: Learner) -> dict[str, float]:
     }
 
 
-def actor_layers(learner: Learner) -> DenseLayers:
+def actor_layers(model: "PPO") -> DenseLayers:
     """Return copies of the layers of the policy."""
-    return layers_from_torch(_actor(learner.model))
+    return layers_from_torch(_actor(model))
 
 
 def _actor(model: "PPO") -> list[Any]:

@@ -1,15 +1,14 @@
-"""Training by PPO: from settings to weights and learning curves, in a folder in which a stopped training resumes.
+"""Training by PPO: from settings to weights and learning curves, in a folder.
 
-Between two updates the state of a training is plain arrays: the current races with their generators, the networks, the
-optimiser, and the random generators of the process. Every few seconds a training is stopped and continued from these
-arrays, here or in another process, and they are stored as a checkpoint. A training that was interrupted, or moved from
-one worker to another, therefore ends with the same weights, to the bit (on the same machine and versions; torch
-guarantees no more).
+A seed is a task of a job: it depends on nothing but the settings and itself, and trains in whatever process there is.
+A training that was stopped keeps the seeds that were finished, and begins the others anew; its weights are those of an
+undisturbed one, to the bit (on the same machine and versions; torch guarantees no more).
 """
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.race.driving import default_threads
-from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes
@@ -33,12 +31,9 @@ from pcs_racing_agents.learning.ppo.evaluation import (
     write_evaluations,
 )
 from pcs_racing_agents.learning.ppo.learner import FIGURES, check_packages
-from pcs_racing_agents.learning.ppo.seed_training import SeedRecord, SeedTraining
+from pcs_racing_agents.learning.ppo.seed_training import LearningTask, SeedRecord, train_seed
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, PPOSettings, load_ppo_settings
-from pcs_racing_agents.learning.ppo.tasks import LearningTask
 from pcs_racing_agents.results.csv_files import write_csv
-
-CHECKPOINT_SECONDS = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +59,6 @@ def train_ppo(
     name: str | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
-    checkpoint_seconds: float = CHECKPOINT_SECONDS,
     policies: PolicyArchive | None = None,
     rules: GameConfig | None = None,
     **changes: Any,
@@ -77,26 +71,22 @@ def train_ppo(
         A shipped configuration's name, a YAML file, or settings.
     folder : str or Path
         A new or empty folder, or that of the same training. It gets ``policy/`` (the weights, what describes them, and
-        every evaluation as ``curve.csv``), ``updates.csv`` (figures of every update) and a checkpoint for each seed in
-        ``chunks/``.
+        every evaluation as ``curve.csv``), ``updates.csv`` (figures of every update) and the result of each finished
+        seed in ``chunks/``.
     name : str, optional
         Of the policy; by default the one under which the agent ``ppo`` or the driver ``ppo-drive`` looks for it.
     executor : Executor, optional
-        Where to train: processes and workers of a cluster train with several seeds side by side, in pieces that end
-        with a checkpoint. Threads are not used, since torch's random generator belongs to the process. It has no
-        influence on the result.
+        Where to train: processes and workers of a cluster train with several seeds side by side. Threads are not used,
+        since torch's random generator belongs to the process. It has no influence on the result.
     progress : callable, optional
-        Called as ``progress(steps, total of all seeds, label)`` after every update, or after every piece of a training
-        in another process.
-    checkpoint_seconds : float
-        Time between two checkpoints; it does not change the result.
+        Called as ``progress(steps, total of all seeds, label)`` after every update, or after every seed that another
+        process has trained with.
     policies : PolicyArchive, optional
         Archive in place of that of the settings of a duel.
     rules : GameConfig, optional
         Rules in place of the race and the size of moves in the settings of a duel.
     """
     settings = load_ppo_settings(config, **changes)
-    check_checkpoint_seconds(checkpoint_seconds)
     if isinstance(settings, DuelSettings):
         settings = _named(settings, policies, rules)
     check_packages()
@@ -105,28 +95,27 @@ def train_ppo(
     threads = 1 if elsewhere is not None and len(settings.seeds) > 1 else default_threads()
     task = make_task(settings, archive=policies, rules=rules, threads=threads)
     identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **task.identity}
-    steps = dict.fromkeys(settings.seeds, 0)
+    steps_of_seeds = 0  # that are finished
 
-    def report(record: SeedRecord) -> None:
-        steps[record.seed] = settings.steps if record.finished else min(record.steps_made, settings.steps)
+    def seeds_done(done: int, seeds: int, _: str) -> None:
+        nonlocal steps_of_seeds
+        steps_of_seeds = done * settings.steps
         if progress is not None:
-            label = f"seed {record.seed}, worth {record.last_worth:.3f}"
-            progress(sum(steps.values()), settings.steps * len(steps), label)
+            progress(steps_of_seeds, seeds * settings.steps, f"{done} of {seeds} seeds")
 
-    def read(index: int, state: Arrays) -> SeedRecord:
-        return SeedRecord.from_arrays(settings.seeds[index], settings.opponents, state)
+    def update_done(record: SeedRecord) -> None:
+        if progress is not None:
+            made = min(int(record.updates[-1][0]), settings.steps)
+            label = f"seed {record.seed}, worth {record.worth(-1):.3f}"
+            progress(steps_of_seeds + made, len(settings.seeds) * settings.steps, label)
 
-    trainer = SeedTraining(task, settings, checkpoint_seconds, report if elsewhere is None else None)
+    train = partial(train_seed, task, update_done if elsewhere is None else None)
     with open_job(folder, "ppo", identity) as job:
-        states = job.run_chains(
-            "seed",
-            trainer,
-            settings.seeds,
-            executor=elsewhere,
-            on_state=lambda index, state: report(read(index, state)),
-        )
-        runs = [read(index, state) for index, state in enumerate(states)]
-        run = max(runs, key=lambda run: run.best_worth)  # of equals the first
+        results = job.run("seed", train, settings.seeds, executor=elsewhere, progress=seeds_done)
+        runs = [
+            SeedRecord.from_arrays(seed, task, result) for seed, result in zip(settings.seeds, results, strict=True)
+        ]
+        run = max(runs, key=lambda run: run.worth(run.best_at))  # of equals the first
         curves = tuple(run.curve for run in runs)
         _write_updates(runs, job.folder / "updates.csv")
         assert run.best is not None  # there is an evaluation before the first update
@@ -178,12 +167,6 @@ def _named(settings: DuelSettings, archive: PolicyArchive | None, rules: GameCon
         epsilon = rules.epsilon if isinstance(rules.epsilon, float) else settings.epsilon
         settings = replace(settings, race=rules.race.name, epsilon=epsilon)
     return settings
-
-
-def check_checkpoint_seconds(seconds: float) -> None:
-    """Check the time between two checkpoints."""
-    if not seconds >= 0.0:
-        raise InputError(f"the time between two checkpoints is {seconds!r} s; it must be 0 or more")
 
 
 # Reports

@@ -46,6 +46,7 @@ class UnequalCars(VecEnvWrapper):
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Hand on the actions, each car's speed multiplied by its share."""
+        # An action of -1 is a standstill: the share is one of the speed, not of the action.
         speed = self.speed * (1.0 + np.clip(actions[:, 1], -1.0, 1.0)) - 1.0
         self.venv.step_async(np.stack([actions[:, 0], speed], axis=1))
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
-from pcs_racing_agents.agents.from_network import NetworkStrategy
+from pcs_racing_agents.agents.agent import Competitor, Driver
+from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
@@ -78,37 +78,11 @@ def best_reply(
         Beginning of the names of this work in the job.
     """
     check_whole("races", races, FEWEST * len(games))
-    reply = learn_best_reply(games, agent, setting, settings, job, part=part, executor=executor, progress=progress)
-    pilot = Agent("best-reply", NetworkStrategy(reply, "argmax", len(setting.moves)), setting, settings.seed)
-    table = race_on_circuits(
-        games, pilot, agent, races, settings.seed, job, name=f"{part}races", executor=executor, progress=progress
-    )
+    options: dict[str, Any] = {"executor": executor, "progress": progress}
+    reply = learn_response(games, [agent], setting, settings, job, name="best-reply", part=f"{part}reply-", **options)
+    pilot = network_agent(reply, setting, settings.seed)
+    table = race_on_circuits(games, pilot, agent, races, settings.seed, job, name=f"{part}races", **options)
     return BestReply(reply, table, excess_estimate(table))
-
-
-def learn_best_reply(
-    games: Sequence[RaceGame],
-    agent: Competitor,
-    setting: Setting,
-    settings: ResponseSettings,
-    job: Job,
-    *,
-    part: str = "",
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-) -> RegretNetwork:
-    """Learn a response to one opponent alone; arguments as for :func:`best_reply`."""
-    return learn_response(
-        games,
-        [agent],
-        setting,
-        settings,
-        job,
-        name="best-reply",
-        part=f"{part}reply-",
-        executor=executor,
-        progress=progress,
-    )
 
 
 def race_on_circuits(
@@ -124,6 +98,7 @@ def race_on_circuits(
     progress: Progress | None = None,
 ) -> RaceTable:
     """Race two competitors on several circuits: about so many races in all, in the crossed design of the tables."""
+    # Crossed: every start policy of one car meets every one of the other, from all lines and both sides.
     each = check_whole("races", races, FEWEST * len(games)) / len(games)
     count = max(2, round(math.sqrt(each / (2 * LINES))))
     rng = np.random.default_rng(np.random.SeedSequence(seed + RACE_SEED, spawn_key=(0,)))

@@ -11,13 +11,68 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.competitor import ask_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
-from pcs_racing_agents.agents.agent import Competitor, Driver
+from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
+from pcs_racing_agents.agents.blind import ConstantStrategy
+from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.networks import Rows
 
 WORTH = ("win", "utility")
 """Values of an outcome: 1 for a race won, 0.5 for a tie and 0 otherwise ("win"), or the game's utility."""
+
+BLOCK = 256
+"""Games branched in one task: about a second of work."""
+
+
+class GameBlock(NamedTuple):
+    """The games that one task branches, and all that is drawn in them."""
+
+    place: tuple[int, ...]  #: What tells games of other circuits, opponents, steps and rounds from these.
+    first: int  #: ``first``, ``last``: Numbers of the games, from the first on and up to before the last.
+    last: int
+    root: int  #: Seed of all games of this place.
+
+    @property
+    def keys(self) -> NDArray[np.uint64]:
+        """Keys of the games."""
+        return race_seeds(self.root, self.last)[self.first :]
+
+
+def game_blocks(seed: int, place: tuple[int, ...], count: int) -> list[GameBlock]:
+    """Return so many games in blocks; a game depends on the seed, the place and its number alone."""
+    spawn = np.random.SeedSequence(seed, spawn_key=place)
+    root = int(spawn.generate_state(1, np.uint64)[0] >> np.uint64(1))
+    return [GameBlock(place, first, min(first + BLOCK, count), root) for first in range(0, count, BLOCK)]
+
+
+def block_rows(arrays: Arrays, block: GameBlock, place: int, step: int, weight: float = 1.0) -> Rows:
+    """Return training rows of ``observations`` and ``advantages`` in the games ``game`` of a block.
+
+    Parameters
+    ----------
+    place : int
+        A number of its own for each place.
+    """
+    count = len(arrays["game"])
+    return Rows(
+        observations=arrays["observations"],
+        targets=arrays["advantages"].astype(np.float32),
+        weights=np.full(count, weight),
+        # A number of its own for each game: its row is either learned from or validated on.
+        pair=place * 1_000_000 + block.first + arrays["game"],
+        step=np.full(count, step),
+    )
+
+
+def random_player(game: RaceGame, setting: Setting, seed: int) -> Agent:
+    """Return an agent that draws each move among those of a game, which may lack the setting's move "stay"."""
+    offered = len(game.move_names)
+    probabilities = (np.arange(len(setting.moves)) < offered) / offered
+    return Agent("random-moves", ConstantStrategy(probabilities), setting, seed)
 
 
 class Branches(NamedTuple):
@@ -26,11 +81,6 @@ class Branches(NamedTuple):
     observations: NDArray[np.float32]  #: shape (R, D): Observations of car 0.
     outcomes: NDArray[np.float64]  #: shape (R, A): Value of the game's result for car 0 after each move.
     game: NDArray[np.int64]  #: shape (R,): Index of the game; games that were over before are absent.
-    behaviour: NDArray[np.int64]  #: shape (R,): Index of the behaviour of car 0 before the branching.
-    #: shape (R,): Policy of car 1 at the branching, which car 0 can't observe; -1 for a driver.
-    opponent_policy: NDArray[np.int64]
-    leads: NDArray[np.float64]  #: shape (R, A): Lead of car 0 when the race ended, m.
-    crashed: NDArray[np.bool_]  #: shape (R, A): Whether it ended in a crash.
 
 
 def outcome(game: RaceGame, state: GameState, worth: str = "win") -> NDArray[np.float64]:
@@ -78,6 +128,7 @@ def branch_games(
     numbers = np.asarray(keys, np.uint64)
     policies = None
     if isinstance(opponent, Driver):
+        # By the key, not by the number of the game: a block must not depend on what else is in the batch.
         policies = [opponent.policies[int(key % np.uint64(len(opponent.policies)))] for key in numbers]
     state = game.reset(numbers, opponents=policies)
     behaviour_of = np.arange(state.games) % len(behaviours)
@@ -90,7 +141,8 @@ def branch_games(
     running = np.flatnonzero(~game.done(state))
     count = len(game.move_names) if count is None else count
     state = take_games(state, running)
-    observations, opponent_policy = game.observation(state)[:, 0], state.policy[:, 1].copy()
+    observations = game.observation(state)[:, 0]
+    # The opponent moves at the same moment, without knowing the branch: it is asked once for all of them.
     opponent_moves = ask_moves(opponent, game, state, 1)
     rows, moves, branch = _different_branches(game, state, count)
     state = take_games(state, rows)
@@ -98,15 +150,7 @@ def branch_games(
     while not game.done(state).all():
         moves = ask_moves(continuation, game, state, 0)
         state = game.step(state, np.stack([moves, ask_moves(opponent, game, state, 1)], axis=1))
-    return Branches(
-        observations=observations,
-        outcomes=outcome(game, state, worth)[branch],
-        game=running,
-        behaviour=behaviour_of[running],
-        opponent_policy=opponent_policy,
-        leads=np.asarray(state.race.lead, np.float64)[branch],
-        crashed=state.race.crashed[branch],
-    )
+    return Branches(observations, outcome(game, state, worth)[branch], running)
 
 
 def _different_branches(
@@ -124,6 +168,8 @@ def _different_branches(
     branch : ndarray, shape (R, count)
         Index of the branch in which each game goes on after each move.
     """
+    # The others would be the same race to the last bit: a game goes on from where the cars are and from their policies,
+    # and keeps no record of the moves.
     after = game.next_policy(state.policy[:, :1], np.arange(count))
     first = np.argmax(after[:, :, None] == after[:, None, :], axis=2)
     driven = first == np.arange(count)

@@ -63,6 +63,7 @@ def _layer(network: RegretNetwork, layer: int, like: RegretNetwork) -> tuple[NDA
     weight, bias = network.layers.weights[layer].astype(np.float64), network.layers.biases[layer].astype(np.float64)
     if layer > 0:
         return weight, bias
+    # (x - mean) / scale of this network, written in the scaled inputs of the first one.
     ratio = like.scale.astype(np.float64) / network.scale
     shift = (like.mean.astype(np.float64) - network.mean) / network.scale
     return weight * ratio, bias + (weight * shift).sum(axis=1)
@@ -102,6 +103,7 @@ def train_kept(
     executor : Executor, optional
         Where they are trained, if its tasks run in other processes.
     """
+    # Rows are large and the same for all members: a task names them by a digest, and they travel with the function.
     digest = fingerprint(rows.observations, rows.targets, rows.weights, rows.pair)
     tasks = [_NetworkTask(digest, one) for one in settings]
     kept = job.run(part, partial(_learn, rows, identity, name), tasks, executor=in_other_processes(executor))

@@ -11,26 +11,32 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.seeds import race_seeds
 from pcs_racing.base.settings import Settings, choice, number, setting, whole, wholes
 from pcs_racing.game.identity import game_identity
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.agents.agent import Agent, Competitor
-from pcs_racing_agents.agents.blind import ConstantStrategy
-from pcs_racing_agents.agents.from_network import NetworkStrategy
+from pcs_racing_agents.agents.agent import Competitor
+from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.jobs.jobs import Job
 from pcs_racing_agents.jobs.progress import Progress
-from pcs_racing_agents.learning.responses.branches import WORTH, branch_games
+from pcs_racing_agents.learning.responses.branches import (
+    WORTH,
+    GameBlock,
+    block_rows,
+    branch_games,
+    game_blocks,
+    random_player,
+)
 from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
 from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows
+from pcs_racing_agents.networks.network_files import check_weights
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.tournament.games import game_between
 
@@ -63,9 +69,6 @@ class LearnerSettings(Settings):
         )
 
 
-BLOCK = 256  # games branched in one task: about a second of work
-
-
 @dataclass(frozen=True)
 class ResponseSettings(LearnerSettings):
     """Settings of the training of a response."""
@@ -93,18 +96,6 @@ class ResponseSettings(LearnerSettings):
 def load_response_settings(source: str | Path | ResponseSettings | None = None, **changes: Any) -> ResponseSettings:
     """Return settings from a name, a YAML file or settings, with some fields changed; see :func:`load_config`."""
     return load_config("response", ResponseSettings(), source, **changes)
-
-
-class BranchTask(NamedTuple):
-    """The games of one task."""
-
-    game: int  #: ``game``, ``opponent``: Index of the circuit's game, and of the opponent in its pool.
-    opponent: int
-    step: int
-    round: int
-    first: int  #: ``first``, ``last``: Numbers of the games.
-    last: int
-    root: int  #: Seed of all games of this circuit, opponent, step and round.
 
 
 def learn_response(
@@ -141,9 +132,7 @@ def learn_response(
         raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")
     starts = _starts(settings.starts, len(pool), shares)
     identity = game_identity(games[0])
-    # Opponents always have the move "stay"; the learner only has the moves that the rules offer.
-    probabilities = (np.arange(len(setting.moves)) < len(identity.moves)) / len(identity.moves)
-    random_moves = Agent("random-moves", ConstantStrategy(probabilities), setting, settings.seed)
+    random_moves = random_player(games[0], setting, settings.seed)
     arenas = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
     for game in games:
         if game_identity(game) != identity:
@@ -151,24 +140,32 @@ def learn_response(
     rows: list[Rows] = []
     network: RegretNetwork | None = None
 
-    def fit(members: int, place: str) -> RegretNetwork:
+    def fit(members: int, part_name: str) -> RegretNetwork:
         member_settings = [settings.train_settings(i) for i in range(members)]
-        networks = train_kept(job, f"{place}-networks", join_rows(rows), identity, member_settings, name, executor)
+        networks = train_kept(job, f"{part_name}-networks", join_rows(rows), identity, member_settings, name, executor)
         return merge_networks(networks, name)
 
-    steps = games[0].config.moves
     for round_ in range(settings.rounds):
-        behaviours = [random_moves] if network is None else [random_moves, _follow(network, setting)]
-        for step in reversed(range(steps)):
+        behaviours = [random_moves] if network is None else [random_moves, network_agent(network, setting)]
+        for step in reversed(range(games[0].config.moves)):
             # In the first pass the branches of the last step have no later moves, so any continuation does.
-            continuation = random_moves if network is None else _follow(network, setting)
-            tasks = _tasks(len(games), starts, settings.seed, step, round_)
+            continuation = random_moves if network is None else network_agent(network, setting)
+            blocks = [
+                block
+                for i in range(len(games))
+                for j, count in enumerate(starts)
+                for block in game_blocks(settings.seed, (i, j, step, round_), count)
+            ]
             work = partial(_branch, arenas, pool, behaviours, continuation, settings.worth, len(identity.moves))
-            place = f"{part}round-{round_}-step-{step}"
-            branched = job.run(place, work, tasks, executor=executor, progress=progress)
-            rows += [_rows(arrays, task) for arrays, task in zip(branched, tasks, strict=True) if len(arrays["game"])]
+            part_name = f"{part}round-{round_}-step-{step}"
+            branched = job.run(part_name, work, blocks, executor=executor, progress=progress)
+            for arrays, block in zip(branched, blocks, strict=True):
+                if len(arrays["game"]):  # not all of its games were over before
+                    i, j, _, _ = block.place
+                    rows.append(block_rows(arrays, block, (round_ * 100 + step) * 1000 + i * 50 + j, step))
+            # Networks in between only continue branches; their mean over many members would change little.
             last = round_ == settings.rounds - 1 and step == 0
-            network = fit(settings.members if last else min(settings.members, 2), place)
+            network = fit(settings.members if last else min(settings.members, 2), part_name)
     assert network is not None
     rest = {key: value for key, value in network.training.items() if key != "rows"}
     summary = {"rows": sum(len(block) for block in rows), "worth": settings.worth, **rest}
@@ -179,29 +176,9 @@ def _starts(total: int, opponents: int, shares: Sequence[float] | None) -> list[
     """Return the number of games against each opponent."""
     if shares is None:
         return [total] * opponents
-    weights = np.asarray(shares, np.float64)
-    if weights.shape != (opponents,) or not np.isfinite(weights).all() or (weights < 0.0).any() or not weights.any():
-        raise InputError(
-            f"shares are {list(shares)}; they must be finite, 0 or above and not all 0, one for each of "
-            f"{opponents} opponents"
-        )
+    weights = check_weights("shares", shares, opponents)
     ends = np.rint(total * np.cumsum(weights) / weights.sum()).astype(int)
     return np.diff(ends, prepend=0).tolist()
-
-
-def _follow(network: RegretNetwork, setting: Setting) -> Agent:
-    return Agent(network.name, NetworkStrategy(network, "argmax", len(setting.moves)), setting, 0)
-
-
-def _tasks(games: int, starts: Sequence[int], seed: int, step: int, round_: int) -> list[BranchTask]:
-    tasks = []
-    for i in range(games):
-        for j, count in enumerate(starts):
-            spawn = np.random.SeedSequence(seed, spawn_key=(i, j, step, round_))
-            root = int(spawn.generate_state(1, np.uint64)[0] >> np.uint64(1))
-            for first in range(0, count, BLOCK):
-                tasks.append(BranchTask(i, j, step, round_, first, min(first + BLOCK, count), root))
-    return tasks
 
 
 def _branch(
@@ -211,22 +188,10 @@ def _branch(
     continuation: Competitor,
     worth: str,
     count: int,
-    task: BranchTask,
+    block: GameBlock,
 ) -> Arrays:
-    keys = race_seeds(task.root, task.last)[task.first :]
-    arena, opponent = arenas[task.game][task.opponent], pool[task.opponent]
-    branches = branch_games(arena, opponent, keys, task.step, behaviours, continuation, worth, count)
-    return {"observations": branches.observations, "outcomes": branches.outcomes, "game": branches.game}
-
-
-def _rows(arrays: Arrays, task: BranchTask) -> Rows:
-    outcomes = arrays["outcomes"]
-    # A unique pair for each game: its rows are either all in the training set or all in the validation set.
-    offset = ((task.round * 100 + task.step) * 1000 + task.game * 50 + task.opponent) * 1_000_000
-    return Rows(
-        observations=arrays["observations"],
-        targets=(outcomes - outcomes.mean(axis=1, keepdims=True)).astype(np.float32),
-        weights=np.ones(len(outcomes)),
-        pair=offset + task.first + arrays["game"],
-        step=np.full(len(outcomes), task.step),
-    )
+    i, j, step, _ = block.place
+    branches = branch_games(arenas[i][j], pool[j], block.keys, step, behaviours, continuation, worth, count)
+    # The mean of all moves is that of the situation, which tells nothing about which move to make.
+    advantages = branches.outcomes - branches.outcomes.mean(axis=1, keepdims=True)
+    return {"observations": branches.observations, "advantages": advantages, "game": branches.game}

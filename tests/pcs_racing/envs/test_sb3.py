@@ -120,6 +120,10 @@ def test_methods_of_the_batch_and_its_frame():
     assert env.env_method("get_state", indices=[0])[0].over.shape == (2,)
     with pytest.raises(AttributeError, match="action masks"):
         env.env_method("action_masks")
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        env.get_attr("nothing")
+    assert env.get_attr("num_envs", indices=0) == [2]
+    assert env.env_is_wrapped(object) == [False] * 2
     assert make_sb3_vec_env("drive", 2, opponent=None).get_images() == [None, None]
 
 

@@ -23,7 +23,7 @@ def test_a_schedule_follows_the_steps(setting, game):
     assert agent.facts["plan"] == "restraint +, stay, aggressiveness -, restraint +"
     with pytest.raises(InputError, match="has 4 moves"):
         best_schedule(setting, moves=plan[:3])
-    with pytest.raises(InputError, match="moves and a fit"):
+    with pytest.raises(InputError, match="and a fit"):
         best_schedule(setting, moves=plan, fit="somewhere.yaml")
 
 

@@ -3,7 +3,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from repository import python_blocks, read_page, run_block
 from zoo_games import untrained
 
 from pcs_racing import GameConfig, InputError, RaceGame, UnknownNameError, get_planner
@@ -15,7 +14,7 @@ from pcs_racing_agents.agents import Decider, make_setting, parse_agent
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.blind import never_switch, random_moves
 from pcs_racing_agents.agents.lookahead import guess_games, look_ahead, merge_histories, root_games, search_game
-from pcs_racing_agents.agents.receding_horizon import LEAVES, OPPONENTS, receding_horizon
+from pcs_racing_agents.agents.receding_horizon import receding_horizon
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.solvers import GameTree, solve_exact
 from pcs_racing_agents.tournament import play_games
@@ -275,14 +274,3 @@ def test_games_that_it_is_not_made_for(game, setting):
     state = outside.reset(games=2, opponents=driver)
     with pytest.raises(InputError, match=r"car 1 of game 0, .*outside"):
         agent.decide(outside, state, 1)
-
-
-def test_the_page(tmp_path, monkeypatch):
-    page = read_page("receding_horizon.md")
-    monkeypatch.chdir(tmp_path)
-    blocks = python_blocks(page)
-    assert blocks
-    for block in blocks:
-        run_block(block)
-    for option in (*LEAVES, *OPPONENTS):
-        assert f'"{option}"' in page

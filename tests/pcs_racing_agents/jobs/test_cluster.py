@@ -184,25 +184,23 @@ def test_a_killed_worker_loses_nothing(cluster, tmp_path):
     assert files(tmp_path / "job") == undisturbed(tasks, tmp_path / "undisturbed")
 
 
-def test_a_worker_killed_while_ppo_learns_costs_a_piece_at_most(cluster, long_commands, tmp_path, monkeypatch):
-    """Three seeds on three workers, of which two are left; compared with a training in this process."""
+def test_a_worker_killed_while_ppo_learns_costs_a_seed_at_most(cluster, long_commands, tmp_path, monkeypatch):
+    """Six seeds on three workers, of which two are left; compared with a training in this process."""
     pytest.importorskip("stable_baselines3")
-    command = long_commands["ppo"]
+    command = [*long_commands["ppo"], "--seeds", *map(str, range(6))]
     assert main([*command, "--out", str(tmp_path / "here")]) == 0
     told = []
 
     def kill_one(done, total, what):
-        if not told:
-            victim = cluster.workers.pop(0)
-            kill(victim)
+        if done == 1600:
+            kill(cluster.workers.pop(0))
         told.append((done, total))
 
     monkeypatch.setattr("pcs_racing_agents.jobs.progress.show_progress", lambda unit: kill_one)
     cluster_options = ["--executor", "dask", "--scheduler", cluster.address]
     assert main([*command, "--out", str(tmp_path / "there"), *cluster_options]) == 0
     cluster.add_worker()
-    assert told[0][0] < told[-1][0] == told[-1][1] == 4800  # there was work left
-    assert len(told) >= 30  # 10 pieces of each seed
+    assert told == [(1600 * seeds, 9600) for seeds in range(7)]
     here, there = files(tmp_path / "here"), files(tmp_path / "there")
     assert len(here) >= 7
     assert here == there
@@ -253,10 +251,10 @@ def test_a_task_that_kills_its_workers_is_told_in_a_line(tmp_path):
 def test_workers_lost_outside_of_jobs_are_told_in_a_line(monkeypatch, capsys, error):
     """A tournament without a folder keeps nothing, and has no job."""
 
-    def fail(arguments):
+    def fail(*arguments, **options):
         raise error
 
-    monkeypatch.setattr("pcs_racing_agents.cli.tournament.run", fail)
+    monkeypatch.setattr("pcs_racing_agents.tournament.plan_tournament", fail)
     assert main(["tournament", "--track", "Pipkin"]) == 2
     told = capsys.readouterr().err
     assert (

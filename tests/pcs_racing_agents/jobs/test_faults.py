@@ -70,24 +70,16 @@ def test_killed_at_random_moments_the_results_are_the_same(long_commands, tmp_pa
     assert files(tmp_path / "killed") == files(tmp_path / "whole")
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_ppo_killed_after_some_checkpoints_ends_with_the_same_weights(long_commands, tmp_path, seed):
-    """The other commands' test, counting checkpoints in place of seconds: loading torch takes most of these."""
+def test_ppo_killed_after_a_seed_ends_with_the_same_weights(long_commands, tmp_path):
+    """The other commands' test, waiting for a chunk in place of seconds: loading torch takes most of these."""
     pytest.importorskip("stable_baselines3")
     command = long_commands["ppo"]
     assert main([*command, "--out", str(tmp_path / "whole")]) == 0
     killed = tmp_path / "killed"
     process = start_python("-m", "pcs_racing_agents", *command, "--out", killed)
-    last = killed / "chunks" / "seed-00002.npz"
-    written: set[int] = set()
-    rng = np.random.default_rng(seed)
-    count, later = rng.integers(1, 6), rng.uniform(0.0, 0.1)
-    while len(written) < count:
+    while not (killed / "chunks" / "seed-00000.npz").exists():
         assert process.is_alive()
-        if last.exists():
-            written.add(last.stat().st_mtime_ns)
         time.sleep(0.002)
-    time.sleep(later)
     kill(process)
     assert not (killed / "policy").exists()  # there was work left
     assert main([*command, "--out", str(killed)]) == 0
@@ -161,26 +153,6 @@ def test_half_written_files_of_a_killed_command_are_cleared_away(long_commands, 
     (tmp_path / ".gitignore").write_text("*\n")
     assert main([*long_commands[what], "--out", str(tmp_path)]) == 0
     assert [file.name for file in tmp_path.glob(".*") if file.name != ".lock"] == [".gitignore"]
-
-
-@pytest.mark.parametrize("what", ["synthesize", "tree", "ego trees", "tournament"])
-def test_a_damaged_chunk_is_named_and_made_again(long_commands, tmp_path, what, caplog):
-    command = [*long_commands[what], "--out", str(tmp_path)]
-    assert main(command) == 0
-    before = files(tmp_path)
-    chunks = sorted(tmp_path.rglob("chunks/*.npz"))
-    damaged = chunks[len(chunks) // 2]
-    content = bytearray(damaged.read_bytes())
-    content[len(content) // 3] ^= 1
-    damaged.write_bytes(content)
-    for name in before:
-        if "job.yaml" not in name and "chunks" not in name:
-            (tmp_path / name).unlink()  # results are made again, too
-    assert main(command) == 0
-    assert [record.getMessage() for record in caplog.records] == [
-        f"{damaged} is damaged: it is not what was written; it is made again"
-    ]
-    assert files(tmp_path) == before
 
 
 @pytest.mark.parametrize("what", ["synthesize", "tree", "train", "tournament"])

@@ -1,31 +1,7 @@
-"""The code in docs/self_play.md runs, and its table of families is that of the package."""
-
-import pytest
-from repository import python_blocks, read_page, run_block
+"""Families of opponents for training and for tests are apart."""
 
 from pcs_racing_agents.agents.zoo import SHIPPED
 from pcs_racing_agents.study.family_gains import FAMILIES, family_of
-
-PAGE = read_page("self_play.md")
-BLOCKS = python_blocks(PAGE)
-
-
-@pytest.mark.parametrize("number", range(len(BLOCKS)))
-def test_the_code_runs(number, tmp_path, monkeypatch):
-    pytest.importorskip("torch", reason="torch is not installed")
-    monkeypatch.chdir(tmp_path)
-    run_block(BLOCKS[number])
-
-
-def test_the_page_names_every_family_and_its_use():
-    rows = [
-        line.split(" | ")
-        for line in PAGE.splitlines()
-        if line.startswith("| ") and line.endswith(("training |", "test |"))
-    ]
-    assert [(row[0].removeprefix("| "), row[-1].removesuffix(" |")) for row in rows] == [
-        (family.name, family.use) for family in FAMILIES
-    ]
 
 
 def test_an_opponent_is_for_training_or_for_tests_never_both():

@@ -42,13 +42,12 @@ def test_a_network_that_was_exchanged_is_noticed(known, setting, tmp_path):
 @pytest.mark.parametrize(
     ("change", "value"),
     [
-        ({"format": "x"}, "network set"),
         ({"weights": [1.0]}, "1 weights for 2"),
         ({"weights": ["a", "b"]}, "weights"),
         ({"networks": ["00", "../01"]}, "../01"),
         ({"decision": 3}, "3"),
         ({"training": []}, r"\[\]"),
-        ({"weights": [0.0, 0.0]}, "all weights are 0"),
+        ({"weights": [0.0, 0.0]}, "not all of them 0"),
     ],
 )
 def test_files_that_are_no_set_are_refused(known, tmp_path, change, value):
@@ -59,15 +58,10 @@ def test_files_that_are_no_set_are_refused(known, tmp_path, change, value):
         load_network_set(folder)
 
 
-def test_sets_that_can_not_be_are_refused(known, tmp_path):
+def test_sets_that_can_not_be_are_refused(known):
     with pytest.raises(InputError, match="0 networks"):
         NetworkSet("none", (), np.zeros(0), "argmax")
     with pytest.raises(InputError, match="weights"):
         NetworkSet("odd", known.networks, np.array([1.0, -1.0]), "argmax")
     with pytest.raises(UnknownNameError, match="'nowhere'"):
         load_network_set("nowhere")
-    with pytest.raises(InputError, match="5"):
-        load_network_set(5)
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match=r"set\.yaml"):
-        load_network_set(tmp_path / "empty")

@@ -6,14 +6,13 @@ from toy_trees import ToyTree, random_tree
 
 from pcs_racing import InputError, UnknownNameError
 from pcs_racing_agents.networks.rows import pair_number
-from pcs_racing_agents.networks.targets import TARGETS, best_moves, get_target, node_targets, solve_for
-from pcs_racing_agents.networks.tree_rows import tree_rows
+from pcs_racing_agents.networks.targets import TARGETS, best_moves, get_target, node_targets, solve_for, tree_rows
 from pcs_racing_agents.solvers import GameTree, cfr, solve_exact
 
 
-def targets_of(payoffs, target, **options):
+def targets_of(payoffs, target):
     tree = GameTree.from_payoffs(payoffs)
-    return node_targets(tree, solve_for(tree, target), target, **options)
+    return node_targets(tree, solve_for(tree, target), target)
 
 
 def test_regrets_of_matching_pennies_by_hand():
@@ -83,14 +82,10 @@ def test_nash_targets_are_the_equilibrium():
     np.testing.assert_allclose([first[0], second[0]], [[1 / 3, 2 / 3]] * 2)
 
 
-def test_static_opponents():
-    """An opponent that never switches: its move is the last one; what remains is a choice of one's own best path."""
+def test_a_static_opponent_draws_its_sequence_of_moves_beforehand():
     rng = np.random.default_rng(0)
     payoffs = rng.normal(size=(3, 3, 3, 3))
-    (first, _), (second, _) = targets_of(payoffs, "static-q", opponent="never-switch", stay=2)
-    np.testing.assert_allclose(first[0], payoffs[:, 2, :, 2].max(axis=1))
-    np.testing.assert_allclose(second, payoffs[:, :, :, 2].reshape(9, 3))
-    (first, _), (second, other) = targets_of(payoffs, "static-q", opponent="fixed-sequence")
+    (first, _), (second, other) = targets_of(payoffs, "static-q")
     np.testing.assert_allclose(first[0], payoffs.mean(axis=3).max(axis=2).mean(axis=1))
     np.testing.assert_allclose(second, payoffs.mean(axis=3).reshape(9, 3))
     np.testing.assert_allclose(other, -payoffs.mean(axis=2).reshape(9, 3))
@@ -111,10 +106,6 @@ def test_impossible_targets_are_one_clear_error():
         node_targets(tree, solve_exact(tree), "regret")
     with pytest.raises(InputError, match="target 'advantage' needs a ExactResult"):
         node_targets(tree, cfr(tree, 1), "advantage")
-    with pytest.raises(UnknownNameError, match="unknown static opponent 'x'"):
-        node_targets(tree, solve_exact(tree), "static-q", opponent="x")
-    with pytest.raises(InputError, match="'never-switch' needs trees with the move 'stay'"):
-        node_targets(tree, solve_exact(tree), "static-q", opponent="never-switch")
 
 
 # Rows
@@ -170,9 +161,6 @@ def test_weights(seeds):
     np.testing.assert_allclose(uniform.weights, 1.0 / seeds)
     by_step = [rows_of(race_tree, row_weights="random").weights[uniform.step == k].sum() for k in range(2)]
     np.testing.assert_allclose(by_step, 2.0)  # one for each player
-    reach = rows_of(race_tree, row_weights="reach")
-    np.testing.assert_allclose([reach.weights[uniform.step == k].sum() for k in range(2)], 2.0)
-    assert reach.weights[reach.step == 1].max() > 2.0 * reach.weights[reach.step == 1].min() > 0.0
     with pytest.raises(UnknownNameError, match="unknown row weights 'x'"):
         rows_of(race_tree, row_weights="x")
 

@@ -11,9 +11,9 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 from toy_networks import MOVES, identity, random_network
 
-from pcs_racing import InputError, UnknownNameError, make_game
+from pcs_racing import InputError, make_game
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing.game.identity import GameIdentity, game_identity
+from pcs_racing.game.identity import game_identity
 from pcs_racing_agents.networks import RegretNetwork, list_networks, load_network
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, save_network
 
@@ -163,15 +163,6 @@ def test_shipped_networks_are_sound():
         assert np.isfinite(network(np.zeros(len(network.elements)))).all()
 
 
-def test_an_unknown_network_is_one_clear_error(tmp_path):
-    with pytest.raises(UnknownNameError, match="unknown network 'nowhere': neither a folder nor one of those shipped"):
-        load_network("nowhere")
-    with pytest.raises(InputError, match="network 3 "):
-        load_network(3)
-    with pytest.raises(InputError, match=r"can't read .*manifest\.yaml: No such file"):
-        load_network(tmp_path)
-
-
 def edit(folder: Path, **changes) -> None:
     file = folder / "manifest.yaml"
     manifest = {**yaml.safe_load(file.read_text()), **changes}
@@ -190,25 +181,11 @@ def other_weights(folder: Path, change) -> None:
 @pytest.mark.parametrize(
     ("harm", "message"),
     [
-        (lambda f: (f / "weights.safetensors").unlink(), "can't read"),
         (lambda f: (f / "weights.safetensors").write_bytes(b"abc"), "its digest differs"),
-        (lambda f: (f / "manifest.yaml").write_text("a: [b"), "is not valid YAML"),
-        (lambda f: (f / "manifest.yaml").write_bytes(b"\xff\xfe\xfa"), "is not valid YAML"),
-        (lambda f: (f / "manifest.yaml").write_bytes(b" " * 200_001), "200000 bytes"),
-        (lambda f: (f / "weights.safetensors").write_bytes(b" " * 32_000_001), "32000000 bytes"),
-        (lambda f: edit(f, format="other"), "'pcs-racing network'"),
-        (lambda f: edit(f, version=2), "has version 2"),
-        (lambda f: edit(f, preset="gone"), "unknown or missing preset"),
-        (lambda f: edit(f, colour="red"), "unknown or missing colour"),
         (lambda f: edit(f, clipped="yes"), "clipped is 'yes'"),
         (lambda f: edit(f, moves=[1, 2, 3, 4]), "it must be a list of texts"),
         (lambda f: edit(f, training=[]), "it must be a mapping"),
-        (lambda f: edit(f, hidden=[16] * 16), "16 hidden layers"),
-        (lambda f: edit(f, hidden=[16, 17]), r"hidden layers \[16, 16\]"),
-        (lambda f: edit(f, hidden=[16]), r"layers.2.bias, layers.2.weight"),
         (lambda f: edit(f, elements=["a"]), "has 7 inputs"),
-        (lambda f: other_weights(f, lambda t: {**t, "extra": np.zeros(3, np.float32)}), "unknown or missing extra"),
-        (lambda f: other_weights(f, lambda t: {**t, "input.mean": np.zeros(7)}), "is of type float64"),
         (
             lambda f: other_weights(f, lambda t: {**t, "input.mean": np.full(7, np.nan, "f")}),
             "it must be 7 finite numbers",
@@ -220,17 +197,6 @@ def test_a_damaged_network_is_one_clear_error(tmp_path, network, harm, message):
     with pytest.raises(InputError, match=message) as caught:
         load_network(tmp_path)
     assert "\n" not in str(caught.value) or "YAML" in message
-
-
-def test_weights_that_are_no_safetensors_are_one_clear_error(tmp_path, network):
-    import hashlib
-
-    save_network(network, tmp_path)
-    for content in (b"", b"\xff" * 100, (tmp_path / "weights.safetensors").read_bytes()[:-4]):
-        (tmp_path / "weights.safetensors").write_bytes(content)
-        edit(tmp_path, weights_sha256=hashlib.sha256(content).hexdigest())
-        with pytest.raises(InputError, match="no safetensors file"):
-            load_network(tmp_path)
 
 
 # Does it fit the game?
@@ -261,31 +227,18 @@ def test_a_network_of_the_game_fits(game):
 
 
 @pytest.mark.parametrize(
-    ("other", "message"),
+    ("made", "played", "message"),
     [
-        ({"moves": 3}, "games of 4 moves"),
-        ({"characteristics": ("restraint", "aggressiveness")}, "'own_aggressiveness_0' at place 0"),
-        ({"epsilon": 0.7}, r"epsilon 0.35"),
-        ({"epsilon": (0.2, 0.4)}, r"values moves 4 \(.*\)"),
+        ({}, {"moves": 3}, "games of 4 moves"),
+        ({}, {"characteristics": ("restraint", "aggressiveness")}, "'own_aggressiveness_0' at place 0"),
+        ({}, {"epsilon": 0.7}, r"epsilon 0.35"),
+        ({}, {"epsilon": (0.2, 0.4)}, r"values moves 4 \(.*\)"),
+        ({"archive": "x", "archive_sha256": "abc"}, {}, r"made for archive 'x' \(sha256 abc\)"),
+        # A network that makes a move more than the game offers does not fit, only the other way round.
+        ({"moves": (*MOVES, "stay")}, {}, "values moves 5"),
     ],
 )
-def test_a_network_of_another_game_is_one_clear_error(game, other, message):
-    with pytest.raises(InputError, match=message):
-        made_for(game).check_fits(make_game("Pipkin", **({"epsilon": 0.35} | other)))
-
-
-def test_a_network_of_another_archive_is_one_clear_error(game):
-    with pytest.raises(InputError, match=r"made for archive 'x' \(sha256 abc\)"):
-        made_for(game, archive="x", archive_sha256="abc").check_fits(game)
+def test_a_network_of_another_game_is_one_clear_error(game, made, played, message):
     made_for(game, archive="renamed").check_fits(game)
-    # A network that makes a move more than the game offers does not fit, only the other way round.
-    with pytest.raises(InputError, match="values moves 5"):
-        made_for(make_game("Pipkin", epsilon=0.35, stay=True)).check_fits(game)
-
-
-def test_an_identity_says_what_the_game_is(game):
-    known = game_identity(game)
-    assert isinstance(known, GameIdentity)
-    assert len(known.elements) == 31
-    assert known.moves == MOVES
-    assert known[2:] == ((0.35,), "default", game.archive.content_hash, "paper", 4)
+    with pytest.raises(InputError, match=message):
+        made_for(game, **made).check_fits(make_game("Pipkin", **({"epsilon": 0.35} | played)))

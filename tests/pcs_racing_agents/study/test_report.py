@@ -1,4 +1,5 @@
 import base64
+import html
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -222,16 +223,22 @@ def test_every_field_is_told(content):
             assert report_page(replace(empty, **{name: getattr(content, name)})) != report_page(empty), name
 
 
-def test_the_page_works_in_a_browser(browser, tmp_path, content):
+TELL = """<script>console.log("a race of " + race.car_names + ", " + duration + " s");</script></body>"""
+
+
+def test_the_page_works_in_a_browser(tmp_path, content, browser):
+    displayed = report_page(replace(content, races=content.races[:1]))
+    # The race tells that it is there; nothing else in the page may say anything.
     path = tmp_path / "report.html"
-    path.write_text(report_page(replace(content, races=content.races[:1])))
-    browser.complaints.clear()
-    browser.open(path, width=1200, height=8000)
+    path.write_text(displayed.replace(html.escape("</body>"), html.escape(TELL)))
+    browser.open(path, 1200, 8000)
     assert browser.run("document.title") == content.title
     assert browser.run("document.querySelectorAll('nav a').length") == 10
-    assert len(sizes := browser.run("[...document.images].map((image) => image.naturalWidth)")) == 8 + 1
-    assert min(sizes) > 100
+    images = browser.run("[...document.images].map((image) => image.naturalWidth)")
+    assert len(images) == 8 + 1
+    assert min(images) > 100
     assert browser.run("document.body.scrollWidth") <= 1200
+    assert browser.said == [f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g} s"]
     assert browser.complaints == []
 
 

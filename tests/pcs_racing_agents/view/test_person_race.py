@@ -11,7 +11,7 @@ from pcs_racing import InputError, make_game
 from pcs_racing.base.seeds import race_seed
 from pcs_racing.race.races import starts_of
 from pcs_racing_agents import make
-from pcs_racing_agents.cli import options
+from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.view.person_race import MOST_RACES, PersonRaces, play_page
 from pcs_racing_agents.view.view_server import make_server
@@ -112,7 +112,7 @@ def test_the_command_serves_until_it_is_ended(capsys, monkeypatch):
         raise KeyboardInterrupt
 
     opened = []
-    monkeypatch.setattr(options, "open_page", opened.append)
+    monkeypatch.setattr(view, "open_page", opened.append)
     monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
     assert main(["play", "--opponent", "never-switch", "--track", "Pipkin"]) == 0
     assert f"play at {opened[0]}" in capsys.readouterr().out

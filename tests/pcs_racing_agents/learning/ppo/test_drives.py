@@ -10,10 +10,9 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.planners.network import INPUTS, network_planner
 from pcs_racing.planners.trained import trained_planner
 from pcs_racing.race.config import load_race_config
-from pcs_racing_agents.learning.ppo.drives import Drives
+from pcs_racing_agents.learning.ppo.drives import LearnerEnv
 from pcs_racing_agents.learning.ppo.evaluation import mean_score
-from pcs_racing_agents.learning.ppo.learner import actor_layers, make_learner, own_randomness
-from pcs_racing_agents.learning.ppo.tasks import group_seeds, split_envs
+from pcs_racing_agents.learning.ppo.learner import actor_layers, group_seeds, make_model, own_randomness, split_envs
 from pcs_racing_agents.learning.ppo.train import make_task
 
 
@@ -22,9 +21,16 @@ def track():
     return load_track("Pipkin")
 
 
-def drives(track, races=6, **changes):
-    rules = load_race_config("contest", duration=2.0)
-    return Drives(races, track, rules, [parse_policy("lattice:pace=0"), parse_policy("lattice")], **changes)
+def drives(track, races=6, hold=2, **changes):
+    return LearnerEnv(
+        races,
+        track=track,
+        race=load_race_config("contest", duration=2.0),
+        opponent=[parse_policy("lattice:pace=0"), parse_policy("lattice")],
+        time_step=0.01 * hold,
+        autoreset_mode="SameStep",
+        **changes,
+    )
 
 
 def layers(hidden=(8,), size=0.4, seed=0):
@@ -42,8 +48,8 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
     """The same races, once driven by SB3's predict step by step, once by the planner in the compiled loop."""
     settings = replace(drive_settings, hold=hold, noise=0.1)
     with own_randomness():
-        learner = make_learner(settings, [drives(track, hold=hold)], 5, "tanh", 10.0)
-    envs = learner.model.env.groups[0]
+        model = make_model(settings, [drives(track, hold=hold)], 5, "tanh")
+    envs = model.env.groups[0]
     seen, _ = envs.reset(seed=4)
     batch = envs.batch
     seeds, rivals = batch.state.seed.copy(), batch.theta[:, 1].copy()
@@ -52,7 +58,7 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
     from pcs_racing.race.races import advance
     from pcs_racing.race.state import take
 
-    weights = actor_layers(learner)
+    weights = actor_layers(model)
     for planner, theta in (
         (network_planner("learner", (8,), hold=hold), weights.flat()),
         (trained_planner("driver", weights, hold), np.zeros(0)),
@@ -64,7 +70,7 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
         both[:, 1, : rivals.shape[1]] = rivals
         seen, _ = envs.reset(seed=4)
         for _ in range(100 // hold):
-            seen, _, terminated, truncated, _ = envs.step(learner.model.predict(seen, deterministic=True)[0])
+            seen, _, terminated, truncated, _ = envs.step(model.predict(seen, deterministic=True)[0])
             advance(setup, state, both, hold)
             running = ~(terminated | truncated | state.crashed)
             np.testing.assert_allclose(batch.state.cars[running], state.cars[running], atol=2e-4)

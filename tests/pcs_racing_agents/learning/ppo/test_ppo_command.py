@@ -36,10 +36,6 @@ def test_training_from_the_command_line(config, tmp_path, capsys):
         (["--config", "drive", "--steps", "0"], "steps is 0"),
         (["--config", "drive", "--seeds", "-1"], "seeds is (-1,)"),
         (
-            ["--config", "drive", "--checkpoint", "-1"],
-            "the time between two checkpoints is -1.0 s; it must be 0 or more",
-        ),
-        (
             ["--config", "drive", "--scheduler", "tcp://x:1"],
             "a scheduler's address (tcp://x:1) goes with the executor dask",
         ),

@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import pytest
+from repository import read_page
 
 from pcs_racing import InputError
 from pcs_racing.base.errors import ConfigError, UnknownNameError
@@ -12,6 +13,7 @@ from pcs_racing_agents.study import load_study_config
 
 def test_shipped_settings_are_those_of_the_two_levels():
     result = {name: load_ppo_settings(name) for name in shipped_configs("ppo")}
+    assert all(f"`{name}`" in read_page("ppo.md") for name in result)
     assert set(result) == {"drive", "duel-contest", "duel-paper", "study-contest", "study-paper"}
     assert isinstance(result["drive"], DriveSettings)
     assert isinstance(result["duel-contest"], DuelSettings)
@@ -43,17 +45,8 @@ def test_a_file_changes_what_it_names(tmp_path):
         ("level: duel\nhold: 2", r"unknown ppo setting 'hold'"),
         ("level: drive\nhold: 3", r"mine.yaml: hold is 3"),
         ("level: drive\narchive: default", r"unknown ppo setting 'archive'"),
-        ("level: duel\nsteps: 1e6", r"steps is '1e6'"),
-        ("level: duel\nseeds: []", r"seeds is \[\]"),
-        ("level: duel\nseeds: [1, 1]", r"seeds is \[1, 1\]"),
-        ("level: duel\nhidden: [0]", r"hidden is \[0\]"),
         ("level: duel\nopponents: never-switch", r"opponents is 'never-switch'"),
         ("level: duel\nopponents: {never-switch: 0.5}", r"opponents holds 'never-switch': 0.5"),
-        ("level: duel\ntracks: Tarnfjord", r"tracks is 'Tarnfjord'"),
-        ("level: duel\nlearning_rate: -1", r"learning_rate is -1"),
-        ("level: duel\ndiscount: .nan", r"discount is nan"),
-        ("- 1", r"holds list"),
-        ("level: [duel", r"is not valid YAML"),
     ],
 )
 def test_impossible_settings_are_named(tmp_path, text, message):
@@ -61,11 +54,6 @@ def test_impossible_settings_are_named(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(ConfigError, match=message):
         load_ppo_settings(file)
-
-
-def test_unknown_settings_are_told_what_there_is():
-    with pytest.raises(UnknownNameError, match="ppo settings 'nonsense' are unknown"):
-        load_ppo_settings("nonsense")
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """Training as a value: the same again, whoever stopped it where."""
 
-import logging
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, load_archive, load_track, make_game, save_archive
+from pcs_racing.planners.network import INPUTS
 from pcs_racing.planners.trained import read_driver
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.jobs.chunks import read_chunk
@@ -18,6 +18,7 @@ from pcs_racing_agents.learning.ppo.evaluation import (
     read_evaluations,
     write_evaluations,
 )
+from pcs_racing_agents.learning.ppo.learner import actor_layers, learn_once, make_model, own_randomness
 from pcs_racing_agents.learning.ppo.train import train_ppo
 from pcs_racing_agents.networks import load_network
 
@@ -47,13 +48,13 @@ def stop_after(updates):
     return progress
 
 
-def state_of(folder, seed=0):
-    """The last checkpoint, without the clock."""
+def chunk_of(folder, seed=0):
+    """What a seed came to, without the clock."""
     arrays = read_chunk(folder / f"chunks/seed-{seed:05d}.npz")
     return {key: array for key, array in arrays.items() if key != "seconds"}
 
 
-def assert_same_state(one, two):
+def assert_same_result(one, two):
     assert set(one) == set(two)
     for key in one:
         np.testing.assert_array_equal(one[key], two[key], err_msg=key)
@@ -61,16 +62,18 @@ def assert_same_state(one, two):
 
 @pytest.mark.parametrize("level", ["duel", "drive"])
 def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained, tmp_path):
-    """Stopped with a checkpoint after each update, and where the last checkpoint is older than the stop."""
+    """Stopped in its first seed, then in its second: the first is kept."""
+    updates = settings[level].steps // (settings[level].steps // 4)
     with pytest.raises(StopError):
-        train_ppo(settings[level], tmp_path, progress=stop_after(2), checkpoint_seconds=0.0)
+        train_ppo(settings[level], tmp_path, progress=stop_after(2), seeds=(0, 1))
+    assert not (tmp_path / "chunks").exists()
     with pytest.raises(StopError):
-        train_ppo(settings[level], tmp_path, progress=stop_after(2), checkpoint_seconds=1e9)
-    again = train_ppo(settings[level], tmp_path)
-    assert_same_state(state_of(tmp_path), state_of(trained[level].folder.parent))
-    for name in ("policy/curve.csv", "updates.csv", "policy/weights.safetensors"):
-        assert (tmp_path / name).read_bytes() == (trained[level].folder.parent / name).read_bytes(), name
-    assert again.steps == trained[level].steps
+        train_ppo(settings[level], tmp_path, progress=stop_after(updates + 3), seeds=(0, 1))
+    done = []
+    again = train_ppo(settings[level], tmp_path, seeds=(0, 1), progress=lambda *news: done.append(news[0]))
+    assert done[0] == settings[level].steps
+    assert_same_result(chunk_of(tmp_path), chunk_of(trained[level].folder.parent))
+    assert again.curves[0] == trained[level].curves[0]
 
 
 def test_a_finished_training_is_only_read(settings, trained, monkeypatch):
@@ -79,17 +82,6 @@ def test_a_finished_training_is_only_read(settings, trained, monkeypatch):
     monkeypatch.setattr(seed_training, "learn_once", None)
     again = train_ppo(settings["drive"], trained["drive"].folder.parent)
     assert again.curves == trained["drive"].curves
-
-
-def test_a_damaged_checkpoint_is_made_again(settings, trained, tmp_path, caplog):
-    with pytest.raises(StopError):
-        train_ppo(settings["drive"], tmp_path, progress=stop_after(2), checkpoint_seconds=0.0)
-    file = tmp_path / "chunks" / "seed-00000.npz"
-    file.write_bytes(file.read_bytes()[:-300])
-    with caplog.at_level(logging.WARNING):
-        train_ppo(settings["drive"], tmp_path)
-    assert "damaged" in caplog.text
-    assert_same_state(state_of(tmp_path), state_of(trained["drive"].folder.parent))
 
 
 def test_a_folder_belongs_to_its_settings(settings, trained):
@@ -111,15 +103,15 @@ def test_two_trainings_in_one_process_do_not_disturb_each_other(settings, traine
     """torch's random generator belongs to the process: they take turns."""
 
     def train(level: str) -> None:
-        train_ppo(settings[level], tmp_path / level, checkpoint_seconds=0.0)
-        assert_same_state(state_of(tmp_path / level), state_of(trained[level].folder.parent))
+        train_ppo(settings[level], tmp_path / level)
+        assert_same_result(chunk_of(tmp_path / level), chunk_of(trained[level].folder.parent))
 
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(train, settings)) == [None, None]
 
 
 def test_an_executor_changes_no_weight(settings, trained, tmp_path):
-    """Pieces of two seeds in turn; other processes are in tests/pcs_racing_agents/jobs/test_cluster.py."""
+    """Two seeds in turn; other processes are in tests/pcs_racing_agents/jobs/test_cluster.py."""
     reports = []
     with make_executor("threads", 2) as executor:
         both = train_ppo(
@@ -127,19 +119,17 @@ def test_an_executor_changes_no_weight(settings, trained, tmp_path):
             tmp_path,
             seeds=(0, 1),
             executor=executor,
-            checkpoint_seconds=0.0,
             progress=lambda *news: reports.append(news),
         )
     assert both.curves[0] == trained["drive"].curves[0]
-    assert_same_state(state_of(tmp_path), state_of(trained["drive"].folder.parent))
+    assert_same_result(chunk_of(tmp_path), chunk_of(trained["drive"].folder.parent))
     assert reports[-1][:2] == (1280, 1280)
     assert [news[0] for news in reports] == sorted(news[0] for news in reports)
-    assert len(reports) >= 8  # one for every piece
+    assert len(reports) == 11  # at the beginning, after every update, and after every seed
 
 
 def test_seeds_differ_and_the_best_is_kept(settings, trained, tmp_path):
     both = train_ppo(settings["drive"], tmp_path, seeds=(0, 1))
-    assert both.curves[0] == trained["drive"].curves[0]
     assert both.curves[1].scores != both.curves[0].scores
     worths = [max(mean_score(s, settings["drive"].opponents).worth for s in curve.scores) for curve in both.curves]
     assert both.seed == int(np.argmax(worths))
@@ -167,15 +157,47 @@ def test_random_generators_of_the_process_are_left_alone(settings, tmp_path):
 def test_weights_that_run_away_are_told(settings, trained):
     import torch
 
-    from pcs_racing_agents.learning.ppo.learner import learn_once, make_learner, own_randomness
-
     with own_randomness():
-        learner = make_learner(settings["drive"], trained["drive"].task.env_groups(), 0, "tanh", 10.0)
-        learn_once(learner)
+        model = make_model(settings["drive"], trained["drive"].task.env_groups(), 0, "tanh")
+        learn_once(model, settings["drive"], 10.0)
         with torch.no_grad():
-            learner.model.policy.action_net.bias[0] = float("nan")
+            model.policy.action_net.bias[0] = float("nan")
         with pytest.raises(InputError, match=r"weight .*160 steps"):
-            learn_once(learner)
+            learn_once(model, settings["drive"], 10.0)
+
+
+def test_weights_and_the_learning_rate_keep_to_the_settings(settings, trained):
+    """The rate falls linearly from the first step to the last of the settings."""
+    drive = replace(settings["drive"], learning_rate=0.01, final_learning_rate=0.002)
+    with own_randomness():
+        model = make_model(drive, trained["drive"].task.env_groups(), 0, "tanh")
+        rates = []
+        for _ in range(3):
+            learn_once(model, drive, 0.05)
+            rates.append(model.policy.optimizer.param_groups[0]["lr"])
+        assert max(np.abs(weight).max() for weight in actor_layers(model).weights) == np.float32(0.05)
+    np.testing.assert_allclose(rates, [0.01, 0.008, 0.006])
+
+
+@pytest.mark.parametrize("hidden", [(8,), ()])
+def test_noise_may_last_for_some_steps(settings, trained, hidden):
+    """With ``noise_steps`` it is drawn anew for a rollout's steps together, and about as large as without."""
+    import torch
+
+    level = replace(settings["drive"], noise=0.1, noise_steps=5, hidden=hidden)
+    with own_randomness():
+        policy = make_model(level, trained["drive"].task.env_groups(), 3, "tanh").policy
+        # Outputs of the layer before the last are about a half in size.
+        seen = torch.as_tensor(np.random.default_rng(0).choice([-0.55, 0.55], (4, len(INPUTS))).astype(np.float32))
+        mean = policy.forward(seen, deterministic=True)[0]
+        tried = []
+        for _ in range(200):
+            policy.reset_noise(4)
+            first, again = policy.forward(seen)[0], policy.forward(seen)[0]
+            assert torch.equal(first, again)
+            tried.append((first - mean).detach().numpy())
+    np.testing.assert_allclose(np.std(tried), 0.1 * 0.55 / 0.5, rtol=0.1)
+    assert len({row.tobytes() for row in tried}) == 200
 
 
 # What comes of it
@@ -184,20 +206,15 @@ def test_weights_that_run_away_are_told(settings, trained):
 def test_the_network_decides_as_stable_baselines_does(settings, trained):
     import torch
 
-    from pcs_racing_agents.learning.ppo.checkpoint import restore_learner
-    from pcs_racing_agents.learning.ppo.learner import actor_layers, make_learner, own_randomness
-
-    run = trained["duel"]
-    state = read_chunk(run.folder.parent / "chunks" / "seed-00000.npz")
-    arrays = {key: array for key, array in state.items() if key.startswith("learner.")}
+    task = trained["duel"].task
     with own_randomness():
-        learner = make_learner(settings["duel"], run.task.env_groups(), 0, "relu", 1e6)
-        restore_learner(learner, {key.removeprefix("learner."): array for key, array in arrays.items()})
+        model = make_model(settings["duel"], task.env_groups(), 0, "relu")
+        learn_once(model, settings["duel"], 1e6)
         seen = np.random.default_rng(0).uniform(-1.0, 2.0, (300, 31)).astype(np.float32)
-        network = run.task.network(actor_layers(learner), "net")
-        np.testing.assert_array_equal(network.choose(seen), learner.model.predict(seen, deterministic=True)[0])
+        network = task.network(actor_layers(model), "net")
+        np.testing.assert_array_equal(network.choose(seen), model.predict(seen, deterministic=True)[0])
         with torch.no_grad():
-            logits = learner.model.policy.get_distribution(torch.from_numpy(seen)).distribution.logits.numpy()
+            logits = model.policy.get_distribution(torch.from_numpy(seen)).distribution.logits.numpy()
     values = network(seen)
     np.testing.assert_allclose(values - np.logaddexp.reduce(values, axis=1, keepdims=True), logits, atol=1e-5)
 

@@ -4,19 +4,18 @@ import pytest
 from pcs_racing import make_game
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.race.races import TIE_WITHIN
+from pcs_racing.game.config import load_game_config
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.setting import make_setting
-from pcs_racing_agents.learning.responses import branch_games
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.learning.responses import ResponseSettings, branch_games, learn_response
 from pcs_racing_agents.learning.responses.branches import outcome
 from pcs_racing_agents.tournament.games import game_between
 
 
 @pytest.fixture(scope="module")
 def setting():
-    from pcs_racing.game.config import load_game_config
-
     return make_setting("default", load_game_config("paper", moves=2, step_seconds=2.0))
 
 
@@ -76,6 +75,15 @@ def test_a_driver_from_outside_may_be_the_opponent(game, setting):
     assert np.isin(result.outcomes, (0.0, 0.5, 1.0)).all()
 
 
+def test_a_win_is_1_a_tie_a_half_and_a_crash_that_pays_neither_car_0(game):
+    state = game.reset(games=4)
+    state.race.progress[:, 0] = state.race.progress[:, 1] + [5.0, -5.0, 0.0, 5.0]
+    state.race.crash[3, 1] = 1
+    state.step[:] = game.config.moves
+    np.testing.assert_array_equal(outcome(game, state), [1.0, 0.0, 0.5, 0.0])
+    np.testing.assert_array_equal(outcome(game, state, "utility"), game.reward(state)[:, 0])
+
+
 def test_impossible_requests_are_refused(game, setting):
     stay = never_switch(setting)
     with pytest.raises(InputError, match="step is 2"):
@@ -84,11 +92,10 @@ def test_impossible_requests_are_refused(game, setting):
         outcome(game, game.reset(games=1), "glory")
 
 
-def test_branches_tell_who_played_and_how_the_race_ended(game, setting):
-    pilots = [random_moves(setting), never_switch(setting)]
-    result = branch_games(game, always(setting, "restraint +"), race_seeds(5, 6), 1, pilots, pilots[1])
-    np.testing.assert_array_equal(result.behaviour, result.game % 2)
-    assert ((result.opponent_policy >= 0) & (result.opponent_policy < len(game.archive))).all()
-    won = np.where(result.leads > TIE_WITHIN, 1.0, np.where(result.leads < -TIE_WITHIN, 0.0, 0.5))
-    assert (result.outcomes == won)[~result.crashed].all()
-    assert (result.outcomes == 0.0)[result.crashed].all()  # by the paper's rule a crash pays nobody
+def test_games_of_a_response_must_be_alike(game, setting, tmp_path):
+    other = make_game("Tarnfjord", setting.archive, load_game_config(setting.config, moves=3))
+    with open_job(tmp_path / "c", "response", {}) as job:
+        with pytest.raises(InputError, match="one of each"):
+            learn_response([game], [], setting, ResponseSettings(), job)
+        with pytest.raises(InputError, match="games of 2 moves"):
+            learn_response([game, other], [never_switch(setting)], setting, ResponseSettings(), job)

@@ -1,0 +1,259 @@
+"""Single deep CFR (Steinberger 2019) with external sampling on branched games.
+
+In iteration t both cars play regret matching on the advantages that the network of iteration t - 1 predicts. At every
+step of many games all moves of one car are tried with the same noise, and how much better each is than the strategy
+itself is a row. After each iteration a network is fitted to the rows of all iterations, in which iteration t has
+weight t (linear CFR, Brown and Sandholm 2019): it predicts the mean counterfactual regret of every move.
+
+No player knows the noise, the start line or the opponent's policy: rows hold observations alone, and what follows a
+branch is played from observations, too. The strategy to play is the average of the iterations, in which each has the
+weight t and its own probability of coming to the situation: one iteration's network is drawn for each game, and
+:class:`pcs_racing_agents.agents.mixture.Mixture` turns that draw into probabilities of moves.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.settings import choice, number, setting, whole
+from pcs_racing.game.identity import GameIdentity, game_identity
+from pcs_racing.game.rules import RaceGame
+from pcs_racing_agents.agents.agent import Agent
+from pcs_racing_agents.agents.from_network import regret_matching
+from pcs_racing_agents.agents.observing import ObservationBatch
+from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.jobs.configuration import load_config
+from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.learning.responses.branches import (
+    GameBlock,
+    block_rows,
+    branch_games,
+    game_blocks,
+    random_player,
+)
+from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
+from pcs_racing_agents.learning.responses.learner import LearnerSettings
+from pcs_racing_agents.networks import NetworkSet, RegretNetwork, Rows, join_rows
+from pcs_racing_agents.networks.settings import TrainSettings
+from pcs_racing_agents.tournament.games import game_between
+
+WEIGHTS = ("linear", "uniform")
+"""Weight of iteration t in regrets and in the average strategy: t (linear CFR), or 1 (vanilla CFR, as in the paper)."""
+
+
+@dataclass(frozen=True)
+class SelfPlaySettings(LearnerSettings):
+    """Settings of the training in self-play."""
+
+    iterations: int = setting(16, whole(1, 63), "Iterations of CFR; after each the network is fitted to all rows.")
+    starts: int = setting(
+        512, whole(4, 1_000_000), "Games branched in each iteration, at every step and on each circuit."
+    )
+    exploration: float = setting(
+        0.1,
+        number(0.0, 1.0),
+        "Probability of a uniformly random move in place of one by regret matching, for both cars.",
+    )
+    weights: str = setting(
+        "linear",
+        choice(WEIGHTS),
+        "Weight of iteration t in the regrets and in the average strategy: t (linear), or 1 (uniform).",
+    )
+    members: int = setting(1, whole(1, 32), "Networks fitted in each iteration; their mean is used.")
+    seed: int = setting(0, whole(0, 2**50), "Seed of the games and of the networks.")
+
+    def iteration_weight(self, iteration: int) -> float:
+        """Return the weight of an iteration, counted from 1."""
+        return float(iteration) if self.weights == "linear" else 1.0
+
+    def train_settings(self, iteration: int, member: int) -> TrainSettings:
+        """Return the settings of a network of an iteration, counted from 1."""
+        return self.fit_settings((self.seed * 64 + iteration) * 32 + member)
+
+
+def load_self_play_settings(source: str | Path | SelfPlaySettings | None = None, **changes: Any) -> SelfPlaySettings:
+    """Return settings from a name, a YAML file or settings, with some fields changed; see :func:`load_config`."""
+    return load_config("self-play", SelfPlaySettings(), source, **changes)
+
+
+class Arena(Protocol):
+    """A game that can be branched, the protocol of what self-play learns in."""
+
+    @property
+    def identity(self) -> GameIdentity:
+        """The game that the network learns; several arenas, such as circuits, may be one game."""
+
+    @property
+    def steps(self) -> int:
+        """Number of moves that each player makes."""
+
+    def traverse(
+        self, network: RegretNetwork | None, exploration: float, step: int, keys: NDArray[np.uint64]
+    ) -> Arrays:
+        """Play games up to a step, and try all moves of one player in each.
+
+        Parameters
+        ----------
+        network : RegretNetwork or None
+            Advantages by which both players do regret matching; None for uniformly random moves.
+        exploration : float
+            Probability of a random move in place of one by regret matching.
+        keys : ndarray, shape (B,)
+            Of the games: everything that is drawn depends on them alone.
+
+        Returns
+        -------
+        dict of ndarray
+            ``observations`` (R, D) of the player; ``advantages`` (R, A), the value of each move minus that of the
+            strategy; ``game`` (R,), the number of the key.
+        """
+
+
+def learn_self_play(
+    arenas: Sequence[Arena],
+    settings: SelfPlaySettings,
+    job: Job,
+    *,
+    name: str = "self-play",
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> NetworkSet:
+    """Learn a strategy for both cars by counterfactual regret minimisation in self-play.
+
+    Parameters
+    ----------
+    arenas : sequence of Arena
+        One for each circuit (:class:`RaceArena`), all of one game; they share one network.
+    job : Job
+        Stores rows and networks, so that a stopped run can be resumed.
+
+    Returns
+    -------
+    NetworkSet
+        A network of advantages for each iteration, to be played by regret matching, with the weights of the average
+        strategy. The last one was fitted to the rows of all iterations: it predicts the mean counterfactual regrets.
+    """
+    if len(arenas) == 0:
+        raise InputError("there is no arena to learn in; give at least one")
+    identity, steps = arenas[0].identity, arenas[0].steps
+    for i, arena in enumerate(arenas):
+        if arena.identity != identity or arena.steps != steps:
+            raise InputError(f"arena {i} is another game than arena 0; all must have one archive and one set of rules")
+    rows: list[Rows] = []
+    networks: list[RegretNetwork] = []
+    for iteration in range(1, settings.iterations + 1):
+        place = f"iteration-{iteration}"
+        blocks = [
+            block
+            for i in range(len(arenas))
+            for step in range(steps)
+            for block in game_blocks(settings.seed, (i, step, iteration), settings.starts)
+        ]
+        work = partial(_traverse, arenas, networks[-1] if networks else None, settings.exploration)
+        results = job.run(place, work, blocks, executor=executor, progress=progress)
+        weight = settings.iteration_weight(iteration)
+        for arrays, block in zip(results, blocks, strict=True):
+            if len(arrays["game"]):  # not all of its games were over before
+                i, step, _ = block.place
+                rows.append(block_rows(arrays, block, (iteration * 100 + step) * 1000 + i, step, weight))
+        members = [settings.train_settings(iteration, member) for member in range(settings.members)]
+        fitted = train_kept(job, f"{place}-networks", join_rows(rows), identity, members, place, executor)
+        networks.append(merge_networks(fitted, place))
+    # The network of iteration t is the strategy of iteration t + 1; that of the first, random moves, is left out.
+    weights = [settings.iteration_weight(iteration + 2) for iteration in range(settings.iterations)]
+    facts: dict[str, str | int | float | bool] = {
+        "rows": sum(map(len, rows)),
+        "iterations": settings.iterations,
+        "starts": settings.starts,
+        "exploration": settings.exploration,
+        "weights": settings.weights,
+        "worth": settings.worth,
+        "seed": settings.seed,
+    }
+    return NetworkSet(name, tuple(networks), np.array(weights), "regret-matching", facts)
+
+
+def _traverse(arenas: Sequence[Arena], network: RegretNetwork | None, exploration: float, block: GameBlock) -> Arrays:
+    i, step, _ = block.place
+    return arenas[i].traverse(network, exploration, step, block.keys)
+
+
+# Races
+
+
+@dataclass(frozen=True, eq=False)
+class ExploringStrategy:
+    """Regret matching by a network of advantages, mixed with uniformly random moves."""
+
+    network: RegretNetwork
+    exploration: float  #: Probability of a random move.
+    count: int  #: Number of moves M that there are; those that the network does not value are never made.
+
+    def __call__(self, observation: ObservationBatch) -> NDArray[np.float64]:
+        """Probabilities of the moves, shape (B, M)."""
+        values = self.network.unclipped(observation)
+        offered = values.shape[1]
+        probabilities = np.zeros((len(observation), self.count))
+        mixed = (1.0 - self.exploration) * regret_matching(values) + self.exploration / offered
+        probabilities[:, :offered] = mixed
+        return probabilities
+
+
+@dataclass(frozen=True, eq=False)
+class RaceArena:
+    """The game on one circuit: every move of one car is tried, and both cars play by the same network."""
+
+    game: RaceGame
+    setting: Setting  #: Archive and rules, as agents know them.
+    worth: str = "win"  #: "win" or "utility": Value of an outcome.
+
+    @property
+    def identity(self) -> GameIdentity:
+        """The game that a network learns; any circuit belongs to it."""
+        return game_identity(self.game)
+
+    @property
+    def steps(self) -> int:
+        """Number of moves that each car makes."""
+        return self.game.config.moves
+
+    def traverse(
+        self, network: RegretNetwork | None, exploration: float, step: int, keys: NDArray[np.uint64]
+    ) -> Arrays:
+        """Return the advantages of all moves of car 0 at a step, in games with both cars in the same strategy.
+
+        Car 0 comes to the step by uniformly random moves, as in external sampling (Lanctot et al. 2009): its own
+        probability of coming there is then the same in all iterations, and advantages of several iterations can be
+        averaged without importance weights. Whether it starts in front or behind is drawn, so it learns for both cars.
+        """
+        # Car 0 comes to the step by random moves, as in external sampling (Lanctot et al. 2009): its own probability of
+        # coming there is then the same in all iterations, and their advantages can be averaged without importance
+        # weights.
+        random = random_player(self.game, self.setting, 2)
+        first, second = (self._player(network, exploration, seed) for seed in (0, 1))
+        arena = game_between(self.game, first, second)
+        moves = len(self.identity.moves)
+        branches = branch_games(arena, second, keys, step, [random], first, self.worth, moves)
+        chances = first.probabilities(branches.observations)[:, :moves]
+        baseline = (chances * branches.outcomes).sum(axis=1, keepdims=True)
+        return {
+            "observations": branches.observations,
+            "advantages": branches.outcomes - baseline,
+            "game": branches.game,
+        }
+
+    def _player(self, network: RegretNetwork | None, exploration: float, seed: int) -> Agent:
+        if network is None:
+            # Draws are a function of seed and observation: other seeds than those of the players by regret matching.
+            return random_player(self.game, self.setting, seed + 2)
+        strategy = ExploringStrategy(network, exploration, len(self.setting.moves))
+        return Agent("self-play", strategy, self.setting, seed)
