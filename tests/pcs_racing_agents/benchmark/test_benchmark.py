@@ -106,30 +106,23 @@ def test_a_protocol_of_another_installation_is_refused(protocol):
 
 
 def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
+    """A module is found in the working directory, too."""
     (tmp_path / "brought.py").write_text(
         "from pcs_racing.game.competitor import SameMove\n"
         "def agent(setting, weights=None):\n"
         "    return SameMove('mine' if weights is None else weights.name, 1)\n"
     )
     (tmp_path / "net.pt").write_bytes(b"")
-    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", sys.path[:])
     assert load_entrant("never-switch", protocol.setting).name == "never-switch"
     assert load_entrant("brought:agent", protocol.setting).name == "agent"
     assert load_entrant("brought:agent", protocol.setting, weights=tmp_path / "net.pt", name="x").name == "x"
     assert load_entrant("lattice:pace=0.4", protocol.setting).name == "lattice:pace=0.4"
     assert load_entrant("ppo-drive", protocol.setting, drive=True).planner.name == "ppo-drive"
-    for text, value in (("brought:nothing", "brought:nothing"), ("nobody", "'nobody'"), ("gone.zip", "gone.zip")):
-        with pytest.raises(InputError, match=value):
+    for text in ("brought:nothing", "nobody", "gone.zip"):
+        with pytest.raises(InputError, match=text):
             load_entrant(text, protocol.setting)
-
-
-def test_a_module_is_found_in_the_working_directory(protocol, tmp_path, monkeypatch):
-    (tmp_path / "beside.py").write_text(
-        "from pcs_racing.game.competitor import SameMove\ndef agent(setting):\n    return SameMove('mine', 1)\n"
-    )
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.path", sys.path[:])
-    assert load_entrant("beside:agent", protocol.setting).name == "agent"
 
 
 def test_a_policy_of_stable_baselines3_is_read_without_running_its_code(protocol, tmp_path):
@@ -204,17 +197,23 @@ def test_the_leaderboard_says_what_was_lost_to_a_best_reply_and_what_was_not_mea
     assert (measured[column], other[column]) == ("+0.123 [+0.100, +0.150]", "not measured")
 
 
-def test_a_full_card_has_the_loss_to_a_best_reply(tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def protocol_file(tmp_path_factory) -> str:
+    """A protocol with the toy archive, as a file for the command."""
+    folder = tmp_path_factory.mktemp("protocol")
+    save_archive(toy_archive(), folder / "toy")
+    settings = {key: list(value) if isinstance(value, tuple) else value for key, value in SMALL.items()}
+    file = folder / "protocol.yaml"
+    file.write_text(json.dumps({**settings, "archive": str(folder / "toy"), "agents": ["random-moves"]}))
+    return str(file)
+
+
+def test_a_full_card_has_the_loss_to_a_best_reply(protocol_file, tmp_path, monkeypatch):
     pytest.importorskip("torch")
-    save_archive(toy_archive(), tmp_path / "toy")
-    small = {**SMALL, "archive": str(tmp_path / "toy"), "agents": ["random-moves"], "blind": ["never-switch"]}
-    settings = {key: list(value) if isinstance(value, tuple) else value for key, value in small.items()}
-    (tmp_path / "protocol.yaml").write_text(json.dumps(settings))
     (tmp_path / "learner.yaml").write_text("starts: 8\nrounds: 1\nmembers: 1\nepochs: 2\nhidden: [4]\n")
     monkeypatch.setattr("pcs_racing_agents.cli.benchmark.LEARNER", str(tmp_path / "learner.yaml"))
     monkeypatch.setattr("pcs_racing_agents.cli.benchmark.REPLY_RACES", 40)
     out = tmp_path / "card"
-    protocol_file = str(tmp_path / "protocol.yaml")
     assert main(["benchmark", "always-restraint+", "--full", "--protocol", protocol_file, "--out", str(out)]) == 0
     reply = read_card(out).best_reply
     assert {reply[key] for key in ("starts", "rounds")} == {8, 1}
@@ -223,34 +222,26 @@ def test_a_full_card_has_the_loss_to_a_best_reply(tmp_path, monkeypatch):
     assert "Loss to a learned best reply (8 starts, 1 round)" in (out / "card.md").read_text()
 
 
-def test_the_command_writes_a_card_that_the_leaderboard_takes(tmp_path, capsys):
-    archive = toy_archive()
-    save_archive(archive, tmp_path / "toy")
-    settings = {**SMALL, "archive": str(tmp_path / "toy"), "unseen": ["Larkmoor"], "planners": ["pure-pursuit"]}
-    file = tmp_path / "protocol.yaml"
-    file.write_text(
-        json.dumps({key: list(value) if isinstance(value, tuple) else value for key, value in settings.items()})
-    )
-    out = tmp_path / "card"
-    assert main(["benchmark", "random-moves", "--protocol", str(file), "--out", str(out)]) == 0
+def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_path, capsys):
+    def benchmark(*arguments: str, out: str) -> int:
+        return main(["benchmark", *arguments, "--protocol", protocol_file, "--out", str(tmp_path / out)])
+
+    assert benchmark("always-restraint+", out="card") == 0
     assert "Adaptivity gain over the best blind strategy (never-switch)" in capsys.readouterr().out
-    assert main(["leaderboard", str(out), "--out", str(tmp_path / "board")]) == 0
-    assert (tmp_path / "board" / "leaderboard.html").is_file()
-    both = ["random-moves", "pure-pursuit"]
-    assert main(["benchmark", *both, "--protocol", str(file), "--out", str(tmp_path / "two")]) == 0
-    one, two = read_card(out), read_card(tmp_path / "two" / "random-moves")
+    both = ["always-restraint+", "pure-pursuit"]
+    assert benchmark(*both, out="two") == 0
+    one, two = read_card(tmp_path / "card"), read_card(tmp_path / "two" / both[0])
     assert replace(two, cost_us=one.cost_us) == one  # an agent drives the same races alone and beside others
     driver = read_card(tmp_path / "two" / "pure-pursuit")
     assert driver.score().races == one.score().races  # one policy, so more start lines
     assert driver.gains == {}  # on other races than those of the blind strategy
     capsys.readouterr()
-    assert main(["leaderboard", str(tmp_path / "two")]) == 0
+    assert main(["leaderboard", str(tmp_path / "two"), "--out", str(tmp_path / "board")]) == 0
     board = capsys.readouterr().out
-    assert "random-moves" in board
-    assert "pure-pursuit" in board
-    for wrong in (["random-moves", "random-moves"], [*both, "--name", "mine"]):
-        assert main(["benchmark", *wrong, "--protocol", str(file), "--out", str(tmp_path / "none")]) == 2
-    assert main(["benchmark", "nobody", "--protocol", str(file), "--out", str(tmp_path / "none")]) == 2
+    assert all(name in board for name in both)
+    assert (tmp_path / "board" / "leaderboard.html").is_file()
+    for wrong in (both[:1] * 2, [*both, "--name", "mine"], ["nobody"]):
+        assert benchmark(*wrong, out="none") == 2
     assert not (tmp_path / "none" / "card.json").exists()
 
 

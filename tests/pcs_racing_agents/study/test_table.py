@@ -5,15 +5,11 @@ import numpy as np
 import pytest
 from toy_races import of, toy_races
 
-from pcs_racing import InputError, make_game
-from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.agents.zoo import build
+from pcs_racing import InputError
 from pcs_racing_agents.results.race_files import race_table, read_results, write_results
-from pcs_racing_agents.results.races import RaceRow, concatenate_races
+from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study.table import PAPER_TABLE, make_table
 from pcs_racing_agents.study.table_text import p_text, table_markdown, table_text, verdict_text, write_table
-from pcs_racing_agents.tournament.pairings import cross_pairing
-from pcs_racing_agents.tournament.runner import play_pairing
 from pcs_racing_agents.tournament.statistics import compare, holm
 
 
@@ -40,11 +36,6 @@ def test_the_papers_rows_stand_beside_the_rows_they_belong_to(table):
         PAPER_TABLE["Random", False],
         None,
     ]
-
-
-def test_the_papers_own_differences_are_those_of_its_win_rates():
-    for row in PAPER_TABLE.values():
-        assert row.difference == pytest.approx(row.gt - row.non_gt, abs=1e-9)
 
 
 def test_a_row_says_what_the_statistics_say(races, table):
@@ -100,10 +91,8 @@ def drives(races, arm):
         (lambda races: races.take([]), "there are no races"),
         (lambda races: races.take(~drives(races, "never-switch")), "base is 'never-switch'"),
         (
-            lambda races: races.take(
-                [k for k, r in enumerate(races) if r[1:4] != ("never-switch", "somebody", "Brackwater")]
-            ),
-            "Brackwater against somebody: 'never-switch'",
+            lambda races: races.take(~(drives(races, "never-switch") & (races.track.codes == 1))),
+            "Brackwater against never-switch: 'never-switch'",
         ),
         (
             lambda races: races.take(~drives(races, "our-best") | (races.race > 0)),
@@ -149,14 +138,8 @@ def test_text_and_markdown_hold_every_number(table):
 
 
 def test_p_values_are_short():
-    assert [p_text(p) for p in (0.5, 0.0142, 0.0037, 3e-9, 0.0, np.nan)] == [
-        "0.500",
-        "0.014",
-        "3.7e-03",
-        "3.0e-09",
-        "< 1e-99",
-        "-",
-    ]
+    told = ["0.500", "0.014", "3.7e-03", "3.0e-09", "< 1e-99", "-"]
+    assert [p_text(p) for p in (0.5, 0.0142, 0.0037, 3e-9, 0.0, np.nan)] == told
 
 
 def test_the_csv_has_a_line_for_every_comparison_and_the_same_bytes(tmp_path, table, races):
@@ -170,19 +153,10 @@ def test_the_csv_has_a_line_for_every_comparison_and_the_same_bytes(tmp_path, ta
     assert write_table(again, tmp_path / "again.csv").read_bytes() == path.read_bytes()
 
 
-@pytest.fixture(scope="module")
-def played(oval, archive):
-    game = make_game(oval, archive, "paper", step_seconds=0.8)
-    setting = make_setting(archive, game.config)
-    rival = build("lane-switcher", setting)
-    arms = [build(arm, setting) for arm in ("never-switch", "always-aggressiveness+")]
-    pairings = [cross_pairing(game, arm, rival, egos=3, opponents=2, lines=5, seed=3) for arm in arms]
-    return concatenate_races(map(play_pairing, pairings))
-
-
-def test_the_table_of_races_that_come_from_a_file_is_the_same(tmp_path, played):
-    read = read_results(write_results(played, tmp_path / "results.csv"))
-    assert make_table(read) == make_table(played)
+def test_the_table_of_races_that_come_from_a_file_is_the_same(tmp_path, races):
+    some = races.take(np.arange(0, len(races), 5))  # of each start line both sides or none
+    rounded = replace(some, start_s=some.start_s + 1e-7)
+    assert make_table(read_results(write_results(rounded, tmp_path / "results.csv"))) == make_table(rounded)
 
 
 def test_tables_of_a_study_are_told_apart_by_their_seeds():

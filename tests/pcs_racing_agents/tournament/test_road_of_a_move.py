@@ -2,6 +2,7 @@
 
 import csv
 import sys
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,9 +21,10 @@ PACKAGES = (REPOSITORY / "pcs_racing", REPOSITORY / "pcs_racing_agents")
 ENDS = {"predict": "agents/agent.py", "write_chunk": "jobs/chunks.py", "write_results": "results/race_files.py"}
 
 
-def project_file(frame) -> str | None:
-    """Path of a frame's code within the project; None for that of libraries and tests."""
-    file = Path(frame.f_code.co_filename)
+@cache
+def project_file(name: str) -> str | None:
+    """Path of a file within the project; None for that of libraries and tests."""
+    file = Path(name)
     return str(file.relative_to(REPOSITORY)) if any(package in file.parents for package in PACKAGES) else None
 
 
@@ -49,13 +51,13 @@ class Watch:
         self.moves: np.ndarray | None = None
 
     def __call__(self, frame, event, value) -> None:
-        file, name = project_file(frame), frame.f_code.co_name
+        file, name = project_file(frame.f_code.co_filename), frame.f_code.co_name
         if file is None:
             return
         if event == "call" and name in ENDS and file.endswith(ENDS[name]) and name not in self.roads:
             files = []
             while frame is not None:
-                files.append(project_file(frame))
+                files.append(project_file(frame.f_code.co_filename))
                 frame = frame.f_back
             files = [own for own in reversed(files) if own is not None]
             self.roads[name] = [*files[:1], *(later for earlier, later in pairwise(files) if later != earlier)]
@@ -70,6 +72,7 @@ def test_a_move_passes_fourteen_files_on_its_way_to_a_row_and_none_twice(oval, s
     agent, rival = build("cfr-argmax", setting, network=untrained(setting, seed=0)), build("never-switch", setting)
     rules = load_race_config("paper", duration=4.0)
     plan = plan_tournament(oval, [agent, rival], rules, archive=setting.archive, races_per_pair=RACES)
+    play_plan(plan)  # a compiler that is watched takes minutes
     watch = Watch()
     with open_job(tmp_path / "job", "tournament", tournament_settings(plan)) as job:
         sys.setprofile(watch)

@@ -112,25 +112,6 @@ def test_policies_in_both_roles_are_one_cluster():
     assert 0.03 <= np.mean(pool) <= 0.11
 
 
-def test_the_variance_of_a_pool_is_the_sum_over_races_that_share_a_policy():
-    """Against the sum over all pairs of races; the corrections G / (G - 1) are near 1 with hundreds of policies."""
-    rng = np.random.default_rng(17)
-    policies = rng.normal(size=400)
-    ego, opponent, line = rng.integers(0, 400, 1500), rng.integers(0, 400, 1500), rng.integers(0, 300, 1500)
-    x = policies[ego] + policies[opponent] + rng.normal(size=1500)
-    e = (x - x.mean()) / 1500
-    shared = (ego[:, None] == ego) | (ego[:, None] == opponent)
-    shared |= (opponent[:, None] == ego) | (opponent[:, None] == opponent)
-    expected = e @ shared @ e
-    assert clustered_mean(x, ego, opponent, same_pool=True).se ** 2 == pytest.approx(expected, rel=0.01)
-    names = np.char.add("policy ", ego.astype(str)), np.char.add("policy ", opponent.astype(str))
-    assert clustered_mean(x, *names, same_pool=True).se ** 2 == pytest.approx(expected, rel=0.01)
-    e += 0.5 * rng.normal(size=300)[line] / 1500
-    e -= e.mean()
-    expected = e @ (shared | (line[:, None] == line)) @ e
-    assert clustered_mean(1500 * e, ego, opponent, line, same_pool=True).se ** 2 == pytest.approx(expected, rel=0.01)
-
-
 def slow_pool_variance(x, ego, opponent):
     """Races that share a policy in whichever role, each pair once: sums over policies less those over pairs of them."""
     residual = [value - sum(x) / len(x) for value in x]
@@ -157,6 +138,21 @@ def test_each_term_of_the_variance_of_a_pool_has_the_correction_of_its_own_clust
         expected = max(slow_pool_variance(x, ego, opponent), slow_variance(x, ego, opponent))
         assert slow_pool_variance(x, ego, opponent) > 0.0
         assert clustered_mean(x, ego, opponent, same_pool=True).se ** 2 == pytest.approx(expected, rel=1e-9)
+        names = np.char.add("policy ", ego.astype(str)), np.char.add("policy ", opponent.astype(str))
+        assert clustered_mean(x, *names, same_pool=True).se ** 2 == pytest.approx(expected, rel=1e-9)
+
+
+def test_start_lines_are_a_third_kind_beside_a_pool():
+    """Against the sum over all pairs of races; the corrections G / (G - 1) are near 1 with hundreds of policies."""
+    rng = np.random.default_rng(17)
+    ego, opponent, line = rng.integers(0, 400, 1500), rng.integers(0, 400, 1500), rng.integers(0, 300, 1500)
+    policy = rng.normal(size=400)
+    x = policy[ego] + policy[opponent] + rng.normal(size=300)[line] + rng.normal(size=1500)
+    e = (x - x.mean()) / 1500
+    shared = (ego[:, None] == ego) | (ego[:, None] == opponent) | (line[:, None] == line)
+    shared |= (opponent[:, None] == ego) | (opponent[:, None] == opponent)
+    estimate = clustered_mean(x, ego, opponent, line, same_pool=True)
+    assert estimate.se**2 == pytest.approx(e @ shared @ e, rel=0.01)
 
 
 def test_a_negative_variance_estimate_does_not_become_certainty():
