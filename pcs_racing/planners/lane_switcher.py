@@ -36,7 +36,7 @@ from pcs_racing.track.frenet import project, to_cartesian
 __all__ = ["LANE_SWITCHER", "lane_offset"]
 
 PARAMETERS = (
-    Parameter("speed", 0.65, 0.95, 0.82, "share of the profile's speed at the race's fastest scale"),
+    Parameter("speed", 0.65, 0.86, 0.82, "share of the profile's speed at the race's fastest scale"),
     Parameter("lookahead_slow", 0.3, 1.0, 0.5, "look-ahead distance at standstill, m"),
     Parameter("lookahead_fast", 1.0, 1.7, 1.3, "look-ahead distance at 7 m/s, m"),
     Parameter("gain_slow", 0.4, 1.0, 0.7, "steering per pursuit error at standstill, rad m"),

@@ -3,12 +3,12 @@
 Ten times a second the planner lays a lattice of goals around the race line ahead (two distances, eight positions across
 the track). A move is a cubic in the distance from the race line, as in [1]_ and [2]_: it begins where the last plan is
 by now and ends at a goal, along the line. So a plan goes on where the last one was, and does not follow every stray of
-the car: a third of a stray is forgiven at each plan, and the car is led back from the rest within a few metres. Each move
-is considered at four speeds, 64 candidates in all: an attack, faster than the profile on straights, while a car is to
-be passed; the profile; a slower one; and the speed that keeps a distance behind the other car. A candidate that comes
-too close to a wall, asks for more grip than there is, or meets the predicted opponent within two seconds is rejected;
-of the others the one with the smallest weighted sum of costs wins. The weights, on a log scale, and a few traits (pace,
-attack, side margin) are the parameters of the policy.
+the car: a third of a stray is forgiven at each plan, and the car is led back from the rest within a few metres. Each
+move is considered at four speeds, 64 candidates in all: an attack, faster than the profile on straights, while a car is
+to be passed; the profile; a slower one; and the speed that keeps a distance behind the other car, even when that
+brakes. A candidate that comes too close to a wall, asks for more grip than there is, or meets the predicted opponent
+within two seconds is rejected; of the others the one with the smallest weighted sum of costs wins. The weights, on a
+log scale, and a few traits (pace, attack, side margin) are the parameters of the policy.
 
 Of two cars the one ahead has the right of way, and holds its place while the other one follows; beside each other both
 keep their lanes. What differs from the paper's planner, and why: ``docs/paper.md``.

@@ -158,7 +158,8 @@ def test_an_opponent_in_the_way_rejects_candidates(oval, view_at):
     assert rejected[open_else & (np.abs(across) < 0.31 + 0.32)].all()
     assert not rejected[open_else & (np.abs(across) > 0.31 + 0.32)].any()
     assert (open_else & (np.abs(across) > 0.31 + 0.32)).any()
-    assert abs(across[np.argmin(costs)]) > 0.31 + 0.32
+    full_speed = np.arange(64) < 16
+    assert abs(across[full_speed][np.argmin(costs[full_speed])]) > 0.31 + 0.32
 
 
 @pytest.mark.parametrize("opp_d", [-0.5, 0.5])
@@ -185,8 +186,6 @@ def test_a_policy_has_a_second_pace_behind(oval, view_at, gap, expected):
     view[GAP] = gap
     two = path(oval, view, {"pace": 0.5, "pace_behind": 0.3})
     np.testing.assert_allclose(two, path(oval, view, {"pace": expected, "pace_behind": 0.0}), rtol=1e-12)
-    none, default = (path(oval, view, {"pace": 0.5, **more}) for more in ({"pace_behind": 0.0}, {}))
-    np.testing.assert_array_equal(none, default)
 
 
 @pytest.mark.parametrize(("pace", "behind", "expected"), [(0.8, 0.5, 1.0), (0.2, -0.5, 0.0), (0.2, -0.1, 0.1)])
@@ -281,7 +280,7 @@ def test_a_faster_follower_gets_by_a_slower_car(shipped):
 
 
 def test_a_plan_goes_on_where_the_last_one_was(oval, view_at):
-    """A tenth of a second later a car that kept to its plan gets the same one; half of a stray is led back."""
+    """A tenth of a second later a car that kept to its plan gets the same one; 70 % of a stray are led back."""
     first, memory = plan(oval, view_at(oval, 2.0, 0.3, turned=0.1, speed=5.0))
     s, d = oval.to_frenet(first[:, :2]).T
     move = CubicSpline(s, d)
@@ -289,11 +288,11 @@ def test_a_plan_goes_on_where_the_last_one_was(oval, view_at):
     for stray in (0.0, 0.1, -0.2):
         view = view_at(oval, now, move(now) + stray, turned=float(np.arctan(move(now, 1))), speed=5.0)
         later = oval.to_frenet(plan(oval, view, memory)[0][:, :2])
-        assert later[0, 1] - move(now) == pytest.approx(0.5 * stray, abs=2e-3)
+        assert later[0, 1] - move(now) == pytest.approx(0.7 * stray, abs=2e-3)
         shared = later[:, 0] < s[-1]
         assert shared.sum() > 6
         left = later[shared, 1] - move(later[shared, 0])
-        assert np.abs(left).max() <= 0.5 * abs(stray) + 0.02
+        assert np.abs(left).max() <= 0.7 * abs(stray) + 0.02
         assert np.abs(left[-1]) < 0.04
 
 
@@ -351,7 +350,34 @@ def test_it_follows_at_a_distance_where_there_is_no_way_past(oval, view_at):
         [path(oval, view_at(oval, 3.0, speed=4.0, gap=gap, opp_speed=4.0), wide)[:, 2].min() for gap in (0.8, 1.2, 1.9)]
     )
     assert (np.diff(speeds) > 0.0).all()
-    assert speeds[0] < 4.0 < speeds[2] < 5.0
+    assert speeds[0] < 4.0 < speeds[2] < 5.5
+
+
+def test_it_slows_before_the_car_ahead_brakes(oval, view_at):
+    """At 1.4 m and equal speed: on a straight it keeps its speed, before a bend it falls back, long before its own."""
+    calm = {"attack": 0.0, "side_margin": 0.45, "pace_behind": 0.0}
+    straight, bend = (path(oval, view_at(oval, s, speed=5.5, gap=1.4, opp_speed=5.5), calm)[0, 2] for s in (3.0, 8.0))
+    alone = path(oval, view_at(oval, 8.0, speed=5.5), calm)[0, 2]
+    assert bend < 5.0 < straight
+    assert bend < alone - 1.0
+
+
+def test_an_attack_lasts_from_wholly_behind_to_wholly_ahead(oval, view_at):
+    attack = {"attack": 0.3, "pace_behind": 0.0}
+    behind, level, ahead = (view_at(oval, 1.0, 0.8, speed=7.5, gap=gap, opp_speed=7.0) for gap in (1.5, -0.3, -1.5))
+    _, attacking = plan(oval, behind, parameters=attack)
+    with_it, still = plan(oval, level, attacking, attack)
+    without, idle = plan(oval, level, parameters=attack)
+    assert with_it[:, 2].max() > without[:, 2].max() + 0.5
+    assert (still[-1], idle[-1], plan(oval, ahead, attacking, attack)[1][-1]) == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("gap", [2.0, 3.5, 5.0, 6.5, 8.0])
+def test_a_standing_car_is_seen_between_two_steps_of_the_prediction(oval, view_at, gap):
+    """At 9 m/s a step is 2.3 m, more than both cars are long; ahead is a straight."""
+    points, costs = candidates(oval, view_at(oval, 0.5, speed=9.0, gap=gap, opp_d=0.0))
+    across = oval.to_frenet(points[:, -1])[:, 1]
+    assert not np.isfinite(costs[(np.abs(across) < 0.05) & (np.arange(64) < 32)]).any()
 
 
 def test_alone_it_neither_crashes_nor_falls_behind_pure_pursuit(oval, drive_alone):
