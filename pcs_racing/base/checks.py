@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, TypeGuard
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 
@@ -157,16 +157,15 @@ def check_array(
     *,
     least: float | None = None,
     most: float | None = None,
-    dtype: DTypeLike = np.float64,
     error: Error = InputError,
-) -> NDArray[Any]:
+) -> NDArray[np.float64]:
     """Return a new array of finite numbers.
 
     In ``shape`` None stands for any length; ``least`` and ``most`` belong to the range.
     """
     try:
         # Always a copy: the caller may go on writing to what it passed.
-        array = np.array(value, dtype)
+        array = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):
         raise error(f"{name} is {value!r:.200}; it must hold numbers") from None
     if not _fits(array, shape):
@@ -214,7 +213,6 @@ def check_whole_array(
     *shapes: tuple[int | None, ...],
     least: int | None = None,
     most: int | None = None,
-    error: Error = InputError,
 ) -> NDArray[np.int64]:
     """Return a new array of whole numbers; numbers with a fraction are refused, not cut off.
 
@@ -226,19 +224,19 @@ def check_whole_array(
     if array.dtype.kind not in "iu" or not fits:
         wanted = " or ".join(str(shape).replace("None", "any") for shape in shapes)
         found = f"has shape {array.shape} and type {array.dtype}" if array.ndim else f"is {value!r:.80}"
-        raise error(f"{name} {found}; it must hold whole numbers" + (f" in shape {wanted}" if shapes else ""))
+        raise InputError(f"{name} {found}; it must hold whole numbers" + (f" in shape {wanted}" if shapes else ""))
     wrong = _outside(array, least, most)
     if wrong.any():
         has = "holds" if array.ndim else "is"
-        raise error(f"{name} {has} {_first(array, wrong)}; it must be a whole number{within(least, most)}")
+        raise InputError(f"{name} {has} {_first(array, wrong)}; it must be a whole number{within(least, most)}")
     return array.astype(np.int64)
 
 
-def check_facts(name: str, values: Any, error: Error = InputError) -> Mapping[str, str | int | float | bool]:
+def check_facts(name: str, values: Any) -> Mapping[str, str | int | float | bool]:
     """Return a read-only copy of texts, numbers and truth values by name."""
     if not isinstance(values, Mapping):
-        raise error(f"{name} is {values!r:.80}; it must hold texts and numbers by name")
+        raise InputError(f"{name} is {values!r:.80}; it must hold texts and numbers by name")
     for key, value in values.items():
         if not isinstance(key, str) or not isinstance(value, str | bool | int | float):
-            raise error(f"{name} holds {key!r}: {value!r:.80}; it must hold texts and numbers by name")
+            raise InputError(f"{name} holds {key!r}: {value!r:.80}; it must hold texts and numbers by name")
     return MappingProxyType(dict(values))

@@ -78,8 +78,8 @@ class DriveEnv(ScalarEnv):
 
     Numbers: ``time`` (s), ``progress`` and ``lead`` (m), ``crash`` and ``opponent_crash``
     (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the agent is to blame for a crash),
-    ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that
-    pays nobody; alone always 0), ``opponent``, the index of the episode's opponent (-1 if there is none), ``laps``
+    ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a no-contest
+    crash; alone always 0), ``opponent``, the index of the episode's opponent (-1 if there is none), ``laps``
     (complete ones, from one crossing of the line s = 0 to the next), ``lap_time`` and ``best_lap`` (s, of the last and
     the shortest of them; -1 if there is none), and where episodes differ in it, ``track`` (its number), ``obstacles``
     (how many) and what ``randomize`` drew.
@@ -240,11 +240,8 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
 
     ## Starting State
 
-    Start line, side and the key of the race's noise are drawn from the generator. `reset(options=...)` takes `start`
-    (arc length of the line in m, and side: 0 puts `car_0` on the left or in front) or `poses` (x, y, heading and
-    optionally speed of both cars), and `obstacles` (boxes: x, y, heading, length, width, in m and rad). `track`
-    and `opponent` replace the arguments from then on; `state` continues from what `get_state()` returned. Other options
-    are refused.
+    Start line, side and the key of the race's noise are drawn from the generator. `reset(options=...)` takes the
+    options of `pcs_racing/Drive-v1`.
 
     ## Episode End
 

@@ -238,11 +238,8 @@ class HeadToHeadEnv(ParallelBatchEnv):
     ## Starting State
 
     Start line, side, both policies and the steering noise (none in the preset `paper`) are drawn at random; then the
-    first step is driven. Should it end in a crash, the game is drawn again. `reset(options=...)` takes `policies`
-    (two indices of the archive; -1 draws one) and `start` (arc length of the line in m, and side: 0 puts `car_0` on
-    the left or in front), and `obstacles` (boxes: x, y, heading, length, width, in m and rad). If policies and start
-    are given and the first step ends in a crash, the first call of `step` ends the game. `track` and `opponent`
-    replace the arguments from then on; `state` continues from what `get_state()` returned. Other options are refused.
+    first step is driven. Should it end in a crash, the game is drawn again; if policies and start were given, the first
+    call of `step` ends it instead. `reset(options=...)` takes the options of `pcs_racing/Duel-v1`.
 
     ## Episode End
 

@@ -68,6 +68,16 @@ class GameOptions:
 KEPT = 64  # games on circuits that no episode is on
 
 
+def check_shapes(names: Sequence[str], given: Sequence[Any], wanted: Sequence[Any], owner: str) -> None:
+    """Refuse arrays of a state whose shapes are others than those of an environment."""
+    for name, array, like in zip(names, given, wanted, strict=True):
+        if np.shape(array) != like.shape:
+            raise InputError(
+                f"the state's {name} has shape {np.shape(array)}; in this environment it must be {like.shape}: it "
+                f"belongs to {owner}"
+            )
+
+
 class GameBatch:
     """Games of moves; car 0 belongs to a player, car 1 to an opponent or to a second player.
 
@@ -413,37 +423,38 @@ class GameBatch:
         """Let what lasts for several episodes begin anew, as the generators of some episodes do."""
         self.variety.circuits.forget(rows)
 
+    def value(self) -> Any:
+        """What is played, as a value; None before the first `restart`."""
+        return self.state
+
     def get_state(self) -> tuple[Any, ...]:
-        """Copies of all that changes: games, opponents, last moves, what the opponents remember, and what was drawn."""
-        state = None if self.state is None else self.state.copy()
-        return state, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories), self.variety.get_state()
+        """Copies of all that changes: what is played, opponents, last moves, what these remember, what was drawn."""
+        value = self.value()
+        kept = None if value is None else value.copy()
+        return kept, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories), self.variety.get_state()
 
     def set_state(self, values: tuple[Any, ...]) -> None:
         """Continue from what `get_state` returned, here or in an equal batch."""
-        state, drawn, moves, memories, variety = values
-        if state is not None:
-            self._check_state(state)
+        value, drawn, moves, memories, variety = values
+        if value is not None:
+            self._check_value(value)
         self.variety.set_state(variety)
-        self.before, self.state = None, None if state is None else state.copy()
-        self._begun = [None] * self.episodes
         self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
-        if self.state is not None:
-            self.seen = self.game.observation(self.state)
+        self._continue(None if value is None else value.copy())
 
-    def _check_state(self, state: Any) -> None:
+    def _continue(self, state: Any) -> None:
+        self.before, self.state = None, state
+        self._begun = [None] * self.episodes
+        if state is not None:
+            self.seen = self.game.observation(state)
+
+    def _check_value(self, state: Any) -> None:
         if not isinstance(state, GameState) or state.games != self.episodes:
             raise InputError(f"the state is not one of {self.episodes} games; use what get_state returned")
         # Shapes before values: an index in an archive says nothing if the arrays belong to another game.
-        model = self._empty()
-        names = (*model.race._fields, *model._fields[1:])
-        given: list[Any] = [*state.race, *state[1:]]
-        wanted: list[Any] = [*model.race, *model[1:]]
-        for name, array, like in zip(names, given, wanted, strict=True):
-            if np.shape(array) != like.shape:
-                raise InputError(
-                    f"the state's {name} has shape {np.shape(array)}; in this environment it must be {like.shape}: it "
-                    "belongs to another archive, planner or number of moves"
-                )
+        model, owner = self._empty(), "another archive, planner or number of moves"
+        check_shapes(model.race._fields, state.race, model.race, owner)
+        check_shapes(model._fields[1:], state[1:], model[1:], owner)
         if not ((state.policy >= OUTSIDE) & (state.policy < len(self.game.archive))).all():
             raise InputError(
                 f"the state's policies {state.policy[0].tolist()} are not all in archive {self.game.archive.name!r}"

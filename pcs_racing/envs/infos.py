@@ -52,7 +52,7 @@ class Result(IntEnum):
     TIE = 2
     LOSS = 3
     CRASH = 4
-    """A crash that pays nobody."""
+    """A no-contest crash: nobody won."""
 
 
 def codes(kind: type[IntEnum]) -> dict[int, str]:

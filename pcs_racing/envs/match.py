@@ -30,7 +30,7 @@ class MatchEnv(DuelEnv):
     ## Action Space
 
     ``Discrete(K)`` for an archive of K policies: action ``k`` drives the next race with policy ``k``. Every policy can
-    be chosen before every race, because knowing the opponent is worth most before the start; and by its index, because
+    be chosen before every race, because knowing the opponent helps most before the start; and by its index, because
     policies that lie close together in the Policy Characteristic Space may race differently. With ``race_moves`` a
     step is one step of a race (8 s), and the space is ``Discrete(K + M)``: actions ``K`` to ``K + M - 1`` are the M
     moves of :class:`pcs_racing.envs.duel.DuelEnv`, to be made while a race goes on. An action of the other kind changes
@@ -208,7 +208,7 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
     ## Rewards
 
     The score of each race when it is over: 1 for a win, 1/2 for a tie, else 0. The rewards of the two cars add up to 1
-    in each race, or to 0 after a crash that pays nobody.
+    in each race, or to 0 after a no-contest crash.
 
     ## Starting State
 

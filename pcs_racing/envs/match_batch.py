@@ -1,6 +1,5 @@
 """Many matches side by side: the batch behind the environments of a series of races."""
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import BatchStep
-from pcs_racing.envs.game_batch import GameBatch, GameOptions
+from pcs_racing.envs.game_batch import GameBatch, GameOptions, check_shapes
 from pcs_racing.envs.infos import Result, codes, of_players, one_info
 from pcs_racing.game.competitor import Chooser
 from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, ask_choices, put_matches
@@ -238,35 +237,22 @@ class MatchBatch(GameBatch):
 
     # The batch as a value
 
-    def get_state(self) -> tuple[Any, ...]:
-        """Copies of all that changes: matches, opponents, last moves, what opponents remember, and what was drawn."""
-        played = None if self.played is None else self.played.copy()
-        return played, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories), self.variety.get_state()
+    def value(self) -> MatchState | None:
+        """What is played, as a value; None before the first `restart`."""
+        return self.played
 
-    def set_state(self, values: tuple[Any, ...]) -> None:
-        """Continue from what `get_state` returned, here or in an equal batch."""
-        played, drawn, moves, memories, variety = values
+    def _continue(self, played: Any) -> None:
+        self.driven, self.played, self.state = [], None, None
         if played is not None:
-            self._check_matches(played)
-        self.variety.set_state(variety)
-        self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
-        self.driven = []
-        if played is None:
-            self.played = self.state = None
-        else:
-            self._follow(played.copy())
+            self._follow(played)
 
-    def _check_matches(self, played: Any) -> None:
+    def _check_value(self, played: Any) -> None:
         if not isinstance(played, MatchState) or played.matches != self.episodes:
             raise InputError(f"the state is not one of {self.episodes} matches; use what get_state returned")
-        self._check_state(played.game)
+        super()._check_value(played.game)
         model = self.match.begin(np.zeros(self.episodes, np.uint64), opponents=self._anybody())
-        for name, array, like in zip(MatchState._fields[1:], played[1:], model[1:], strict=True):
-            if np.shape(array) != like.shape:
-                raise InputError(
-                    f"the state's {name} has shape {np.shape(array)}; in this environment it must be {like.shape}: it "
-                    "belongs to a match of another number of races, or to another archive"
-                )
+        owner = "a match of another number of races, or to another archive"
+        check_shapes(model._fields[1:], played[1:], model[1:], owner)
 
     def _anybody(self) -> list[Policy | None]:
         """Return a driver of car 1 for each match, where its planner is not the archive's."""

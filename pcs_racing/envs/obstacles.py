@@ -29,7 +29,7 @@ class Obstacles(Settings):
     count: tuple[int, int] = setting(
         (1, 3),
         range_rule(" of obstacles", 0, MOST, is_whole),
-        "How many there are: a number, or the fewest and the most.",
+        "How many there are: a number, or the smallest and the largest.",
     )
     size: tuple[float, float] = setting(
         (0.2, 0.4), range_rule(" of obstacles", 0.05, 2.0), "Length of a side, or the shortest and the longest, m."

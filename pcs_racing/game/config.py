@@ -1,4 +1,4 @@
-"""The rules of the game that is played on top of a race: how long, which moves, and what an outcome is worth."""
+"""The rules of the game that is played on top of a race: how long, which moves, and the utility of an outcome."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ UTILITIES = {
     "lead-at-crash": "lead in m when the race ended, be it by a crash",
     "win": "1 for the winner and -1 for the other; 0 for a tie; after a crash as the race's crash_rule says",
 }
-"""What the outcome of a game is worth to a car; the other car gets minus that."""
+"""Utilities of the outcome of a game for a car; the other car gets the negative."""
 
 
 def _race(value: Any) -> RaceConfig:
@@ -72,7 +72,7 @@ class GameConfig(Settings):
         0.0, number(0.0, 1e6), "Utility that is transferred from the car at fault for a crash to the other car."
     )
     discount: float = setting(
-        1.0, number(1e-6, 1.0), "Factor per move made: below 1 an early end of the game is worth more."
+        1.0, number(1e-6, 1.0), "Factor per move made: below 1 an early end of the game counts more."
     )
     characteristics: tuple[str, ...] | None = setting(
         None, checked(_axes), "Axes of the game, out of the archive's; None takes all of them."

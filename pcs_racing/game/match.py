@@ -7,7 +7,7 @@
    first step, and may then move (:meth:`MatchGame.move`). Who keeps the policy of the start makes the move "stay".
    The two cars swap their places on the grid from race to race.
 3. **Score.** A race counts 1 for a car that wins it, 1/2 for both if it is a tie, and nothing for a car that loses
-   it or in a crash that pays nobody. A player's reward is the score of each race, paid when the race is over; the sum
+   it or in a no-contest crash. A player's reward is the score of each race, paid when the race is over; the sum
    is the number of races won.
 
 A race that ends by a crash in its first step counts, because its policies were chosen; a game of its own would be drawn

@@ -48,7 +48,7 @@ def step_reward(own, opponent, fault, weights):  # type: ignore[no-untyped-def]
 def win_sign(lead, crashed, fault, opponent_fault, fault_loses):  # type: ignore[no-untyped-def]
     """1.0 for a race that was won, -1.0 for one that was lost, else 0.0.
 
-    The rule of :func:`pcs_racing.race.races.winners`, compiled. Without ``fault_loses`` a crash pays nobody.
+    The rule of :func:`pcs_racing.race.races.winners`, compiled. Without ``fault_loses`` a crash is no contest.
     """
     if crashed:
         return float(opponent_fault) - float(fault) if fault_loses else 0.0

@@ -357,7 +357,7 @@ class RaceGame:
         return state.race.fault == 1
 
     def winner(self, state: GameState) -> NDArray[np.int8]:
-        """The car that won (0 or 1), shape (B,); -1 for a tie, a crash that pays nobody, and while a game goes on."""
+        """The car that won (0 or 1), shape (B,); -1 for a tie, a no-contest crash, and while a game goes on."""
         over = self.done(state)
         if not over.any():
             return np.full(state.games, -1, np.int8)

@@ -72,8 +72,10 @@ def run(
     with workers.start() as executor, open_job(out, "benchmark", settings) as job:
         results = play_protocol(rules, entrants, job=job, executor=executor, progress=show_progress("races"))
         for i, (agent, digest) in enumerate(zip(entrants, digests, strict=True)):
+            # Several agents share a job, whose groups of tasks need names that differ.
             part = "" if alone else f"agent-{i}-"
             reply = _best_reply(rules, agent, job, part, executor) if full else None
+            # Names of agents hold colons and equals signs, which some file systems do not allow.
             folder = re.sub(r"[^\w.+-]", "_", competitor_name(agent))
             _write(rules, agent, digest, results, reply, out if alone else output_folder(out / folder))
 

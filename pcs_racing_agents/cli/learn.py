@@ -96,6 +96,7 @@ def run(
     from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
 
     setting, made = games.make()
+    # Self-play needs no pool, so an agent of the pool that can't be made must not stop it.
     opponents = [] if method == "self-play" else games.agents(pool, setting)
     methods: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
         "response": (responses.load_response_settings, responses.learn_response),

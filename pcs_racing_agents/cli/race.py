@@ -73,6 +73,7 @@ def _policy(option: str, text: str) -> Policy:
     except UnknownNameError:
         from pcs_racing_agents.agents import zoo
 
+        # Looked up only after the error: the zoo takes longer to import than the race to drive.
         name = text.partition(":")[0].strip()
         if name not in zoo.entries() and not name.startswith(zoo.ALWAYS):
             raise

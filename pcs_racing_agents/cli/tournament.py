@@ -57,6 +57,7 @@ def run(
         if out is None:
             print(tournament_text(play_plan(plan, executor=executor, progress=show_progress())))
             return
+        # The table is printed within the job: as long as it is written, nobody else may write into the folder.
         with open_job(out, "tournament", tournament_settings(plan)) as job:
             tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
             print(tournament_text(tournament))

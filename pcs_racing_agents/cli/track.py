@@ -118,6 +118,7 @@ def _write_calibration(track: Track, preset: str, calibration: Calibration) -> P
     if track.folder is None:
         raise InputError(f"track {track.name!r} does not come from a folder: there is nowhere to write")
     path = track.folder / f"{track.name}_track.yaml"
+    # Entries for other rules, and what a person has added, stay as they are.
     info = parse_info(path, path.read_bytes()) if path.is_file() else {}
     info["calibration"] = {**info.get("calibration", {}), preset: calibration_values(calibration)}
     text = yaml.safe_dump(info, sort_keys=False, allow_unicode=True)

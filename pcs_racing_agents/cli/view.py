@@ -112,6 +112,7 @@ def _find(path: Path) -> "tuple[ResultsFolder | None, Path]":
         if path.suffix != ".csv":
             raise InputError(f"{path} is no results file; give a folder, or the results.csv in it")
         # The races of a study's ratings have a folder of their own, of the same name as their file.
+        # Resolved, so that a link to a results file leads to the folder that it belongs to.
         beside = path.resolve().parent if path.name == "results.csv" else path.resolve().with_suffix("")
         if not (beside / "job.yaml").is_file():
             return None, path
@@ -213,6 +214,7 @@ def run_play(
 
 def open_page(address: str) -> None:
     """Open a browser if there is a display; without one, Python would start a browser in this terminal."""
+    # Elsewhere there is always a display.
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         return
     webbrowser.open(address)

@@ -53,6 +53,7 @@ def picture(draw: Callable[P, T]) -> Callable[P, T]:
         require("matplotlib", extra="plots")
         from matplotlib import rc_context
 
+        # For this drawing only: a user's own pictures keep their style.
         with rc_context(_STYLE):
             return draw(*arguments, **options)
 
@@ -65,6 +66,7 @@ def new_figure(width: float, height: float) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
+    # Not by pyplot, which keeps every figure and may ask for a screen.
     FigureCanvasAgg(figure)
     return figure
 

@@ -30,6 +30,7 @@ class CsvTable:
         try:
             next(reader, None)
             for values in reader:
+                # A reader of csv gives an empty list for an empty line, which is harmless.
                 if len(values) not in (0, len(self.columns)):
                     raise InputError(
                         f"{self.path}, line {reader.line_num} is damaged: it has {len(values)} values, more or fewer "
@@ -69,7 +70,8 @@ def read_csv(path: str | os.PathLike[str]) -> CsvTable:
     name = os.fspath(path)
     try:
         data = read_limited(path, MAX_BYTES, "a table")
-        data.decode("utf-8-sig")  # all of it is text
+        # All of it must be text, and the mark at the beginning that spreadsheets write is no part of a name.
+        data.decode("utf-8-sig")
         columns = tuple(next(_reader(data), ()))
     except OSError as error:
         raise InputError(f"can't read {name}: {error.strerror}") from None

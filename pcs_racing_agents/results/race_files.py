@@ -38,6 +38,7 @@ def write_results(races: Iterable[RaceRow], path: str | os.PathLike[str]) -> Pat
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(RaceRow._fields)
         writer.writerows(map(_texts, races))
+        # Else the wrapper, once it is dropped, would close the file under the hands of write_atomically.
         text.detach()
 
     write_atomically(Path(path), write)
@@ -125,6 +126,7 @@ class _Lines(NamedTuple):
 
     def seeds(self) -> Categorical:
         """Return the column of seeds, which are whole numbers of any size."""
+        # As text: a seed may have more digits than any number of the machine, and leading zeros mean nothing.
         seeds = self.words("seed")
         for word in seeds.words:
             if not word.isascii() or not word.isdigit():
@@ -137,6 +139,7 @@ class _Lines(NamedTuple):
         """Return the lists that the different texts of a column stand for, and the code of each line."""
         column = self.words(name)
         lists = [word.split("; ") if word else [] for word in column.words]
+        # Before anything is allocated: one long list would widen the table for all races.
         if 2 * len(self.at) * max(map(len, lists), default=0) > MOST_STEPS:
             raise InputError(f"{self.where} holds too much: {len(self.at)} races with lists as long as that in {name}")
         return lists, column.codes
@@ -194,6 +197,7 @@ def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
     def both(name: str) -> NDArray[Any]:
         return np.stack([lines.wholes(f"{car}_{name}", 1_000_000, missing=0) for car in CARS], axis=1)
 
+    # The place of the word is a pair of bits: 1 for the ego, 2 for the opponent.
     fault = lines.choices("fault", FAULTS)
     return RaceTable(
         preset=lines.words("preset"),

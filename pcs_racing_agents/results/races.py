@@ -109,6 +109,7 @@ class RaceTable:
         return len(self.race)
 
     def __getitem__(self, number: int) -> RaceRow:
+        # A range knows negative numbers, and raises an IndexError, which ends loops over sequences.
         number = range(len(self))[number]
         return next(self._rows(slice(number, number + 1)))
 
@@ -120,7 +121,8 @@ class RaceTable:
         """Return some of the races: numbers, or a bool for each."""
         indices = np.asarray(rows)
         if indices.size == 0:
-            indices = indices.astype(np.intp)  # an empty list is one of floats
+            # An empty list is one of floats to numpy, which no index may be.
+            indices = indices.astype(np.intp)
 
         def taken(column: Any) -> Any:
             if column is None:
@@ -148,6 +150,7 @@ class RaceTable:
     def switches(self) -> NDArray[np.int64]:
         """How often each car changed its policy, shape (N, 2)."""
         before, after = self.path[..., :-1], self.path[..., 1:]
+        # After a crash the path holds -1: that is no switch.
         return ((before != after) & (after >= 0)).sum(axis=-1)
 
     @property
@@ -157,6 +160,7 @@ class RaceTable:
         Short circuits have few places, so that races of different numbers, and start lines of different numbers, may
         share one. Places count as different from a tenth of a millimetre.
         """
+        # Texts only of the places that differ, which are few, and not of a million races.
         lines, line = np.unique(np.stack([self.track.codes, self.start_s]), axis=1, return_inverse=True)
         labels = [f"{self.track.words[int(track)]} {start:.4f}" for track, start in lines.T.tolist()]
         return np.unique(np.array(labels, np.str_), return_inverse=True)[1][line.reshape(-1)]
@@ -190,6 +194,7 @@ class RaceTable:
             self.lead, self.winner, self.crash, self.fault, self.overtakes, self.duration, self.variants, self.path,
             self.moves.codes,
         )  # fmt: skip
+        # Plain numbers, column by column: numpy would make a scalar of its own of each, which takes longer.
         for row in zip(*(column[rows].tolist() for column in columns), strict=True):
             preset, agents, track, race, start, side, seed, lead, winner, crash, fault = row[:11]
             overtakes, duration, variants, path, move_codes = row[11:]

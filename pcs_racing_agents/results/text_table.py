@@ -52,6 +52,7 @@ def aligned(rows: Iterable[Sequence[str]], *, left: int | None = None) -> list[s
     cells = [list(row) for row in rows]
     columns = list(zip(*cells, strict=True))
     widths = [max(map(len, column)) for column in columns]
+    # Numbers stand below each other if they end in the same column; words are read from where they begin.
     words = [
         i < left
         if left is not None

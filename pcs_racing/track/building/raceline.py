@@ -10,13 +10,15 @@ from pcs_racing.base.errors import MapError
 from pcs_racing.base.optional import require
 from pcs_racing.track.building.clearance import checked_grid, corridor, room_at, wall_clearance
 from pcs_racing.track.building.curves import checked_curve, curve_length, first_crossing, resample, smooth
-from pcs_racing.track.building.speed import ACCELERATION, BRAKING, LATERAL, TOP_SPEED, speed_profile
+from pcs_racing.track.building.speed import speed_profile
 from pcs_racing.track.building.splines import sample_closed
 from pcs_racing.track.grid import distance_to_walls
 
 CLEARANCE = 0.305
 """Default distance in m between line and wall: half the width of a car (0.155 m) and 0.15 m of air."""
 
+SPACING = 0.2  # of the points of the result, m
+ROUNDS = 20  # most quadratic programs to solve
 STEP = 0.25  # spacing of the points that the program moves, m
 REACH = 3.0  # how far along its normal a point may see, m
 TRUST = 0.5  # how far a point may move in one round, m: the program is linearised
@@ -32,9 +34,7 @@ def minimum_curvature_raceline(
     origin: np.ndarray | tuple[float, float],
     *,
     clearance: float = CLEARANCE,
-    spacing: float = 0.2,
     length_weight: float = 0.08,
-    rounds: int = 20,
 ) -> np.ndarray:
     """Compute the closed line of minimum squared curvature that is at least ``clearance`` away from every wall.
 
@@ -51,13 +51,9 @@ def minimum_curvature_raceline(
         Any closed line around the circuit, x and y in m in its first columns, in driving direction.
     clearance : float
         Distance in m that the line keeps from the nearest wall cell, measured to the edge of that cell.
-    spacing : float
-        Largest distance of neighbouring points of the result in m.
     length_weight : float
         Weight of the length against the integral of the squared curvature, in 1/m^2, at least 0. Bends wider than about
         ``length_weight ** -0.5`` metres are shortened rather than rounded.
-    rounds : int
-        Most quadratic programs to solve.
 
     Returns
     -------
@@ -67,8 +63,6 @@ def minimum_curvature_raceline(
     require("clarabel")
     grid, resolution, corner = checked_grid(occupied, resolution, origin)
     check_number("clearance", clearance, 0.0)
-    check_number("spacing", spacing, 1e-3)
-    check_number("rounds", rounds, 1)
     check_number("length_weight", length_weight, 0.0)
     start = checked_curve(centerline, "centre line")
     grid, corner = _crop(grid, resolution, corner, start)
@@ -78,16 +72,16 @@ def minimum_curvature_raceline(
     # Between the moved points the line loses a little clearance: the next rounds require that much more.
     slack, trust = 0.005, TRUST
     shortfall = math.inf
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         line, moved = _improve(line, room, resolution, corner, clearance + slack, length_weight, trust)
         trust = max(0.8 * trust, 0.02)
         # A line that still moves is not worth checking: the next round moves it again.
         if moved > SETTLED:
             continue
-        result = resample(line, spacing)
+        result = resample(line, SPACING)
         dense = resample(result, 0.25 * resolution)
         free = wall_clearance(dense, grid, resolution, corner, clearance + 0.1)
-        # Between two fine points the wall can be nearer by about (spacing / 2)^2 / (2 clearance): less than RESERVE.
+        # Between two fine points the wall can be nearer by about (resolution / 8)^2 / (2 clearance): less than RESERVE.
         shortfall = clearance + RESERVE - float(free.min())
         if shortfall <= 0.0:
             if first_crossing(result)[0] >= 0:
@@ -96,32 +90,24 @@ def minimum_curvature_raceline(
             return result
         slack += shortfall + 0.001
     if math.isinf(shortfall):
-        raise MapError(f"no race line was found in {rounds} rounds: the centre line may not follow the circuit")
+        raise MapError(f"no race line was found in {ROUNDS} rounds: the centre line may not follow the circuit")
     x, y = dense[int(np.argmin(free))]
     raise MapError(
         f"no line keeps {clearance:.3f} m from the walls near ({x:.2f}, {y:.2f}): {free.min():.3f} m is the best found "
-        f"in {rounds} rounds"
+        f"in {ROUNDS} rounds"
     )
 
 
-def raceline_rows(
-    xy: np.ndarray,
-    *,
-    spacing: float = 0.2,
-    lateral: float = LATERAL,
-    braking: float = BRAKING,
-    acceleration: float = ACCELERATION,
-    top_speed: float = TOP_SPEED,
-) -> np.ndarray:
+def raceline_rows(xy: np.ndarray, *, spacing: float = SPACING) -> np.ndarray:
     """Rows of a ``NAME_raceline.csv``, shape (N + 1, 7), about ``spacing`` metres apart.
 
     Arc length, x, y (m), heading (rad, in [-pi, pi)), curvature (1/m, positive to the left), speed (m/s) and
     acceleration to the next row (m/s^2). As in f1tenth_racetracks the last row repeats the first one, at s = length.
-    The limits are those of `speed_profile`.
+
     """
     line = sample_closed(checked_curve(xy, "race line"), spacing)
     ds = line.length / len(line.xy)
-    v = speed_profile(line.kappa, ds, lateral=lateral, braking=braking, acceleration=acceleration, top_speed=top_speed)
+    v = speed_profile(line.kappa, ds)
     ax = (np.roll(v, -1) ** 2 - v**2) / (2.0 * ds)
     psi = np.mod(line.psi + np.pi, 2.0 * np.pi) - np.pi
     rows = np.column_stack([np.arange(len(v)) * ds, line.xy, psi, line.kappa, v, ax])

@@ -67,11 +67,11 @@ def solve_cyclic(lower, diagonal, upper, right):  # type: ignore[no-untyped-def]
     return out
 
 
-def clean_closed(points: ArrayLike, tolerance: float = 1e-6) -> Floats:
+def clean_closed(points: ArrayLike) -> Floats:
     """Points of a closed line without repeated ones; a last point that repeats the first is dropped too."""
     xy = np.ascontiguousarray(points, dtype=np.float64)
     step = lengths(np.roll(xy, -1, axis=0) - xy)
-    return np.ascontiguousarray(xy[step > tolerance])
+    return np.ascontiguousarray(xy[step > 1e-6])
 
 
 def sample_closed(points: ArrayLike, ds: float) -> LineSamples:

@@ -114,13 +114,13 @@ def generate_circuit(
     raise MapError(f"no circuit of style {style!r} came from seed {seed} in {attempts} drafts: {why}")
 
 
-def straights(line: np.ndarray, radius: float = 25.0) -> np.ndarray:
+def straights(line: np.ndarray) -> np.ndarray:
     """Lengths (m) of the straights of a closed line, longest first.
 
-    What bends less than a circle of this radius (m) counts as straight.
+    What bends less than a circle of 25 m radius counts as straight.
     """
     samples = sample_closed(line, 0.2)
-    straight = np.abs(samples.kappa) < 1.0 / radius
+    straight = np.abs(samples.kappa) < 1.0 / 25.0
     if straight.all():
         return np.array([samples.length])
     # Begin in a bend, so that no straight is cut in two.
@@ -129,12 +129,12 @@ def straights(line: np.ndarray, radius: float = 25.0) -> np.ndarray:
     return np.sort(np.diff(edges)[::2])[::-1] * (samples.length / len(straight))
 
 
-def braking_zones(v: np.ndarray, drop: float = 1.0) -> int:
-    """Number of stretches of a closed line on which the speed ``v`` (m/s) falls by at least ``drop`` m/s."""
+def braking_zones(v: np.ndarray) -> int:
+    """Number of stretches of a closed line on which the speed ``v`` (m/s) falls by at least 1 m/s."""
     v = np.roll(v, -int(np.argmax(v)))
     falling = np.diff(v, append=v[0]) < 0.0
     edges = np.flatnonzero(np.diff(falling.astype(int), prepend=0, append=0))
-    return sum(v[begin] - v[end % len(v)] >= drop for begin, end in zip(edges[::2], edges[1::2], strict=True))
+    return sum(v[begin] - v[end % len(v)] >= 1.0 for begin, end in zip(edges[::2], edges[1::2], strict=True))
 
 
 def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np.ndarray, np.ndarray]:

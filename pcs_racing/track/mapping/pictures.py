@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from pcs_racing.track.track import Track
 
 
-def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8.0, dpi: int = 90) -> None:
-    """Draw a track to a file in the format of its name (png, svg, pdf), ``width`` inches wide."""
+def show_track(track: "Track", path: str | os.PathLike[str]) -> None:
+    """Draw a track to a file in the format of its name (png, svg, pdf)."""
     require("matplotlib", extra="plots")
     from matplotlib.collections import LineCollection
     from matplotlib.colors import ListedColormap
@@ -30,9 +30,8 @@ def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8
     low = np.minimum(arrays.walls[:, :2].min(axis=0), arrays.walls[:, 2:].min(axis=0)) - 1.0
     high = np.maximum(arrays.walls[:, :2].max(axis=0), arrays.walls[:, 2:].max(axis=0)) + 1.0
     size = high - low
-    figure = Figure(
-        figsize=(width, min(max(width * 0.86 * size[1] / size[0] + 0.9, 3.0), 2.0 * width)), layout="constrained"
-    )
+    # As high as the circuit asks for, within reason: 8 inches wide, of which the bar of speeds takes a part.
+    figure = Figure(figsize=(8.0, min(max(6.88 * size[1] / size[0] + 0.9, 3.0), 16.0)), layout="constrained")
     axes = figure.add_subplot()
 
     rows, cols = arrays.distance.shape
@@ -67,7 +66,7 @@ def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8
 
     suffix = Path(path).suffix.lstrip(".") or "png"
     drawn = io.BytesIO()
-    figure.savefig(drawn, format=suffix, dpi=dpi)
+    figure.savefig(drawn, format=suffix, dpi=90)
     if suffix == "png":
         # A palette makes the file three times smaller, and nothing in it names the program that drew it.
         image = Image.open(drawn).convert("RGB").quantize(128, dither=Image.Dither.NONE)

@@ -97,8 +97,8 @@ def test_arrays_of_whole_numbers():
         checks.check_whole_array("n", [1, 2, 3], (2,), (4, 2))
     with pytest.raises(InputError, match=r"^n holds -1 at \(0, 1\); .* from 0 to 5"):
         checks.check_whole_array("n", [[1, -1]], (1, 2), least=0, most=5)
-    with pytest.raises(ConfigError, match=r"^n is 6; .* up to 5"):
-        checks.check_whole_array("n", 6, most=5, error=ConfigError)
+    with pytest.raises(InputError, match=r"^n is 6; .* up to 5"):
+        checks.check_whole_array("n", 6, most=5)
 
 
 def test_facts_are_texts_and_numbers_by_name():

@@ -362,6 +362,16 @@ def test_a_moment_can_be_kept_copied_and_pickled(kind, arguments, many):
         fresh.step(act(fresh))
 
 
+@pytest.mark.parametrize(("single", "pair"), list(zip(SINGLE, PAIRS, strict=True)))
+def test_an_opponent_in_place_of_the_second_agent_makes_it_the_environment_of_one(single, pair):
+    arguments = {"opponent": "pure-pursuit", "rivalry": 1.0} if single is DriveEnv else {"opponent": "lattice:pace=0.5"}
+    one, two = make(single, **arguments), make(pair, **arguments)
+    expected, found = play(one, 6), play(two, 6)
+    assert two.possible_agents == ["car_0"]
+    assert found == [[{"car_0": part} for part in answer] for answer in expected]
+    np.testing.assert_array_equal(two.state()[: len(expected[-1][0])], np.float32(expected[-1][0]))
+
+
 @EVERY
 def test_steps_at_the_wrong_time_are_refused(kind):
     env = make(kind)
@@ -383,6 +393,8 @@ def test_max_cycles_truncates_and_decides_nothing(kind):
     assert answers[-1][2:4] == [dict.fromkeys(AGENTS, False), dict.fromkeys(AGENTS, True)]
     assert answers[-1][4]["car_0"]["result"] == Result.RUNNING
     assert env.agents == []
+    whole = play(make(kind), 1)
+    assert play(make(kind, max_cycles=len(whole) - 1), 1) == whole  # what ends by itself in that step is not cut off
 
 
 @EVERY

@@ -9,13 +9,10 @@ from faces import flat
 
 from pcs_racing import InputError
 from pcs_racing.envs import drive
-from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
+from pcs_racing.envs.drive import DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
 from pcs_racing.envs.infos import Crash, Result
 from pcs_racing.envs.single import AGENTS
-from pcs_racing.game.reward import win_sign
 from pcs_racing.race.config import load_race_config
-from pcs_racing.race.races import winners
-from pcs_racing.race.state import empty_state
 
 X, Y, _, V, PSI = range(5)
 SLOW = {agent: np.array([0.0, -0.6], np.float32) for agent in AGENTS}
@@ -84,28 +81,6 @@ def test_swapping_the_cars_swaps_all_that_the_agents_get(coarse_oval):
     assert infos["car_0"]["crash"] == infos["car_1"]["crash"] == Crash.CAR
     assert (infos["car_0"]["fault"], infos["car_1"]["fault"]) == (1, 0)
     assert answers[0][1]["car_0"] < -10.0
-
-
-@pytest.mark.parametrize("options", [{"beams": 13}, {"race": "contest", "beams": 5, "lidar_noise": 0.1}])
-def test_car_0_drives_the_race_of_drive(coarse_oval, options):
-    """With the same seed and a driver of car 1 that does what the second agent does: the line follower of Drive."""
-    options = {"track": coarse_oval, "time_step": 0.1, "rivalry": 1.0, "duration": 4.0, **options}
-    two, one = DriveHeadToHeadEnv(**options), DriveEnv(opponent="pure-pursuit", **options)
-    seen_by_two, _ = two.reset(seed=9)
-    seen_by_one, _ = one.reset(seed=9)
-    np.testing.assert_array_equal(seen_by_two["car_0"], seen_by_one)
-    rival = DriveHeadToHeadEnv(opponent="pure-pursuit", **options)
-    alone, _ = rival.reset(seed=9)
-    assert list(alone) == ["car_0"] == rival.agents
-    while rival.agents:
-        action = follow_the_line(seen_by_one)
-        seen_by_one, reward, terminated, truncated, info = one.step(action)
-        observations, rewards, ends, cuts, infos = rival.step({"car_0": action})
-        np.testing.assert_array_equal(observations["car_0"], seen_by_one)
-        assert (rewards["car_0"], ends["car_0"], cuts["car_0"]) == (reward, terminated, truncated)
-        assert infos["car_0"] == info
-        assert rival.state().shape == (2 * len(seen_by_one),)
-        np.testing.assert_array_equal(rival.state()[: len(seen_by_one)], seen_by_one)
 
 
 def test_the_noise_of_the_two_lidars_differs(coarse_oval):
@@ -221,22 +196,6 @@ def test_where_winning_pays_the_last_moment_is_an_end(coarse_oval):
     assert terminated == dict.fromkeys(AGENTS, True)
     assert truncated == dict.fromkeys(AGENTS, False)
     assert infos["car_1"]["result"] == Result.WIN
-
-
-def test_the_reward_of_a_win_goes_to_the_winner_of_the_races():
-    """The compiled rule is that of :func:`pcs_racing.race.races.winners`, from either side."""
-    for rule in ("nobody", "fault-loses"):
-        config = load_race_config("paper", crash_rule=rule)
-        for lead in (-3.0, 0.0, 0.005, 2.0):
-            for crash, fault in (((0, 0), (0, 0)), ((1, 0), (1, 0)), ((2, 2), (0, 1)), ((1, 1), (1, 1))):
-                state = empty_state(1, 0)
-                state.progress[0], state.crash[0], state.fault[0] = (lead, 0.0), crash, fault
-                winner = winners(config, state)[0]
-                for car in range(2):
-                    sign = win_sign(
-                        lead if car == 0 else -lead, crash != (0, 0), fault[car], fault[1 - car], rule != "nobody"
-                    )
-                    assert sign == (0.0 if winner < 0 else 1.0 if winner == car else -1.0)
 
 
 def test_a_step_lasts_a_control_period_and_a_batch_has_one_race_by_default(coarse_oval):

@@ -1,6 +1,5 @@
 """The game of moves as an environment: what is played, how opponents are asked, and films."""
 
-import importlib
 import itertools
 import sys
 import types
@@ -15,7 +14,6 @@ from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.envs.infos import Result
 from pcs_racing.envs.single import AGENTS
 from pcs_racing.envs.video import RecordRaces
-from pcs_racing.game.make import make_game
 
 SHORT = {"step_seconds": 1.0, "moves": 3}
 
@@ -40,26 +38,6 @@ def episode(env, seed, action=1):
         assert not truncated
         if terminated:
             return rows
-
-
-def test_it_is_the_view_of_car_0():
-    """The same key and moves, played through the rules themselves."""
-    env = DuelEnv(opponent="always-aggressiveness +", **SHORT)
-    observation, _ = env.reset(seed=8)
-    game = make_game("Tarnfjord", **SHORT)
-    key = np.random.default_rng(8).integers(2**63)  # what the environment draws first
-    state = game.reset(np.array([key], np.uint64))
-    np.testing.assert_array_equal(observation, game.observation(state)[0, 0])
-    for move in (3, 1, 0):
-        observation, reward, terminated, _, info = env.step(move)
-        state = game.step(state, np.array([[move, 0]]))
-        np.testing.assert_array_equal(observation, game.observation(state)[0, 0])
-        assert reward == game.reward(state)[0, 0]
-        assert terminated == game.done(state)[0]
-        assert info["policy"] == state.policy[0, 0]
-        assert (info["move"], info["opponent_move"]) == (move, 0)
-        if terminated:
-            break
 
 
 def test_an_episode_is_the_game():
@@ -242,21 +220,6 @@ def test_the_first_step_is_filmed_as_it_was_driven(seed):
         conditions = env.batch.variety.conditions(np.zeros(1, np.int64))
         advance(env.game.setup, race, theta, env.game.config.step_ticks, conditions=conditions)
         np.testing.assert_array_equal(race.cars, env.batch.state.race.cars)
-
-
-def test_gymnasiums_function_films_a_whole_game(videos, monkeypatch, tmp_path):
-    monkeypatch.delitem(sys.modules, "gymnasium.utils.save_video", raising=False)
-    save_video = importlib.import_module("gymnasium.utils.save_video").save_video
-    env = gym.make("pcs_racing/Duel-v1", render_mode="rgb_array_list", render_size=(120, 80), **SHORT)
-    env.reset(seed=3)
-    over = False
-    while not over:
-        *_, over, _, info = env.step(0)
-    save_video(env.render(), str(tmp_path), fps=env.metadata["render_fps"])
-    del sys.modules["gymnasium.utils.save_video"]  # it knows the clip above
-    (frames, fps) = videos[0]
-    assert fps == 25
-    assert len(frames) == pytest.approx(25 * info["time"], abs=2)
 
 
 def test_frames_are_those_since_the_last_ones():

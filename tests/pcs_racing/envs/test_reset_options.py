@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, RaceSetup, load_race_config
-from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.reset_options import place_poses, poses_option, start_option
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.track.frenet import X, Y
@@ -68,7 +68,3 @@ def test_cars_start_where_the_options_say(coarse_oval):
     np.testing.assert_allclose(env.batch.state.cars[0][:, 3], [3.0, 2.0])
     assert env.batch.info(0)["lead"] == pytest.approx(4.0, abs=0.1)
     assert env.step([0.0, -1.0])[1] > 0.0
-    envs = DriveVectorEnv(2, track=coarse_oval)
-    envs.reset(seed=0, options={"start": [(5.0, 0), (8.0, 1)]})
-    begin = envs.batch.state.frenet[:, 0, 0] - envs.batch.state.progress[:, 0]
-    assert begin % envs.track.length == pytest.approx([5.0, 8.0], abs=0.05)

@@ -111,6 +111,11 @@ def test_unknown_kinds_and_attributes_are_named():
     with pytest.raises(InputError, match="'track' can't be set"):
         env.set_attr("track", "Pipkin")
     env.close()
+    for wrong in (DuelEnv(**SHORT), DuelVectorEnv(2, **SHORT)):
+        with pytest.raises(InputError, match=f"envs .*{type(wrong).__name__}; .*'SAME_STEP'"):
+            SB3VecEnv(wrong)
+    with pytest.raises(InputError, match="threads is 0"):
+        SB3VecEnv(DuelVectorEnv(2, autoreset_mode="SAME_STEP", **SHORT), threads=0)
 
 
 def test_methods_of_the_batch_and_its_frame():
@@ -125,12 +130,6 @@ def test_methods_of_the_batch_and_its_frame():
     assert env.get_attr("num_envs", indices=0) == [2]
     assert env.env_is_wrapped(object) == [False] * 2
     assert make_sb3_vec_env("drive", 2, opponent=None).get_images() == [None, None]
-
-
-def test_other_environments_are_refused():
-    for wrong in (DuelEnv(**SHORT), DuelVectorEnv(2, **SHORT)):
-        with pytest.raises(InputError, match=f"envs .*{type(wrong).__name__}; .*'SAME_STEP'"):
-            SB3VecEnv(wrong)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -161,8 +160,3 @@ def test_several_batches_are_one_environment(threads):
             joined.set_state(again)
     assert joined.has_attr("action_masks")
     joined.close()
-
-
-def test_impossible_threads_are_refused():
-    with pytest.raises(InputError, match="threads is 0"):
-        SB3VecEnv(DuelVectorEnv(2, autoreset_mode="SAME_STEP", **SHORT), threads=0)

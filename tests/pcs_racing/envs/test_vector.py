@@ -95,7 +95,7 @@ WRAPPERS = {
 }
 NEEDS = {"NumpyToTorch": ("torch", "array_api_compat")}
 ELSEWHERE = {
-    "RecordVideo",  # below
+    "RecordVideo",  # in test_duel.py
     "HumanRendering",  # opens a window with opencv
     "ArrayConversion",  # the base of NumpyToTorch
     "JaxToNumpy",
@@ -140,18 +140,6 @@ def test_the_wrappers_of_gymnasium_run(name, wrapper):
         seen, rewards, terminated, truncated, _ = wrapped.step(made)
         assert len(seen) == len(rewards) == len(terminated) == len(truncated) == 2
     wrapped.close()
-
-
-@pytest.mark.parametrize("name", IDS)
-def test_videos_are_recorded(name, tmp_path):
-    pytest.importorskip("moviepy")
-    envs = gym.make_vec(name, num_envs=2, render_mode="rgb_array", render_size=(96, 64), **IDS[name])
-    envs = vector_wrappers.RecordVideo(envs, str(tmp_path), episode_trigger=lambda episode: True)
-    envs.reset(seed=0)
-    for _ in range(6):
-        envs.step(action(envs))
-    envs.close()
-    assert list(tmp_path.glob("*.mp4"))
 
 
 @pytest.mark.parametrize(

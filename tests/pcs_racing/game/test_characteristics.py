@@ -44,14 +44,6 @@ def test_values_by_hand(piece, name, expected):
     np.testing.assert_allclose(measure(piece, get_characteristics([name]))[..., 0], expected)
 
 
-def test_several_characteristics_stand_side_by_side(piece):
-    axes = get_characteristics(["speed", "restraint", "smoothness"])
-    together = measure(piece, axes)
-    assert together.shape == (2, 2, 3)
-    for i, axis in enumerate(axes):
-        np.testing.assert_array_equal(together[..., i], measure(piece, [axis])[..., 0])
-
-
 def test_pieces_of_a_race_add_up():
     """Lead of the whole is the sum over the pieces; restraint is their mean, weighted by samples."""
     config = load_race_config("paper", duration=4.0)

@@ -3,14 +3,11 @@
 import pickle
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
-from gymnasium.utils.env_checker import check_env
 
 from pcs_racing import InputError, PolicyArchive, get_planner, load_archive, save_archive
-from pcs_racing.envs.registration import register_environments
 from pcs_racing.game import characteristics
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.game.learned import (
@@ -150,12 +147,3 @@ def test_an_archive_with_damaged_axes_is_refused(tmp_path, damage):
     (folder / "manifest.yaml").write_text(yaml.safe_dump({**manifest, "learned": damage}))
     with pytest.raises(InputError, match="learned"):
         load_archive(folder)
-
-
-def test_an_environment_with_learned_axes_passes_the_checker():
-    register_environments()
-    env = gym.make(
-        "pcs_racing/Duel-v1", track="Tarnfjord", archive=archive(), moves=2, step_seconds=1.0, disable_env_checker=True
-    ).unwrapped
-    check_env(env, skip_render_check=True)
-    assert env.game.move_names[:4] == ("toy_rating +", "toy_rating -", "toy_cycle +", "toy_cycle -")

@@ -1,10 +1,11 @@
 """What a step of driving pays, and who has won: the compiled forms, against numbers by hand."""
 
-import numpy as np
 import pytest
 
 from pcs_racing.game.reward import step_reward, win_sign
-from pcs_racing.race.races import TIE_WITHIN
+from pcs_racing.race.config import load_race_config
+from pcs_racing.race.races import TIE_WITHIN, winners
+from pcs_racing.race.state import empty_state
 
 
 def plain(function):
@@ -23,8 +24,16 @@ def test_without_a_crash_the_car_ahead_has_won(lead, sign):
     assert [plain(win_sign)(lead, False, 0, 0, loses) for loses in (True, False)] == [sign, sign]
 
 
-@pytest.mark.parametrize("lead", [-3.0, 3.0])
-def test_after_a_crash_the_rules_say_whether_the_car_at_fault_has_lost(lead):
-    faults = [(0, 0), (1, 0), (0, 1), (1, 1)]
-    assert [plain(win_sign)(lead, True, *fault, True) for fault in faults] == [0.0, -1.0, 1.0, 0.0]
-    assert not np.any([plain(win_sign)(lead, True, *fault, False) for fault in faults])
+def test_the_reward_of_a_win_goes_to_the_winner_of_the_races():
+    """The compiled rule is that of :func:`pcs_racing.race.races.winners`, from either side."""
+    for rule in ("nobody", "fault-loses"):
+        config = load_race_config("paper", crash_rule=rule)
+        for lead in (-3.0, 0.0, 0.005, 2.0):
+            for crash, fault in (((0, 0), (0, 0)), ((1, 0), (1, 0)), ((2, 2), (0, 1)), ((1, 1), (1, 1))):
+                state = empty_state(1, 0)
+                state.progress[0], state.crash[0], state.fault[0] = (lead, 0.0), crash, fault
+                winner = winners(config, state)[0]
+                for car in range(2):
+                    ahead = lead if car == 0 else -lead
+                    sign = plain(win_sign)(ahead, crash != (0, 0), fault[car], fault[1 - car], rule != "nobody")
+                    assert sign == (0.0 if winner < 0 else 1.0 if winner == car else -1.0)

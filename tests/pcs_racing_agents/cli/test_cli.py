@@ -30,18 +30,6 @@ PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]
 
 
 @pytest.fixture
-def run(capsys):
-    """Run a command; returns exit code, stdout and stderr."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        code = main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
-
-
-@pytest.fixture
 def copied(tmp_path) -> Path:
     """A shipped circuit, copied to a folder whose name has a space."""
     folder = tmp_path / "my maps" / "Pipkin"
@@ -237,6 +225,16 @@ def test_policies_lists_every_planner_and_parameter(run):
         (["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"], "style 'baroque' is unknown"),
         (["policies", "latice"], "did you mean 'lattice'?"),
         (["agents", "cfr"], "agent 'cfr' is unknown"),
+        (["headroom", "--size", "2", "--out", "x"], "2"),
+        (["headroom", "--size", "1000", "--out", "x"], "1000"),
+        (["headroom", "--races", "33", "--out", "x"], "33"),
+        (["headroom", "--archive", "nobody's", "--out", "x"], "nobody's"),
+        (["study", "contest-table", "--unseen", "Nowhere", "--out", "x"], "Nowhere"),
+        (["study", "contest-table", "--unseen", "Pipkin", "--out", "x"], "Pipkin"),
+        (["solve", "nowhere"], "holds no game trees"),
+        (["solve", "nowhere", "--out", "table.txt"], "must end in .csv"),
+        (["export", "nowhere", "--out", "t.efg"], "holds no game trees"),
+        (["export", "nowhere", "--out", "t.gbt"], "must end in .efg"),
     ],
 )
 def test_an_error_is_one_line(run, arguments, message, tmp_path, monkeypatch):

@@ -93,14 +93,13 @@ def test_a_picture_that_is_left_out_is_told(saved_archive, capsys, tmp_path, mon
         (["--agents", "random-moves", "never-switch", "--track", "Pipkin", "--index", "20"], "there are races 0 to 19"),
     ],
 )
-def test_what_is_asked_for_wrongly_is_named(tournament_folder, arguments, message, capsys):
+def test_what_is_asked_for_wrongly_is_named(tournament_folder, arguments, message, run):
     place, tournament = tournament_folder
     number = str(next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher"))
     given = [number if text == "5" else text.format(folder=place) for text in arguments]
-    assert main(["explain", *given]) == 2
-    error = capsys.readouterr().err
+    code, _, error = run("explain", *given)
+    assert (code, error.count("\n")) == (2, 1)
     assert message in error
-    assert error.count("\n") == 1
 
 
 def test_agents_and_races_that_have_changed_are_noticed(tournament_folder, tmp_path, capsys):

@@ -44,15 +44,6 @@ def test_agreement_is_the_share_of_decisions_with_a_best_move(seed, on_path):
     assert agreement(tree, exact, exact.profile, on_path=on_path) == pytest.approx(1.0)
 
 
-def test_agreement_between_all_and_nothing_by_hand():
-    """Car 0 gets 3 or 1 by its first move, whatever the other does; car 1 is indifferent and does not count."""
-    tree = GameTree.from_payoffs([[3.0, 3.0], [1.0, 1.0]])
-    exact = solve_exact(tree)
-    for chosen, expected in (([0.9, 0.1], 1.0), ([0.4, 0.6], 0.0)):
-        profile = [(np.array([chosen]), np.array([[0.5, 0.5]]))]
-        assert agreement(tree, exact, profile) == agreement(tree, exact, profile, on_path=True) == expected
-
-
 def test_where_nothing_matters_everybody_agrees():
     tree = GameTree.from_payoffs(np.full((2, 2), 7.0))
     assert agreement(tree, solve_exact(tree), [(np.array([[0.0, 1.0]]), np.array([[1.0, 0.0]]))]) == 1.0

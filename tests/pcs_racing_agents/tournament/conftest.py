@@ -17,7 +17,7 @@ GAMES = 12
 @pytest.fixture(scope="session")
 def contest(oval, archive) -> RaceGame:
     """Games with short steps, so disturbed that some end in a crash."""
-    return make_game(oval, archive, load_race_config("contest", steering_noise=0.2), step_seconds=0.8)
+    return make_game(oval, archive, load_race_config("contest", steering_noise=0.1), step_seconds=0.8)
 
 
 @pytest.fixture(scope="session")

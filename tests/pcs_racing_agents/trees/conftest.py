@@ -9,7 +9,7 @@ from pcs_racing.game.state import GameState
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing_agents.trees import RaceTree
 
-FAR = replace(CONTEST, name="far", start_gap=20.0, steering_noise=0.03)
+FAR = replace(CONTEST, name="far", start_gap=20.0, steering_noise=0.02)
 
 
 @pytest.fixture(scope="session")

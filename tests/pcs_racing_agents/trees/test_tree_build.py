@@ -27,7 +27,7 @@ def test_the_leaves_are_the_races_of_all_sequences_of_moves(paper, played, numbe
     assert tree.statistics.crashed == ends.race.crashed.mean()
 
 
-@pytest.mark.parametrize(("name", "policies", "line", "side"), [("noisy", (2, 6), 5, 1), ("far", (7, 1), 0, 0)])
+@pytest.mark.parametrize(("name", "policies", "line", "side"), [("noisy", (2, 6), 6, 1), ("far", (7, 1), 0, 0)])
 def test_what_is_seen_on_the_way_is_what_the_game_shows(name, policies, line, side, request, played, number):
     game = request.getfixturevalue(name)
     tree = build_tree(game, policies, (float(game.start_lines[line]), side), [1, 2])
@@ -67,7 +67,7 @@ def test_cars_that_come_within_sight_are_driven_together(track, archive):
     """The car behind is the faster one: what can be put together must end where it comes within sight."""
     rules = {"moves": 2, "step_seconds": 6.0, "utility": "lead", "epsilon": 0.35}
     game = make_game(track, archive, replace(CONTEST, start_gap=30.0, steering_noise=0.0), **rules)
-    place = (float(game.start_lines[3]), 0)
+    place = (float(game.start_lines[5]), 0)
     tree = build_tree(game, (4, 7), place)
     same(tree, build_tree(game, (4, 7), place, share=False), but=("driven",))
     assert np.abs(tree.leads[1]).max() > 20.0

@@ -70,7 +70,6 @@ def test_a_narrow_place_is_named():
     ("change", "error", "words"),
     [
         ({"clearance": -0.1}, InputError, "clearance is -0.1"),
-        ({"spacing": np.nan}, InputError, "spacing is nan"),
         ({"length_weight": -1.0}, InputError, "length_weight is -1.0"),
         ({"centerline": np.zeros((3, 2))}, MapError, "0 different points"),
         ({"centerline": 100.0 * np.eye(4)[:, :2]}, MapError, "different points|leaves the map"),
