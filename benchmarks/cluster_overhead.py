@@ -30,9 +30,8 @@ from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.cli.estimates import LEAD_PLAN_ROUNDS
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.learning.ppo.seed_training import train_seed
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
-from pcs_racing_agents.learning.ppo.train import make_task
+from pcs_racing_agents.learning.ppo.train import make_task, train_seed
 from pcs_racing_agents.learning.responses import learner
 from pcs_racing_agents.learning.responses.branches import BLOCK, GameBlock
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, load_response_settings

@@ -81,20 +81,6 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
         assert state.tick.max() >= 20
 
 
-def test_races_go_on_from_their_state(track):
-    rng = np.random.default_rng(0)
-    actions = rng.normal(0.0, 1.0, (60, 6, 2)).astype(np.float32)
-    envs, other = drives(track), drives(track)
-    envs.reset(seed=4)
-    other.reset(seed=4)
-    for action in actions[:30]:
-        envs.step(action)
-    other.set_state(envs.get_state())
-    for action in actions[30:]:
-        for one, two in zip(envs.step(action)[:4], other.step(action)[:4], strict=True):
-            np.testing.assert_array_equal(one, two)
-
-
 def test_rewards_are_progress_less_a_share_of_the_opponents(track):
     envs = drives(track, hold=10, rivalry=0.5, leading=3.0, crash_penalty=7.0)
     envs.reset(seed=4)
