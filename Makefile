@@ -15,7 +15,7 @@ help:
 	@echo "make test        the test suite"
 	@echo "make research    the tests of research/, whose experiments answered a question once (once a week in CI)"
 	@echo "make kernels     compile what races and environments need, which the tests do first"
-	@echo "make compare     comparisons with other libraries (Gambit, pymoo, CMA-MAE and others), which it installs"
+	@echo "make compare     comparisons with other libraries (Gambit, pymoo and others), which it installs"
 	@echo "make clients     other RL libraries on the environments, each in an environment of its own (half an hour the first time)"
 	@echo "make machines    the test suite as other machines would run it; PYTHONS=\"python3.12 python3.13\" adds those"
 	@echo "make lint        style, and the format of the code"
@@ -97,8 +97,9 @@ benchmark-history: $(VENV)/test.stamp
 	$(RUN) benchmarks/record.py --check
 	$(RUN) benchmarks/record.py --add
 
+# What pools finished studies needs their folders, and is run by hand.
 benchmarks: $(VENV)/compare.stamp
-	@for script in benchmarks/*.py; do echo "== $$script"; $(RUN) "$$script" || exit 1; done
+	@for script in $(filter-out benchmarks/pooled_studies.py,$(wildcard benchmarks/*.py)); do echo "== $$script"; $(RUN) "$$script" || exit 1; done
 
 docs: $(VENV)/docs.stamp
 	$(RUN) -m sphinx --fail-on-warning --keep-going --builder html --doctree-dir out/doctrees docs out/docs

@@ -85,6 +85,7 @@ print(json.dumps({"spent": spent, "driven": driven, "crashed": crashed}))
 def the_task(track: Track, seconds: float) -> dict[str, Any]:
     """What both halves are told: map, line, poses and time."""
     assert track.folder is not None
+    # Every second point: their half searches the nearest one in plain Python in each step.
     line = track.line[::2, :2]
     poses = track.to_cartesian(np.array([[GAP, 0.0], [0.0, 0.0]]))
     return {
@@ -115,6 +116,7 @@ def ours(track: Track, task: dict[str, Any], races: int) -> tuple[float, float, 
     rows, generators = np.arange(races), [np.random.default_rng(0) for _ in range(races)]
     spent = driven = 0.0
     crashed = False
+    # The first, short run compiles, and does not count.
     for seconds in (0.5, task["seconds"]):
         batch.restart(rows, generators, {"poses": [[*pose, SPEED] for pose in task["poses"]]})
         spent, driven, crashed = 0.0, 0.0, False
@@ -123,6 +125,7 @@ def ours(track: Track, task: dict[str, Any], races: int) -> tuple[float, float, 
             for car in range(2):
                 pose = batch.state.cars[0, car, [0, 1, 4]].tolist()
                 actions[:, car, 0] = shared["steer"](task["line"], *pose) / F1TENTH.steer_max
+            # The pursuit is plain Python on both sides and outside the clock.
             start = time.thread_time()
             ended = batch.step(actions, generators).terminated
             spent += time.thread_time() - start

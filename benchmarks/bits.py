@@ -176,7 +176,7 @@ def networks(folders: list[Path]) -> Digests:
 def statistics(folders: list[Path]) -> Digests:
     """Ratings, a clustered mean, a t-test."""
     from pcs_racing_agents.tournament.ratings import rate
-    from pcs_racing_agents.tournament.statistics.clusters import clustered_mean, t_interval
+    from pcs_racing_agents.tournament.statistics import clustered_mean, t_interval
 
     rng = np.random.default_rng(0)
     names = np.array([f"agent {k}" for k in range(8)])
@@ -187,7 +187,7 @@ def statistics(folders: list[Path]) -> Digests:
     yield "ratings", [np.asarray(value) for value in vars(ratings).values() if isinstance(value, np.ndarray)]
     estimate = clustered_mean(rng.normal(size=600), first, second)
     yield "clustered mean", tuple(estimate)
-    yield "t-test", [t_interval(t, 1.0, df, 0.95) for t in (0.5, 2.0, 5.0) for df in (3, 30, 300)]
+    yield "t-test", [t_interval(t, 1.0, df) for t in (0.5, 2.0, 5.0) for df in (3, 30, 300)]
 
 
 def archive(folders: list[Path]) -> Digests:
@@ -226,6 +226,7 @@ PARTS: dict[str, Callable[[list[Path]], Digests]] = {
 
 def digests(parts: list[str], folders: list[Path]) -> dict[str, str]:
     """Digest of each result; a part that fails says why instead."""
+    # A part that fails must not hide the digests of the others.
     found: dict[str, str] = {}
     for part in parts:
         try:
@@ -240,6 +241,7 @@ def digests(parts: list[str], folders: list[Path]) -> dict[str, str]:
 def other_process(setting: dict[str, str], arguments: list[str]) -> dict[str, str]:
     """The digests that a process with these environment variables prints."""
     with tempfile.TemporaryDirectory() as caches:
+        # Compiled code and tracks in the shared caches were made under other instructions.
         own = {"NUMBA_CACHE_DIR": f"{caches}/numba", "PCS_RACING_CACHE": f"{caches}/tracks"}
         environment = {**os.environ, "PYTHONPATH": str(ROOT), **own, **setting}
         command = [sys.executable, __file__, "--json", *arguments]

@@ -19,7 +19,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -69,25 +69,30 @@ def run_steps(step: Callable[[], object], envs: int, steps: int) -> list[Slice]:
     return rows
 
 
+def episodes(env: Any, draw: Callable[[np.random.Generator], object], steps: int) -> list[Slice]:
+    """Steps of environments with random actions."""
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    ended = 0
+
+    def step() -> None:
+        nonlocal ended
+        _, _, terminated, truncated, _ = env.step(draw(rng))
+        ended += int((terminated | truncated).sum())
+
+    step()  # compiled, or read from the disk
+    rows = run_steps(step, env.num_envs, steps)
+    env.close()
+    print(f"{ended} episodes ended")
+    return rows
+
+
 def drive(envs: int, steps: int, threads: int) -> list[Slice]:
     """Control-level environments with an opponent on the lattice."""
     from pcs_racing.envs.drive import DriveVectorEnv
 
     env = DriveVectorEnv(envs, threads=threads)
-    env.reset(seed=0)
-    rng = np.random.default_rng(0)
-    episodes = 0
-
-    def step() -> None:
-        nonlocal episodes
-        _, _, terminated, truncated, _ = env.step(rng.uniform(-1.0, 1.0, (envs, 2)).astype(np.float32))
-        episodes += int((terminated | truncated).sum())
-
-    step()  # compiled, or read from the disk
-    rows = run_steps(step, envs, steps)
-    env.close()
-    print(f"{episodes} episodes ended")
-    return rows
+    return episodes(env, lambda rng: rng.uniform(-1.0, 1.0, (envs, 2)).astype(np.float32), steps)
 
 
 def duel(envs: int, steps: int, threads: int, step_seconds: float) -> list[Slice]:
@@ -95,21 +100,8 @@ def duel(envs: int, steps: int, threads: int, step_seconds: float) -> list[Slice
     from pcs_racing.envs.duel import DuelVectorEnv
 
     env = DuelVectorEnv(envs, threads=threads, step_seconds=step_seconds)
-    env.reset(seed=0)
-    rng = np.random.default_rng(0)
     moves = int(env.single_action_space.n)  # type: ignore[attr-defined]
-    games = 0
-
-    def step() -> None:
-        nonlocal games
-        _, _, terminated, truncated, _ = env.step(rng.integers(0, moves, envs))
-        games += int((terminated | truncated).sum())
-
-    step()
-    rows = run_steps(step, envs, steps)
-    env.close()
-    print(f"{games} games ended")
-    return rows
+    return episodes(env, lambda rng: rng.integers(0, moves, envs), steps)
 
 
 def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> list[Slice]:
@@ -142,6 +134,7 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
         rows.append(Slice(done, time.monotonic() - clock, used, unit, resident_megabytes()))
         tell(rows[-1], "races")
 
+    # The first call compiles; its time belongs neither to the races nor to the yardstick.
     measure()
     apart = 0.0
     clock, processor = time.monotonic(), time.process_time()
@@ -192,6 +185,7 @@ def judge(rows: list[Slice]) -> None:
     if len(rows) < SLICES:
         print("not all of it was done now: there is nothing to compare")
         return
+    # The first quarter fills caches and memory, which is no leak.
     quarter = max(len(rows) // 4, 1)
     early, late = rows[quarter : 2 * quarter], rows[-quarter:]
     memory = np.mean([row.megabytes for row in late]) - np.mean([row.megabytes for row in early])

@@ -57,6 +57,7 @@ def spread(numbers: list[float], archives: list[str]) -> str:
     """Standard deviation between studies of one archive, and between the means of archives."""
     pairs = list(zip(numbers, archives, strict=True))
     groups = [[number for number, at in pairs if at == name] for name in dict.fromkeys(archives)]
+    # An archive with one study says nothing of the spread between studies.
     within = np.sqrt(np.mean([np.var(group, ddof=1) for group in groups if len(group) > 1]))
     return f"{within:.3f}, {np.std([np.mean(group) for group in groups], ddof=1):.3f}"
 
@@ -106,6 +107,7 @@ def main() -> None:
     files += [folder / "headroom.csv" for group in given.headroom for folder in group]
     if missing := [str(file) for file in files if not file.is_file()]:
         parser.error(f"there is no {', '.join(missing)}")
+    # Only cells and agents that every study has: a mean over different cells would compare circuits, not agents.
     tables = [read_table(folder) for folder in folders]
     cells = [cell for cell in tables[0].seen if all(cell in table.seen for table in tables)]
     arms = list(dict.fromkeys(arm for (_, arm) in tables[0].scores))

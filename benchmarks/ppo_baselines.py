@@ -126,10 +126,12 @@ def race_driver(baseline: Shipped, tracks: list[str], arguments: argparse.Namesp
                 draws = {"opponents": variants, "seed": SEED}
                 driven = min(races // variants, MOST_LINES)
                 raced = play_pairing(cross_pairing(game, driver, opponent, egos=1, lines=driven, **draws))
+                # The archive's policies beside it drive about as many races, spread over start policies.
                 lines = max(races // (variants * arguments.egos), 1)
                 beside = play_pairing(
                     cross_pairing(game, policies, opponent, egos=arguments.egos, lines=lines, **draws)
                 )
+                # A label that never varies splits nothing, and its variance would be that of one cluster.
                 clusters = [labels for labels in (raced.variants[:, 1], raced.places) if np.ptp(labels) > 0]
                 clusters = clusters or [np.arange(len(raced))]
                 print(

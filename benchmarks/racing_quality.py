@@ -51,6 +51,7 @@ def sample_policies(count: int, seed: int) -> list[Policy]:
 
 def study(track: Track, config: RaceConfig, policies: int, opponents: int, seed: int) -> dict[str, object]:
     egos = sample_policies(policies, seed)
+    # The same opponents for every policy: its points then differ by the policy alone.
     rivals = sample_policies(opponents, seed + 1)
     result = run_races(track, [e for e in egos for _ in rivals], rivals * policies, config, seed=seed)
     shape = (policies, opponents)

@@ -52,6 +52,7 @@ def slower(found: Mapping[str, float], history: Sequence[Mapping[str, str]], pro
     processor : str
         The present machine, whose own lines count if there are any.
     """
+    # Ratios still differ between processors: caches and vectors do not scale as the reference does.
     own = [line for line in history if line.get("processor") == processor] or list(history)
     lines = []
     for name, ratio in found.items():
@@ -114,8 +115,10 @@ def measured() -> dict[str, tuple[Callable[[], object], int]]:
 def measure() -> tuple[dict[str, float], float]:
     """Return the ratios, and the reference in ms."""
     base, tasks = reference(), measured()
+    # The best, not the mean: other work on the machine only ever makes something slower.
     best = dict.fromkeys(("reference", *tasks), np.inf)
     for _ in range(ROUNDS + 1):  # the first one compiles
+        # The reference in each round, so that a change of the clock during the run meets both sides of a ratio.
         for name, (work, units) in {"reference": (base, 1), **tasks}.items():
             start = time.thread_time()
             work()

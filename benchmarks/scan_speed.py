@@ -1,6 +1,6 @@
 """How long one lidar scan, one minimum iTTC and one wall check take on one core, and how exact the scans are.
 
-    python benchmarks/scan_speed.py [--track NAME_OR_FOLDER] [--reference FOLDER] [--json]
+    python benchmarks/scan_speed.py [--track NAME_OR_FOLDER] [--reference FOLDER]
 
 Scans are taken from poses all around a circuit, without an opponent and with one ahead, behind and beside. The median
 over the rounds is reported for each, in microseconds of the thread's own time. With the reference data at hand (and the
@@ -8,7 +8,6 @@ circuit it was made on), the errors against exact cell traversal are printed too
 """
 
 import argparse
-import json
 import os
 import time
 from pathlib import Path
@@ -75,6 +74,7 @@ def median_us(function: Any, *arguments: Any) -> float:
     """Median time of one of the ``POSES`` calls that a compiled loop makes, in microseconds."""
     function(*arguments)
     rounds = []
+    # The median of many short rounds: one interruption must not decide.
     for _ in range(ROUNDS):
         start = time.thread_time()
         for _ in range(5):
@@ -88,6 +88,7 @@ def errors(track: Track, reference: Path) -> dict[str, float]:
     data = np.load(reference / "scans_spielberg.npz")
     exact = np.minimum(data["exact_scans"], 30.0)
     error = np.abs(Lidar(track).scan(data["poses"]) - exact)
+    # What ray marching on a grid loses, beside our error.
     marched = np.abs(data["gym_scans"] - exact)
     return {
         "median_m": float(np.median(error)),
@@ -102,10 +103,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default=str(MAPS / "Spielberg"), help="name or folder of a circuit")
     parser.add_argument("--reference", type=Path, default=REFERENCE, help="folder of scans_spielberg.npz")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON")
     options = parser.parse_args()
     track = load_track(options.track)
-    result: dict[str, Any] = {"track": track.name}
     for beams in (1080, 108):
         lidar = Lidar(track, beams=beams)
         work, out = np.empty(WORK_SHAPE), np.empty(beams)
@@ -113,19 +112,13 @@ def main() -> None:
             rows = situations(track, place)
             us = median_us(scans, track.arrays, lidar.kernel, rows, place is not None, work, out)
             print(f"scan of {beams:4} beams, {name:15} {us:7.2f} us")
-            result[f"scan_{beams}_{name.replace(' ', '_')}_us"] = round(us, 3)
     rows = situations(track, PLACES["opponent ahead"])
     for name, function in (("minimum_ittc", ittcs), ("car_hits_wall", wall_checks)):
         us = median_us(function, track.arrays, rows)
         print(f"{name:34} {us:7.2f} us")
-        result[f"{name}_us"] = round(us, 3)
     if track.name == "Spielberg" and (options.reference / "scans_spielberg.npz").is_file():
-        result["errors"] = errors(track, options.reference)
-        print(
-            "errors against exact scans:", ", ".join(f"{name} {value:.5f}" for name, value in result["errors"].items())
-        )
-    if options.json:
-        print(json.dumps(result))
+        found = errors(track, options.reference)
+        print("errors against exact scans:", ", ".join(f"{name} {value:.5f}" for name, value in found.items()))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How fast the solvers of game trees are, against OpenSpiel's C++ on the same tree, and how close they come.
 
-    python benchmarks/solver_speed.py [--trees FOLDER] [--tree N] [--moves M] [--steps K] [--json]
+    python benchmarks/solver_speed.py [--trees FOLDER] [--tree N] [--moves M] [--steps K]
 
 One tree of simultaneous moves (4 moves, 4 steps, payoffs from a seed; or one that ``pcs-racing tree`` played) goes as
 extensive form text to OpenSpiel, which must find the same exploitability after 9 and 13 iterations. Then both sides
@@ -9,12 +9,10 @@ of one thread. Without OpenSpiel only our side is measured.
 """
 
 import argparse
-import json
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -47,14 +45,13 @@ def median(values: list[float]) -> float:
     return float(np.median(values))
 
 
-def against_openspiel(tree: GameTree) -> dict[str, Any]:
+def against_openspiel(tree: GameTree) -> None:
     """Iterations by turns; exploitability after 9 and 13 iterations on both sides."""
     import pyspiel
 
     begin = time.thread_time()
     game = efg_game(tree)
-    result: dict[str, Any] = {"efg_load_s": time.thread_time() - begin}
-    print(f"text written and loaded by OpenSpiel: {result['efg_load_s']:.2f} s")
+    print(f"text written and loaded by OpenSpiel: {time.thread_time() - begin:.2f} s")
     for variant, name in (("alternating", "CFRSolver"), ("alternating+", "CFRPlusSolver")):
         solver = getattr(pyspiel, name)(game)
         done = 0
@@ -65,22 +62,21 @@ def against_openspiel(tree: GameTree) -> dict[str, Any]:
             theirs = pyspiel.exploitability(game, solver.tabular_average_policy())
             ours = exploitability(tree, cfr(tree, iterations, variant).average).exploitability
             print(f"{variant:12} {iterations:2} iterations: exploitability {ours:.12g}, {name} {theirs:.12g}")
+            # Times of two solvers compare nothing unless both walk the same tree by the same rules.
             if abs(ours - theirs) > 1e-10 * max(1.0, abs(theirs)):
                 raise SystemExit(f"{variant} and {name} do not play the same game")
         rounds = []
+        # By turns, so that a slow moment of the machine meets both sides of a ratio.
         for _ in range(ROUNDS):
             mine = seconds(lambda variant=variant: cfr(tree, OURS, variant)) / OURS
             other = seconds(lambda solver=solver: [solver.evaluate_and_update_policy() for _ in range(THEIRS)]) / THEIRS
             rounds.append((mine, other, other / mine))
         mine, other, ratio = (median(list(column)) for column in zip(*rounds, strict=True))
         print(f"{variant:12} {1e3 * mine:.3f} ms an iteration, {name} {1e3 * other:.1f} ms: {ratio:.0f} times")
-        result[variant] = {"ms": 1e3 * mine, "openspiel_ms": 1e3 * other, "ratio": ratio}
-    return result
 
 
-def convergence(tree: GameTree) -> dict[str, list[float]]:
+def convergence(tree: GameTree) -> None:
     """Exploitability over iterations, for each variant."""
-    table = {}
     print("| variant | " + " | ".join(str(count) for count in ITERATIONS) + " |")
     print("|---" * (len(ITERATIONS) + 1) + "|")
     for variant in VARIANTS:
@@ -89,8 +85,6 @@ def convergence(tree: GameTree) -> dict[str, list[float]]:
             run = cfr(tree, count - (run.iterations if run else 0), variant, resume=run)
             row.append(exploitability(tree, run.average).exploitability)
         print(f"| `{variant}` | " + " | ".join(f"{value:.2g}" for value in row) + " |")
-        table[variant] = row
-    return table
 
 
 def main() -> None:
@@ -99,7 +93,6 @@ def main() -> None:
     parser.add_argument("--tree", type=int, default=0, metavar="N", help="which one (default: 0)")
     parser.add_argument("--moves", type=int, default=4, help="moves of each player, if none is given (default: 4)")
     parser.add_argument("--steps", type=int, default=4, help="steps of moves (default: 4)")
-    parser.add_argument("--json", action="store_true", help="end with one line of JSON")
     options = parser.parse_args()
 
     if options.trees:
@@ -109,23 +102,22 @@ def main() -> None:
     nodes = sum(tree.nodes(k) for k in range(tree.depth))
     span = float(np.ptp(tree.payoffs))
     print(f"tree: {nodes} nodes, {tree.payoffs.size} leaves, payoffs of range {span:.4g}")
-    result: dict[str, Any] = {"nodes": nodes, "leaves": tree.payoffs.size}
 
     for variant in VARIANTS:
         cfr(tree, 1, variant)
     for variant in VARIANTS:
         each = median([seconds(lambda variant=variant: cfr(tree, OURS, variant)) / OURS for _ in range(ROUNDS)])
         print(f"cfr {variant:12} {1e3 * each:.3f} ms an iteration")
-        result[f"cfr_{variant}_ms"] = 1e3 * each
 
     exact = solve_exact(tree)
-    result["exact_ms"] = 1e3 * median([seconds(lambda: solve_exact(tree)) for _ in range(ROUNDS)])
+    took = median([seconds(lambda: solve_exact(tree)) for _ in range(ROUNDS)])
     left = exploitability(tree, exact.profile).exploitability
-    print(f"exact: {result['exact_ms']:.1f} ms, value {exact.value:.6g}, exploitability {left:.1e}")
+    print(f"exact: {1e3 * took:.1f} ms, value {exact.value:.6g}, exploitability {left:.1e}")
     even = uniform_profile(tree)
-    result["exploitability_ms"] = 1e3 * median([seconds(lambda: exploitability(tree, even)) for _ in range(ROUNDS)])
-    print(f"exploitability of a profile: {result['exploitability_ms']:.1f} ms")
+    took = median([seconds(lambda: exploitability(tree, even)) for _ in range(ROUNDS)])
+    print(f"exploitability of a profile: {1e3 * took:.1f} ms")
 
+    # Nodes that look the same to a player are one information set: with nothing to see, one set a step.
     nothing = [(np.zeros(tree.nodes(k)), np.zeros(tree.nodes(k))) for k in range(tree.depth)]
     blind = tree.with_observations(nothing)
     solved = solve_sequence_form(blind)
@@ -134,16 +126,13 @@ def main() -> None:
     print(f"blind to the other's moves: {1e3 * took:.0f} ms, value {solved.value:.6g}, exploitability {left:.1e}")
     each = median([seconds(lambda: cfr(blind, OURS)) / OURS for _ in range(ROUNDS)])
     print(f"blind, cfr alternating+: {1e3 * each:.3f} ms an iteration")
-    result["blind_cfr_ms"] = 1e3 * each
 
     if find_spec("pyspiel"):
-        result["openspiel"] = against_openspiel(tree)
+        against_openspiel(tree)
     else:
         print('OpenSpiel is not here: pip install ".[games]"')
     print("\nexploitability after so many iterations")
-    result["convergence"] = convergence(tree)
-    if options.json:
-        print(json.dumps(result))
+    convergence(tree)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Do the estimators keep their promises? Coverage, false positives and bias on simulated tournaments.
 
-    python benchmarks/statistics_coverage.py                  # the tables of docs/statistics.md
+    python benchmarks/statistics_coverage.py                  # the tables of docs/reports/statistics.md
     python benchmarks/statistics_coverage.py --datasets 200   # a quick look
 
 Every data set is a tournament of two arms with a known difference. A 95 % interval should hold the true difference in
@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.tournament.statistics import clustered_mean, compare
-from pcs_racing_agents.tournament.statistics.clusters import t_interval
+from pcs_racing_agents.tournament.statistics import clustered_mean, compare, t_interval
 
 Floats = NDArray[np.float64]
 FULL = (20, 20, 10)  # egos, opponents, races of each pair
@@ -75,6 +74,7 @@ def binary(size: tuple[int, int, int], shift: float = 0.25) -> Draw:
     truth = NormalDist().cdf(shift / sqrt(2.0 * own**2 + 2.0 * shared**2 + noise**2)) - 0.5
 
     def draw(rng: np.random.Generator) -> Data:
+        # Effects that both arms share cancel in the difference, but decide how often a race is close.
         base = shared * (rng.normal(size=egos)[g] + rng.normal(size=opponents)[h])
         race = sqrt(0.7) * noise * rng.normal(size=len(g))
         wins = []
@@ -116,6 +116,7 @@ SCENARIOS: dict[str, Draw] = {
 
 def plain_two_way(data: Data) -> bool:
     """Does the interval without the floor under its variance miss the truth?"""
+    # The estimator without the floor, as textbooks have it, to show what the floor is for.
     residual = data.differences - data.differences.mean()
     cells = data.ego * (data.opponent.max() + 1) + data.opponent
     variance = 0.0
@@ -124,13 +125,15 @@ def plain_two_way(data: Data) -> bool:
         variance += sign * (np.bincount(codes, residual) ** 2).sum() * number / (number - 1)
     if variance <= 0.0:
         return True
+    # The fewer clusters of the two decide: with five egos there are four differences between egos to learn from.
     df = min(len(np.unique(data.ego)), len(np.unique(data.opponent))) - 1
-    _, _, p = t_interval(data.differences.mean() - data.truth, sqrt(variance) / len(residual), df, 0.95)
+    _, _, p = t_interval(data.differences.mean() - data.truth, sqrt(variance) / len(residual), df)
     return p < 0.05
 
 
 def misses(data: Data) -> list[float]:
     """For each estimator whether it rejects the truth, and the width of the clustered interval."""
+    # Testing a difference of zero after moving is the same as asking whether the interval holds the truth.
     moved = data.differences - data.truth
     zeros = np.zeros_like(moved)
     result = compare(moved, zeros, data.ego, data.opponent)
@@ -140,6 +143,7 @@ def misses(data: Data) -> list[float]:
         clustered_mean(moved, data.ego, data.opponent, data.line).p < 0.05,
         clustered_mean(moved, data.ego, data.opponent, same_pool=True).p < 0.05,
         result.p_paired_t < 0.05,
+        # Each race a cluster of its own, as if races did not share egos and opponents.
         clustered_mean(moved, np.arange(len(moved))).p < 0.05,
         result.high - result.low,
     ]
@@ -174,6 +178,7 @@ def adaptivity_table(datasets: int, seed: int) -> None:
         for _ in range(datasets):
             blind = [scores(strength, rng) for strength in strengths]
             adaptive = scores(0.04, rng)
+            # Without training races the best arm is chosen on the test races: the mistake that the table shows.
             training = blind
             if training_races:
                 order = rng.permutation(len(g))[:training_races]

@@ -124,6 +124,7 @@ def trained(tuned: TunedPPO, given: argparse.Namespace) -> Player:
     last = list(csv.DictReader(curve_file.open(encoding="utf-8")))[-1]
     print(f"trained {last['steps']} steps, {last['wall_s']} s, {last['processor_s']} s of processor time", flush=True)
     model = PPO.load(model_file, device="cpu")
+    # PPO learned on observations scaled by VecNormalize; what it sees here must be scaled by the same numbers.
     if not scale_file.is_file():
         return lambda seen: model.predict(seen, deterministic=True)[0]
     with np.load(scale_file, allow_pickle=False) as arrays:
@@ -154,6 +155,7 @@ def play(envs: Any, player: Player, seed: int, options: dict[str, Any] | None = 
         ended = going & (terminated | truncated)
         if ended.any():
             results[ended] = info["result"][ended]
+        # Environments begin anew by themselves: only the first episode of each counts.
         going &= ~ended
     return returns, results
 
@@ -237,6 +239,7 @@ def judge_match(tuned: TunedPPO, ppo: Player, games: int, choices: int) -> list[
         scores.append(won)
         fronts.append(front)
     won, front = np.array(scores), np.array(fronts[0], bool)
+    # Chosen on these starts, judged on others: the best of many on the same starts would be too good.
     fixed = int(won.mean(axis=(1, 2)).argmax())
     ahead, behind = (int((won * at).sum(axis=(1, 2)).argmax()) for at in (front, ~front))
     judging = Arena(MatchVectorEnv, tuned.arguments, games, JUDGING)

@@ -1,4 +1,4 @@
-"""How strong every agent of the zoo is, and what a decision costs; and from that docs/zoo.md and docs/zoo/.
+"""How strong every agent of the zoo is, and what a decision costs.
 
     python benchmarks/zoo.py                     # measures and prints
     python benchmarks/zoo.py --write             # and writes agents/measured.csv and the pages
@@ -51,6 +51,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
         except UnknownNameError as error:
             print(f"not measured: {error}")
     games = [make_game(load_track(track), setting.archive, setting.config) for track in TRACKS[race]]
+    # The same starts and seeds for every agent, so that differences of scores are differences of agents.
     schedules = [draw_schedule(game.track, setting.config.race_rules, races, SEED) for game in games]
     settings = {"archive": setting.archive.content_hash, "race": race, "races": races, "seed": SEED}
     tables = []
@@ -64,8 +65,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
             told = show_progress(f"races: {name}, {race}")
             # Kept by name: a new agent leaves the races of the others as they are.
             kept = name.replace("+", "-plus") if name.endswith("+") else f"{name}minus" if name.endswith("-") else name
-            played = play_pairings(pairings, name=kept, job=job, progress=told)
-            tables += [pairing.table(games) for pairing, games in zip(pairings, played, strict=True)]
+            tables += play_pairings(pairings, name=kept, job=job, progress=told)
     races_driven = concatenate_races(tables)
     together = round_robin(list(agents), races_driven)
     found = []
@@ -97,6 +97,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
 def cost(game: Any, agent: Any) -> tuple[float, float]:
     """Microseconds of processor time of a decision: for one observation, and for each of 1,000 at once."""
     if isinstance(agent, Driver):
+        # A driver plans within the race: its cost is that of whole races, divided by their plans.
         policies = [agent.policies[i % len(agent.policies)] for i in range(16)]
         rules = game.setup.config
         spent = _seconds(lambda: run_races(game.track, policies, policies[::-1], rules, threads=1))
@@ -107,6 +108,7 @@ def cost(game: Any, agent: Any) -> tuple[float, float]:
     if isinstance(agent, Agent):
         one, many = (_seconds(lambda seen=seen: agent.predict(seen)) / len(seen) for seen in (rows[:1], rows))
         return 1e6 * one, 1e6 * many
+    # Agents that simulate take milliseconds for a decision: a thousand games would take minutes.
     few = take_games(state, np.arange(10))
     return 1e6 * _seconds(lambda: agent.decide(game, few, 0)) / len(few.step), np.nan
 
@@ -126,7 +128,7 @@ def main() -> None:
     parser.add_argument("--races", type=int, default=30, help="races against each of six opponents on each circuit")
     parser.add_argument("--out", type=Path, default=Path("out/zoo"), help="folder in which the races are kept")
     parser.add_argument(
-        "--write", action="store_true", help="write measured.csv, docs/zoo.md and docs/zoo/ of this checkout"
+        "--write", action="store_true", help="write measured.csv of this checkout, of which the page of the zoo is made"
     )
     arguments = parser.parse_args()
     found = []
@@ -138,7 +140,6 @@ def main() -> None:
         )
     if arguments.write:
         print(zoo_page.write_measurements(found))
-        print(zoo_page.write_pages())
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """Pages of the documentation that are made from something else, so that nothing is said twice.
 
-The environments' pages are the docstrings of their classes; changelog, contribution guide, circuits, archives and
-networks are files that live elsewhere in the repository; the reference is made of all public modules. All of them are
-written to ``docs/generated``, which git ignores, whenever the site is built.
+The environments' pages are the docstrings of their classes; changelog, contribution guide, archives, drivers and
+networks are files that live elsewhere in the repository; the reference is made of all public modules; circuits,
+gallery, zoo and leaderboard are made of data files. All of them are written to ``docs/generated``, which git ignores,
+whenever the site is built.
 """
 
 import ast
@@ -10,6 +11,7 @@ import importlib
 import inspect
 import os
 import re
+import sys
 from pathlib import Path
 
 REPOSITORY = Path(__file__).resolve().parent.parent
@@ -76,12 +78,18 @@ REFERENCE = {
 """Packages with a page of the reference each: their own modules, not those of packages inside them."""
 
 
-def write(folder: Path) -> None:
-    """Write all pages below ``folder``/generated; a page that would not change is left alone."""
+def made_pages() -> dict[str, str]:
+    """Return all pages that are made: paths below ``docs/generated`` and texts."""
     pages = {f"{name}.md": environment_page(name) for name in ENVIRONMENTS}
     pages |= {f"{name}.md": copied_page(source) for name, source in COPIES.items()}
     pages |= {f"api/{package}.rst": reference_page(package) for package in packages()}
     pages["api/names.md"] = names_page()
+    return pages | pages_of_data()
+
+
+def write(folder: Path) -> None:
+    """Write all pages below ``folder``/generated; a page that would not change is left alone."""
+    pages = made_pages()
     made = folder / "generated"
     for name, text in pages.items():
         file = made / name
@@ -136,6 +144,28 @@ def _numpydoc_section(heading: str, body: str, defaults: dict[str, str]) -> str:
         meaning = " ".join(inspect.cleandoc(f"\n{meaning}").split()).replace("<", r"\<")
         items.append(f"- {told}: {meaning}" if meaning else f"- {told}")
     return "\n".join(["", *items, ""])
+
+
+# Tables of measurements and other data
+
+
+def pages_of_data() -> dict[str, str]:
+    """Return the pages of circuits, gallery and zoo, and the leaderboard as a table and as a page with bars."""
+    from pcs_racing_agents.benchmark.card import board_page, board_rows, read_cards
+    from pcs_racing_agents.results.text_table import markdown
+
+    tools = str(REPOSITORY / "tools")
+    if tools not in sys.path:
+        sys.path.append(tools)
+    circuits, gallery, zoo = (importlib.import_module(name) for name in ("circuits_page", "gallery", "zoo_page"))
+    cards = read_cards([REPOSITORY / "benchmarks" / "bench_v1"])
+    return {
+        "circuits.md": circuits.circuits_page(),
+        "gallery.md": gallery.gallery_page(),
+        "zoo.md": zoo.zoo_page(),
+        "leaderboard.txt": "\n".join(markdown(board_rows(cards))) + "\n",
+        "leaderboard.html": board_page(cards),
+    }
 
 
 # Files that live elsewhere

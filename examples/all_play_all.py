@@ -15,6 +15,7 @@ from pcs_racing import load_track
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
+from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from pcs_racing_agents.tournament import (
     payoff_matrix,
     plan_tournament,
@@ -24,7 +25,7 @@ from pcs_racing_agents.tournament import (
     write_results,
 )
 from pcs_racing_agents.tournament.ratings import rate
-from pcs_racing_agents.tournament.round_robin import excess, zero_sum_equilibrium
+from pcs_racing_agents.tournament.round_robin import excess
 
 # Agents that need no training; `pcs-racing agents` lists the others, and docs/agents.md says what they need.
 AGENTS = [
@@ -75,7 +76,7 @@ def main() -> None:
         print(f"  {ratings.names[i]:24s} {ratings.strength[i]:+.2f}  [{ratings.low[i]:+.2f}, {ratings.high[i]:+.2f}]")
 
     # 4. How often to send whom, if the other side chooses its agent as cleverly: an equilibrium of that game.
-    weights = zero_sum_equilibrium(excess(payoff_matrix(tournament))).row
+    weights = solve_matrix_games(excess(payoff_matrix(tournament))).rows[0]
     shares = zip(weights, plan.names, strict=True)
     print("\nequilibrium: " + ", ".join(f"{weight:.2f} {name}" for weight, name in shares if weight > 0.005))
 

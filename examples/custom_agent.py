@@ -28,7 +28,7 @@ class CatchUp:
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Chances of the moves."""
         step = observing.moves_made(observation, axes=2)
-        lead = observation[np.arange(len(observation)), 6 * step + 4]  # docs/environments.md: lead_k, in 20 m
+        lead = observation[np.arange(len(observation)), 6 * step + 4]  # the element lead_k, in 20 m
         opponent = observing.opponent(observation, axes=2)  # its aggressiveness and restraint, measured on 8 s
         wanted = np.full(len(observation), self.moves.index("stay"))
         wanted[(lead < 0.0) & (opponent[:, 1] > 0.5)] = self.moves.index("aggressiveness +")

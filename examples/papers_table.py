@@ -49,8 +49,7 @@ def main() -> None:
         for arm in arguments.arms
     ]
     with open_job(arguments.out / "races", "papers-table", {**size, "seed": arguments.seed}) as job:
-        played = play_pairings(pairings, job=job, progress=show_progress())
-        races = concatenate_races(p.table(games) for p, games in zip(pairings, played, strict=True))
+        races = concatenate_races(play_pairings(pairings, job=job, progress=show_progress()))
 
     # 2. The table: each agent minus the first, race by race; beside it what the paper found.
     table = make_table(races, base=arguments.arms[0], seen=SEEN)

@@ -23,8 +23,8 @@ from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.learning.ppo.train import train_ppo
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
+from pcs_racing_agents.tournament.runner import record_game
 from pcs_racing_agents.tournament.statistics import compare
-from pcs_racing_agents.tournament.watching import record_game
 
 try:
     import stable_baselines3  # noqa: F401  what trains

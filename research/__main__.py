@@ -4,6 +4,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
+from pcs_racing_agents.cli.commands import add_commands
 from pcs_racing_agents.cli.main import run_parsed
 from research.axes import command as axes
 from research.headroom import command as headroom
@@ -16,7 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m research", description=__doc__, allow_abbrev=False)
     commands = parser.add_subparsers(title="experiments", metavar="NAME", required=True)
     for command in (axes, headroom, matches, robust_curve):
-        command.add(commands)
+        add_commands(commands, command)
     return run_parsed(parser.parse_args(arguments))
 
 

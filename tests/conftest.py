@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import Browser, missing
 from hypothesis import HealthCheck, settings
 from repository import REPOSITORY
 
@@ -49,6 +50,17 @@ def real_maps() -> Path:
 def reference() -> Path:
     """Folder of numbers computed by the established simulator (``PCS_RACING_REFERENCE``)."""
     return _folder("PCS_RACING_REFERENCE", REPOSITORY.parent / "shared" / "reference", "reference data")
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A page in Chromium; its tests are skipped where there is none, unless ``PCS_RACING_BROWSER`` says "needed"."""
+    if reason := missing():
+        assert os.environ.get("PCS_RACING_BROWSER") != "needed", reason
+        pytest.skip(reason)
+    opened = Browser()
+    yield opened
+    opened.close()
 
 
 @pytest.fixture

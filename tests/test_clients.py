@@ -1,4 +1,4 @@
-"""Every client library of the recipes has one example, which names the versions that it was tried with."""
+"""Every client library has one example, which names the versions that it was tried with."""
 
 import re
 import sys
@@ -9,7 +9,7 @@ from repository import REPOSITORY
 sys.path.insert(0, str(REPOSITORY / "tools"))
 import try_clients
 
-PAGE = (REPOSITORY / "docs" / "recipes.md").read_text(encoding="utf-8")
+PAGE = (REPOSITORY / "docs" / "reports" / "clients.md").read_text(encoding="utf-8")
 SCRIPTS = try_clients.scripts(None)
 
 

@@ -19,7 +19,12 @@ def lead(own0, own1, length=2.0):
         raise ValueError(f"{1 + 1} cars")
     way = min(own0 - own1, length)
     way += 1
+    plot(way, color="blue", alpha=0.5)
     return -way
+
+
+class Rules:
+    duration: float = setting(40.0, number(0.1, 3600.0), "Length, s.")
 '''
 
 
@@ -52,7 +57,8 @@ def test_faults_are_small_and_leave_words_and_messages_alone(tool):
         "return way",
     ):
         assert expected in made
-    assert not any("words" in after or "ValueError" in after or "import" in after for after in made)
+    alone = ("words", "ValueError", "import", "alpha", "duration")
+    assert not any(word in after for word in alone for after in made if after != "pass")
 
 
 def test_every_fault_is_one_change_of_the_file(tool):
@@ -74,17 +80,30 @@ def test_the_same_seed_draws_the_same_faults_and_more_of_them_keep_the_first(too
     assert len({fault.line for fault in many}) == 5  # spread over the lines
 
 
-def test_the_table_names_files_that_are_there(tool):
-    for file, module in tool[2].MODULES.items():
-        assert module.plain or module.compiled
-        assert not any("golden" in test for test in (*module.plain, *module.compiled))
-        for path in (file, *module.plain, *module.compiled):
-            assert (REPOSITORY / path).is_file(), path
+def test_every_room_has_faults_and_tests_and_the_nearest_tests_come_first(tool):
+    table = tool[2]
+    rooms = {file.parent.relative_to(REPOSITORY).as_posix() for file in REPOSITORY.glob("pcs_racing*/*/__init__.py")}
+    assert {table.room_of(file) for file in table.files()} == rooms
+    for room in rooms:
+        of_room = [file for file in table.files() if table.room_of(file) == room]
+        assert table.tests_of(of_room[0], table.COMPILED), room
+        assert [table.files()[file] for file in of_room] == sorted(map(table.files().get, of_room), reverse=True)
+    assert table.tests_of("pcs_racing/track/grid.py", table.PLAIN)[0] == "tests/pcs_racing/track/test_grid.py"
+    first = table.tests_of("pcs_racing_agents/tournament/statistics/clusters.py", table.COMPILED)[0]
+    assert first == "tests/pcs_racing_agents/tournament/test_statistics.py"  # which imports it
+
+
+def test_what_the_table_names_is_there(tool):
+    table = tool[2]
+    assert [test for test in table.PLAIN_TESTS if not (REPOSITORY / test).is_file()] == []
+    for room, patterns in table.ELSEWHERE.items():
+        assert (REPOSITORY / room).is_dir()
+        assert all(any(REPOSITORY.glob(pattern)) for pattern in patterns)
 
 
 def test_every_accepted_survivor_has_a_reason(tool):
     with open(tool[1].ACCEPTED, newline="") as file:
         for row in csv.DictReader(file):
-            assert row["file"] in tool[2].MODULES
+            assert row["file"] in tool[2].files()
             assert row["before"] != row["after"]
             assert len(row["reason"]) > 10, row

@@ -22,7 +22,7 @@ from importlib.machinery import PathFinder
 
 MISSING = set(
     "torch stable_baselines3 sb3_contrib tensorboard matplotlib skimage clarabel cma moocore pandas pygame "
-    "sklearn pymoo comocma ribs cocoex pyspiel open_spiel networkx pygambit dask distributed cvxpy".split()
+    "sklearn pymoo pyspiel open_spiel networkx pygambit dask distributed cvxpy".split()
 )
 find = PathFinder.find_spec
 PathFinder.find_spec = classmethod(
@@ -218,3 +218,14 @@ def test_the_citation_is_of_this_version():
     assert citation["version"] == PROJECT["project"]["version"]
     assert citation["license"] == PROJECT["project"]["license"]
     assert {"title", "message", "authors", "cff-version", "preferred-citation"} <= set(citation)
+
+
+@pytest.mark.parametrize(
+    "file", sorted((REPOSITORY / ".github" / "workflows").glob("*.yml")), ids=lambda file: file.stem
+)
+def test_every_workflow_can_be_read(file):
+    """One that is no YAML is never run, and nothing says so but a page that nobody opens."""
+    jobs = yaml.safe_load(file.read_text(encoding="utf-8"))["jobs"]
+    for job in jobs.values():
+        assert job["runs-on"]
+        assert all({"run", "uses"} & step.keys() for step in job["steps"])

@@ -1,14 +1,12 @@
-"""Write docs/circuits.md: a picture of every shipped circuit, with its length, width, speeds and character.
+"""The page of the circuits: a picture of every shipped one, with its length, width, speeds and character.
 
-    python tools/circuits_page.py
-
-The figures are those of the shipped files: race line, track.yaml and calibration.
+The figures are those of the shipped files: race line, track.yaml and calibration. The page is made whenever the site
+is built (``docs/site_pages.py``).
 """
 
 from pathlib import Path
 
 from pcs_racing import list_tracks, load_track
-from pcs_racing.base.files import write_atomically
 from pcs_racing.race.config import PRESETS
 from pcs_racing.track.building.speed import lap_time
 from pcs_racing.track.frenet import SPEED
@@ -16,15 +14,12 @@ from pcs_racing.track.maps import read_map
 from pcs_racing.track.track import Track
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE = ROOT / "docs" / "circuits.md"
 
 HEAD = """# Circuits
 
-<!-- Written by `python tools/circuits_page.py`. -->
-
-This page is a reference: the {number} circuits that ship with the package. They were generated for this project and
+The {number} circuits that ship with the package were generated for this project and
 are free to use under its licence (MIT). `pcs_racing.load_track("Tarnfjord")` loads a circuit by its name. You can also
-[import a map of your own](bring_a_map.md).
+[import a map of your own](../bring_a_map.md).
 
 ## At a glance
 
@@ -32,22 +27,7 @@ are free to use under its licence (MIT). `pcs_racing.load_track("Tarnfjord")` lo
 - **width**: that of the drivable surface;
 - **speed**: smallest and largest speed of the race line;
 - **pace**: the scales of this speed that the parameter values "pace 0" and "pace 1" mean under the rules of each preset
-  ([how they are measured](bring_a_map.md#how-fast-and-where-from)).
-"""
-
-FILES = """## Files of a circuit
-
-Each folder of `maps` has the format of f1tenth_racetracks, with two additional files (the last two):
-
-- `NAME_map.yaml`, `NAME_map.png`: ROS occupancy grid of 0.05 m; thin dark walls on white, row 0 of the picture is the
-  top.
-- `NAME_centerline.csv`: x, y, width to the right, width to the left (m).
-- `NAME_raceline.csv`: arc length, x, y, heading, curvature, speed, acceleration; at least 0.305 m from every wall.
-- `NAME_track.yaml`: seed, style and settings of the generator, and the calibration of the circuit.
-- `NAME.png`: a picture; the race line is coloured by speed.
-
-`python tools/make_circuits.py maps` generates all circuits again from the seeds in their `NAME_track.yaml`. The command
-`pcs-racing track generate --seed 7 --style voronoi --out maps/NAME` generates a new one.
+  ([how they are measured](../bring_a_map.md#how-fast-and-where-from)).
 """
 
 
@@ -61,7 +41,7 @@ def circuits_page() -> str:
     ]
     blocks = [HEAD.format(number=len(tracks)).strip(), "\n".join(lines)]
     blocks += [_section(track, info) for track, info in tracks]
-    return "\n\n".join([*blocks, FILES])
+    return "\n\n".join(blocks) + "\n"
 
 
 def figures(track: Track, info: dict) -> list[str]:
@@ -80,7 +60,7 @@ def figures(track: Track, info: dict) -> list[str]:
 
 def _section(track: Track, info: dict) -> str:
     length, width, lap, speed, *_ = figures(track, info)
-    picture = f"../maps/{track.name}/{track.name}.png"
+    picture = f"../../maps/{track.name}/{track.name}.png"
     told = f"{info['description']}. {length} long, {width} wide, {lap} a lap at {speed}."
     made = f"Generated with style `{info['style']}`, seed {info['seed']}, {info['direction']}."
     shown = f"Plan of {track.name}, {length}: walls, race line coloured by its speed, start line and direction"
@@ -89,8 +69,3 @@ def _section(track: Track, info: dict) -> str:
 
 def _info(name: str) -> dict:
     return read_map(ROOT / "maps" / name).info
-
-
-if __name__ == "__main__":
-    write_atomically(PAGE, lambda file: file.write(circuits_page().encode("utf-8")))
-    print(PAGE)

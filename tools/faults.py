@@ -1,7 +1,8 @@
 """Small faults that can be put into a Python file, one at a time: what ``tools/mutants.py`` tries the tests with.
 
 Every fault replaces one expression or statement of the syntax tree and leaves the rest of the file as it is. Messages,
-documentation, types, imports and decorators are left alone.
+documentation, types, imports and decorators are left alone, and so is what is a matter of choice: the defaults and
+bounds of declared settings, and the style of pictures.
 """
 
 import ast
@@ -28,6 +29,7 @@ _PAIRS = "min max, minimum maximum, argmin argmax, sin cos, any all, floor ceil,
 TWINS = {a: b for pair in _PAIRS.split(", ") for a, b in (pair.split(), pair.split()[::-1])}
 
 _LEFT_ALONE = (ast.Import, ast.ImportFrom, ast.Raise, ast.Assert, ast.JoinedStr)
+_STYLE = ("alpha", "color", "dpi", "figsize", "fontsize", "labelsize", "linewidth", "lw", "pad", "zorder")
 _NUMBERED = re.compile(r"(.*[A-Za-z_])([01])(.*)")
 
 
@@ -45,6 +47,7 @@ class Fault:
 
 def faults_of(text: str) -> list[Fault]:
     """All faults that can be put into the text of a file, in the order of the lines."""
+    # Two kinds of fault may give the same text, which would be tried twice.
     faults = {
         (fault.line, fault.before, fault.after): fault
         for node, kind, new in _everywhere(ast.parse(text))
@@ -56,6 +59,7 @@ def faults_of(text: str) -> list[Fault]:
 def changes_something(text: str, fault: Fault) -> bool:
     """Whether the file with the fault can be compiled and is another program."""
     try:
+        # Another text can be the same program: brackets leave no trace in the syntax tree.
         return ast.dump(ast.parse(fault.text)) != ast.dump(ast.parse(text))
     except SyntaxError:
         return False
@@ -64,6 +68,7 @@ def changes_something(text: str, fault: Fault) -> bool:
 def _replace(text: str, node: ast.expr | ast.stmt, kind: str, new: str) -> Fault:
     lines = text.splitlines(keepends=True)
     first, last = node.lineno - 1, (node.end_lineno or node.lineno) - 1
+    # Offsets of the syntax tree count bytes of UTF-8, not letters.
     head = lines[first].encode()[: node.col_offset].decode()
     tail = lines[last].encode()[node.end_col_offset :].decode()
     changed = head + new + tail
@@ -78,11 +83,13 @@ def _everywhere(tree: ast.Module) -> Iterator[tuple[ast.expr | ast.stmt, str, st
     while todo:
         node, names = todo.pop()
         if isinstance(node, ast.FunctionDef):
+            # A twin of a name (`own0` for `own1`) must exist in the same function: any test would find a NameError.
             names = frozenset(n.id for n in ast.walk(node) if isinstance(n, ast.Name)) | {
                 argument.arg for argument in node.args.args
             }
         todo.extend((child, names) for child in reversed(_inner(node)))
         if isinstance(node, ast.expr):
+            # Brackets, because the fault stands in the place of an operand whose precedence is not known here.
             for kind, new in _of_expression(node, names):
                 yield node, kind, f"({ast.unparse(new)})" if not isinstance(new, ast.Name) else new.id
         elif isinstance(node, ast.stmt):
@@ -98,14 +105,17 @@ def _inner(node: ast.AST) -> list[ast.AST]:
         return [node.value] if node.value else []
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
         return []  # documentation
+    # Names that a module offers are tested by importing them, and change no result.
     if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and node.targets[0].id == "__all__":
         return []
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "reshape":
         return [node.func]  # another shape is an error at once
     if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
         return []
-    if isinstance(node, ast.keyword) and node.arg == "strict":
-        return []  # of zip: a check, not a result
+    if isinstance(node, ast.keyword) and node.arg in ("strict", *_STYLE):
+        return []  # strict of zip: a check, not a result
+    if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setting":
+        return []
     return [child for child in ast.iter_child_nodes(node) if not isinstance(child, _LEFT_ALONE)]
 
 
@@ -160,8 +170,10 @@ def _of_constant(node: ast.Constant) -> Iterator[tuple[str, ast.expr]]:
     if isinstance(value, bool):
         yield "constant", ast.Constant(not value)
     elif isinstance(value, int):
+        # One more of an index or a count is another result; one more of a large limit hardly is.
         yield "constant", ast.Constant(1 - value if value in (0, 1) else value + 1 if value < 100 else 2 * value)
     elif isinstance(value, float):
+        # Twice as much: smaller changes of physical constants would ask for tests of the constants themselves.
         yield "constant", ast.Constant(2.0 * value if value else 1.0)
 
 

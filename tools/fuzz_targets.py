@@ -1,42 +1,35 @@
 """What is fuzzed: every loader and every input of the environments, each as a function of bytes.
 
-A target takes any bytes, and either accepts them or raises an error of :mod:`pcs_racing.base.errors`. Loaders of files get
-the bytes as the file's content; where a file carries a digest of another, the digest is made to fit, or nothing but the
-digest would be tested. What takes values (options, actions, seeds) gets values that are drawn from the bytes.
+Loaders of files get the bytes as the file's content. Where a file carries a digest of another, the digest is made to
+fit, or nothing but the digest would be tested. What takes values gets values that are drawn from the bytes. Classes of
+settings and environments are found by what they declare: a new one is fuzzed without a line here.
 """
 
 import hashlib
 import io
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cache
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, dataclass, fields
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from fuzz_environments import (
-    drive_envs,
-    drive_inputs,
-    drive_options,
-    duel_envs,
-    duel_inputs,
-    game_options,
-    head_to_head_inputs,
-    opponents,
-    race_options,
-    small_game,
-)
+from fuzz_inputs import Draw
 from PIL import Image
 
-from pcs_racing import load_race_config, load_state, load_track, parse_policy, read_replay
-from pcs_racing.base.dense import DenseLayers
+from pcs_racing import RaceGame, load_game_config, load_race_config, load_state, load_track, parse_policy, read_replay
+from pcs_racing.base.artifacts import ArtifactFormat
 from pcs_racing.base.reading import plain_yaml, unpack_arrays
-from pcs_racing.base.settings import plain_settings
+from pcs_racing.base.settings import Settings, load_settings
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
+from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
+from pcs_racing.envs.opponents import parse_opponents
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.game.state import load_game, save_game
-from pcs_racing.planners.trained import read_driver, save_driver
+from pcs_racing.planners.trained import DRIVER_FORMAT, read_driver
 from pcs_racing.race.recording import record_race
 from pcs_racing.race.replay_files import save_replay
 from pcs_racing.race.state import empty_state, save_state
@@ -50,7 +43,7 @@ from pcs_racing.track.map_files import (
 )
 from pcs_racing.track.maps import find_map, read_map, shipped_folder
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
-from pcs_racing_agents.agents.setting import Setting, make_setting
+from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
 from pcs_racing_agents.jobs.configuration import shipped_configs
@@ -74,8 +67,8 @@ from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees
 from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_page import packed_races
 
-MAP = Path("fuzzed")
-ROS = {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25}
+Read = Callable[[Path], object]
+Seeds = Callable[[], list[bytes]]
 
 
 @dataclass(frozen=True)
@@ -83,9 +76,8 @@ class Target:
     """Something that must stand any bytes."""
 
     run: Callable[[bytes], object]  #: ``run(data)`` returns if they are accepted.
-    seeds: Callable[[], list[bytes]]  #: Returns valid inputs, which mutations begin with.
-    kind: str  #: "text" or "yaml" or "json" or "csv" or "binary" or "npz" or "values": What mutations make sense.
-    words: tuple[str, ...] = ()  #: Names and values to put in.
+    seeds: Seeds  #: Returns valid inputs, which changes begin with.
+    kind: str  #: "text" or "yaml" or "json" or "csv" or "binary" or "npz" or "values": which changes make sense.
     most: int = 1_000_000  #: Inputs of a campaign at most, for slow ones.
 
 
@@ -96,7 +88,16 @@ def scratch() -> Path:
     return Path(tempfile.mkdtemp(prefix="pcs-fuzz-", dir=memory if memory.is_dir() else None))
 
 
-def as_file(read: Callable[[Path], object], name: str) -> Callable[[bytes], object]:
+@cache
+def small_game() -> RaceGame:
+    track, archive = load_track("Tarnfjord"), load_archive("default")
+    return RaceGame(track, archive, load_game_config("paper", moves=1, step_seconds=0.5))
+
+
+# Ways to hand bytes to a function
+
+
+def as_file(read: Read, name: str) -> Callable[[bytes], object]:
     """Give bytes to a loader as a file."""
 
     def run(data: bytes) -> object:
@@ -107,178 +108,185 @@ def as_file(read: Callable[[Path], object], name: str) -> Callable[[bytes], obje
     return run
 
 
-def files(pattern: str, folder: Path) -> Callable[[], list[bytes]]:
-    return lambda: [path.read_bytes() for path in sorted(folder.glob(pattern))[:6]]
-
-
-# Folders whose manifest carries a digest of the other file
-
-
-def manifest_of(folder: Callable[[], Path], name: str, read: Callable[[Path], object]) -> Callable[[bytes], object]:
-    """Fuzz the manifest of a folder whose other files are sound."""
+def in_folder(folder: Callable[[], Path], name: str, read: Read) -> Callable[[bytes], object]:
+    """Put them into a copy of a sound folder in the place of one of its files."""
 
     def run(data: bytes) -> object:
-        place = _copied(folder(), f"{name}-of")
+        place = _copied(folder(), name)
         (place / name).write_bytes(data)
         return read(place)
 
     return run
-
-
-def content_of(
-    folder: Callable[[], Path], manifest: str, name: str, key: str, read: Callable[[Path], object]
-) -> Callable[[bytes], object]:
-    """Fuzz the file whose digest stands in a manifest; the digest is made to fit."""
-
-    def run(data: bytes) -> object:
-        place = _copied(folder(), f"{name}-in")
-        (place / name).write_bytes(data)
-        text, old = _manifest_text(folder() / manifest, key)
-        (place / manifest).write_text(text.replace(old, hashlib.sha256(data).hexdigest()), encoding="utf-8")
-        return read(place)
-
-    return run
-
-
-@cache
-def _manifest_text(path: Path, key: str) -> tuple[str, str]:
-    text = path.read_text(encoding="utf-8")
-    return text, yaml.safe_load(text)[key]
 
 
 @cache
 def _copied(folder: Path, name: str) -> Path:
-    place = scratch() / f"{folder.name}-{name}"
+    # One copy for each fuzzed file: the others in it stay sound.
+    place = scratch() / f"{folder.name}-with-{name}"
     place.mkdir(exist_ok=True)
-    for file in folder.iterdir():
-        if file.is_file():
-            (place / file.name).write_bytes(file.read_bytes())
+    for file in filter(Path.is_file, folder.iterdir()):
+        (place / file.name).write_bytes(file.read_bytes())
     return place
 
 
-def default_archive() -> Path:
-    return ARCHIVE_FORMAT.shipped / "default"
+def as_text(read: Callable[[str], object]) -> Callable[[bytes], object]:
+    return lambda data: read(data.decode("utf-8", "surrogateescape"))
 
 
-def some_network() -> Path:
-    return sorted(NETWORK_FORMAT.shipped.glob("*/manifest.yaml"))[0].parent
-
-
-@cache
-def some_driver() -> Path:
-    rng = np.random.default_rng(0)
-    from pcs_racing.planners.network import INPUTS
-
-    sizes = (len(INPUTS), 4, 2)
-    layers = DenseLayers(
-        tuple(rng.normal(size=(sizes[i + 1], sizes[i])).astype(np.float32) for i in range(2)),
-        tuple(np.zeros(sizes[i + 1], np.float32) for i in range(2)),
+def signed(path: Path, data: bytes) -> None:
+    """Write a chunk whose digests fit whatever it holds."""
+    task = "0" * 64
+    path.write_bytes(
+        data + b"pcs-racing chunk " + task.encode() + hashlib.sha256(data + task.encode()).hexdigest().encode()
     )
-    return save_driver(scratch() / "driver", layers, name="fuzzed", hold=4, training={"steps": 1})
+
+
+def unsigned(path: Path) -> bytes:
+    return path.read_bytes()[: -len(b"pcs-racing chunk ") - 128]
+
+
+def texts(*values: str) -> Seeds:
+    return lambda: [value.encode() for value in values]
+
+
+def files(pattern: str, folder: Path) -> Seeds:
+    return lambda: [path.read_bytes() for path in sorted(folder.glob(pattern))[:6]]
+
+
+def values(size: int) -> Seeds:
+    return lambda: [bytes(range(k, k + size)) for k in range(0, 250 - size, 13)]
+
+
+def saved(save: Callable[[Path], object], name: str) -> Seeds:
+    def seeds() -> list[bytes]:
+        save(scratch() / name)
+        return [(scratch() / name).read_bytes()]
+
+    return seeds
+
+
+# Settings: files of them, and every declared class
+
+
+CONFIGS: dict[str, Read] = {
+    "archive": load_archive_config,
+    "ppo": load_ppo_settings,
+    "psro": load_psro_settings,
+    "race": load_race_config,
+    "response": load_response_settings,
+    "robust": load_robust_settings,
+    "self-play": load_self_play_settings,
+    "study": load_study_config,
+    "train": load_train_settings,
+}
+NOT_SHIPPED = {
+    "psro": b"rounds: 3\nraces: 20\n",
+    "race": b"preset: contest\nduration: 16.0\nspeed_range: [0.5, 0.9]\nstart: rolling\n",
+    "robust": b"pool_share: 0.5\nrounds: 2\n",
+}
+
+
+def config_seeds(kind: str) -> list[bytes]:
+    return [path.read_bytes() for path in shipped_configs(kind).values()] or [NOT_SHIPPED[kind]]
+
+
+def settings_classes(base: type[Settings] = Settings) -> Iterator[type[Settings]]:
+    """Yield the declared classes of settings that are no base of others and whose fields all have a default."""
+    for cls in base.__subclasses__():
+        yield from settings_classes(cls)
+        complete = all(one.default is not MISSING or one.default_factory is not MISSING for one in fields(cls))
+        if complete and not cls.__subclasses__():
+            yield cls
+
+
+def settings_of(cls: type[Settings], data: bytes) -> object:
+    default = cls()
+    changes = Draw(data).keywords({one.name: (getattr(default, one.name),) for one in fields(cls)})
+    return load_settings("fuzzed", default, None, **changes)
+
+
+# Artifacts: a manifest, and data whose digest stands in it
+
+ARTIFACTS: dict[str, tuple[ArtifactFormat, Read]] = {
+    "archive": (ARCHIVE_FORMAT, load_archive),
+    "network": (NETWORK_FORMAT, load_network),
+    "driver": (DRIVER_FORMAT, read_driver),
+}
+
+
+def artifact(kind: str) -> Path:
+    return sorted(ARTIFACTS[kind][0].shipped.glob("*/manifest.yaml"))[0].parent
+
+
+def artifact_data(kind: str, data: bytes) -> object:
+    """Fuzz the file whose digest stands in a manifest; the digest is made to fit."""
+    form, read = ARTIFACTS[kind]
+    place = _copied(artifact(kind), form.data_file)
+    (place / form.data_file).write_bytes(data)
+    text = (artifact(kind) / "manifest.yaml").read_text(encoding="utf-8")
+    # The digest is replaced in the text rather than in the mapping, so that all else stays byte for byte.
+    old = yaml.safe_load(text)[form.digest_key]
+    (place / "manifest.yaml").write_text(text.replace(old, hashlib.sha256(data).hexdigest()), encoding="utf-8")
+    return read(place)
 
 
 # Chunks and trees
 
 
-def damaged_chunk(data: bytes) -> object:
-    return as_file(read_chunk, "chunk.npz")(data)
+@cache
+def trees(ego: bool) -> tuple[Path, bytes, bytes]:
+    """A folder of trees, its manifest and its first chunk."""
+    folder = scratch() / ("ego-trees" if ego else "trees")
+    if ego:
+        build_ego_trees(small_game(), folder, roots=2, seed=0)
+    else:
+        build_trees(small_game(), folder, pairs=1, seed=0)
+    chunk = chunk_file(folder, "ego" if ego else "tree", 0)
+    return folder, (folder / "job.yaml").read_bytes(), unsigned(chunk)
+
+
+def read_trees(ego: bool, manifest: bool, data: bytes) -> object:
+    folder, sound, chunk = trees(ego)
+    (folder / "job.yaml").write_bytes(data if manifest else sound)
+    # Both files are written every time: the other target may have left broken ones in the same folder.
+    signed(chunk_file(folder, "ego" if ego else "tree", 0), chunk if manifest else data)
+    if ego:
+        found = load_ego_trees(folder)
+        return [found.observations(k) for k in range(found.moves)], ego_values(found)
+    stored = load_trees(folder)
+    return stored.check(small_game()), stored[0].observations(0), stored[0].game_tree(), stored[0].statistics
+
+
+@cache
+def chunk_seed() -> bytes:
+    path = scratch() / "seed.npz"
+    write_chunk(path, {"lead": np.arange(6.0).reshape(2, 3), "names": np.array(["a", "bc"])}, fingerprint(1))
+    return unsigned(path)
 
 
 def signed_chunk(data: bytes) -> object:
-    """A chunk whose digests fit whatever it holds."""
-    return _read_signed(data, scratch() / "signed.npz", read_chunk)
+    signed(scratch() / "signed.npz", data)
+    return read_chunk(scratch() / "signed.npz")
 
 
-def _read_signed(data: bytes, path: Path, read: Callable[[Path], object]) -> object:
-    body, task = data, "0" * 64
-    mark = b"pcs-racing chunk "
-    digest = hashlib.sha256(body + task.encode()).hexdigest()
-    path.write_bytes(body + mark + task.encode() + digest.encode())
-    return read(path)
+JOB = {"seed": 1, "names": ["a", "b"], "rules": {"moves": 4}}
 
 
-def _unsigned(path: Path) -> bytes:
-    return path.read_bytes()[: -len(b"pcs-racing chunk ") - 128]
+def job(folder: Path) -> object:
+    with open_job(folder, "fuzzed", JOB) as opened:
+        return opened
 
 
 @cache
-def some_trees() -> Path:
-    folder = scratch() / "trees"
-    build_trees(small_game(), folder, pairs=1, seed=0)
-    return folder
-
-
-def tree_manifest(data: bytes) -> object:
-    (some_trees() / "job.yaml").write_bytes(data)
-    trees = load_trees(some_trees())
-    return trees[0], trees.check(small_game())
-
-
-@cache
-def _tree_manifest() -> bytes:
-    return (some_trees() / "job.yaml").read_bytes()
-
-
-def tree_chunk(data: bytes) -> object:
-    (some_trees() / "job.yaml").write_bytes(_tree_manifest())
-    tree = _read_signed(data, chunk_file(some_trees(), "tree", 0), lambda path: load_trees(some_trees())[0])
-    return tree.observations(0), tree.game_tree(), tree.statistics  # type: ignore[attr-defined]
-
-
-def _tree_chunk() -> bytes:
-    _tree_manifest()
-    return _unsigned(chunk_file(some_trees(), "tree", 0))
-
-
-@cache
-def some_ego_trees() -> Path:
-    folder = scratch() / "ego-trees"
-    build_ego_trees(small_game(), folder, roots=2, seed=0)
-    return folder
-
-
-@cache
-def _ego_manifest() -> bytes:
-    return (some_ego_trees() / "job.yaml").read_bytes()
-
-
-def ego_manifest(data: bytes) -> object:
-    (some_ego_trees() / "job.yaml").write_bytes(data)
-    return load_ego_trees(some_ego_trees())
-
-
-def ego_chunk(data: bytes) -> object:
-    (some_ego_trees() / "job.yaml").write_bytes(_ego_manifest())
-    trees = _read_signed(data, chunk_file(some_ego_trees(), "ego", 0), lambda path: load_ego_trees(some_ego_trees()))
-    return [trees.observations(k) for k in range(trees.moves)], ego_values(trees)  # type: ignore[attr-defined]
-
-
-def _ego_chunk() -> bytes:
-    _ego_manifest()
-    return _unsigned(chunk_file(some_ego_trees(), "ego", 0))
-
-
-def _chunk() -> bytes:
-    path = scratch() / "seed.npz"
-    write_chunk(path, {"lead": np.arange(6.0).reshape(2, 3), "names": np.array(["a", "bc"])}, fingerprint(1))
-    return _unsigned(path)
-
-
-def job_folder(data: bytes) -> object:
-    folder = scratch() / "job"
-    folder.mkdir(exist_ok=True)
-    (folder / "job.yaml").write_bytes(data)
-    with open_job(folder, "fuzzed", {"seed": 1, "names": ["a", "b"], "rules": {"moves": 4}}) as job:
-        return job
-
-
-def _job() -> bytes:
-    folder = scratch() / "job-seed"
-    with open_job(folder, "fuzzed", {"seed": 1, "names": ["a", "b"], "rules": {"moves": 4}}):
-        return (folder / "job.yaml").read_bytes()
+def job_folder() -> Path:
+    job(scratch() / "job")
+    return scratch() / "job"
 
 
 # Maps
+
+MAP = Path("fuzzed")
+ROS = {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25}
 
 
 @cache
@@ -303,104 +311,38 @@ def small_map() -> Path:
     return folder
 
 
-def map_file(name: str, build: bool) -> Callable[[bytes], object]:
-    """Fuzz one file of a map; with ``build``, the track is built of it."""
-
-    def run(data: bytes) -> object:
-        place = _copied(small_map(), name)
-        (place / name).write_bytes(data)
-        if not build:
-            return read_map(place / "Ring_map.yaml")
-        return load_track(find_map(place / "Ring_map.yaml").yaml)
-
-    return run
-
-
-def map_seed(name: str) -> Callable[[], list[bytes]]:
+def ring(name: str) -> Seeds:
     return lambda: [(small_map() / name).read_bytes()]
+
+
+def built(name: str) -> Callable[[bytes], object]:
+    """Build a track of a map of which one file is fuzzed."""
+    return in_folder(small_map, name, lambda folder: load_track(find_map(folder / "Ring_map.yaml").yaml))
 
 
 def pictures() -> list[bytes]:
     grey = Image.fromarray((np.arange(144).reshape(12, 12) % 256).astype(np.uint8))
     found = []
-    for kind, mode in (
-        ("PNG", "L"),
-        ("PNG", "1"),
-        ("PNG", "RGB"),
-        ("PNG", "P"),
-        ("PNG", "LA"),
-        ("BMP", "L"),
-        ("PPM", "L"),
-    ):
+    for kind, mode in (*(("PNG", mode) for mode in ("L", "1", "RGB", "P", "LA")), ("BMP", "L"), ("PPM", "L")):
         buffer = io.BytesIO()
         grey.convert(mode).save(buffer, kind)
         found.append(buffer.getvalue())
     return found
 
 
-# States and replays
-
-
-def _saved(save: Callable[[Path], object], name: str) -> Callable[[], list[bytes]]:
-    def seeds() -> list[bytes]:
-        save(scratch() / name)
-        return [(scratch() / name).read_bytes()]
-
-    return seeds
-
-
-@cache
-def some_replay() -> Any:
-    car = parse_policy("lattice")
-    return record_race(load_track("Tarnfjord"), car, car, load_race_config("paper", duration=0.3))
-
-
-def replay_json(data: bytes) -> object:
-    return as_file(read_replay, "race.json")(data)
-
-
-# Texts
-
-
-@cache
-def setting() -> Setting:
-    return make_setting()
-
-
-def text_of(read: Callable[[str], object]) -> Callable[[bytes], object]:
-    return lambda data: read(data.decode("utf-8", "surrogateescape"))
-
-
-POLICIES = (
-    "lattice",
-    "lattice:pace=0.8",
-    "lattice:pace=0.8,side_margin=0.2",
-    "lane-switcher:3",
-    "pure-pursuit",
-    "gap-follower",
-)
-AGENTS = (
-    *POLICIES, "never-switch", "random-moves", "always-aggressiveness+", "best-fixed", "best-schedule:fit=x.yaml",
-    "cfr-argmax", "cfr-argmax:network=default-paper-regret", "receding-horizon:depth=2", "random-policy", "adaptive:margin=0.1",
-)  # fmt: skip
-
-
-def texts(*values: str) -> Callable[[], list[bytes]]:
-    return lambda: [value.encode() for value in values]
-
-
-def values(size: int) -> Callable[[], list[bytes]]:
-    return lambda: [bytes(range(k, k + size)) for k in range(0, 250 - size, 13)]
-
-
-# Tables
+# Results
 
 RESULTS = (
     "ego,opponent,track,race,start_s,side,seed,lead,winner,crash,fault,ego_overtakes,opponent_overtakes,duration,"
     "ego_variant,opponent_variant,ego_path,opponent_path,ego_moves,opponent_moves\n"
-    "never-switch,random-moves,Pipkin,0,12.5,0,0,1.5,ego,,,1,0,40.0,3,4,3 5,4 4,restraint +,stay\n"
-    "never-switch,random-moves,Pipkin,1,12.5,1,0,-1.5,,wall,ego,1,0,12.0,3,4,3 5,4 4,restraint +,stay\n"
+    "never-switch,random-moves,Pipkin,0,12.5,0,0,1.5,ego,none,none,1,0,40.0,3,4,3 5,4 4,restraint +,stay\n"
+    "never-switch,random-moves,Pipkin,1,12.5,1,0,-1.5,none,wall,ego,1,0,12.0,3,4,3 5,4 4,restraint +,stay\n"
 )
+LOSSES = (
+    "agent,track,loss,low,high,races,reply_won,agent_won,agent_own_crash\n"
+    "a,Pipkin,0.1,0,0.2,400,0.6,0.4,0.1\na,all,0.1,0,2,3,1,1,1\n"
+)
+CURVE = ",".join(EVALUATION_COLUMNS) + "\n0,100,paper,paper" + ",1" * (len(EVALUATION_COLUMNS) - 4) + "\n"
 
 
 @cache
@@ -412,174 +354,175 @@ def tournament_folder() -> Path:
     return folder
 
 
-@cache
-def results_manifests() -> list[bytes]:
-    folder = scratch() / "study"
-    with open_job(folder, "study", plain_settings(load_study_config("quick"))):
-        pass
-    return [(place / "job.yaml").read_bytes() for place in (tournament_folder(), folder)]
-
-
-def results_manifest(data: bytes) -> object:
-    folder = _copied(tournament_folder(), "manifest")
-    (folder / "job.yaml").write_bytes(data)
+def first_pairing(folder: Path) -> object:
     results = open_results(folder)
     return results.pairing(results.row(0))
 
 
-def results_table(data: bytes) -> object:
-    folder = _copied(tournament_folder(), "table")
-    (folder / "results.csv").write_bytes(data)
-    return make_table(open_results(folder).races)
+@cache
+def replay(name: str) -> bytes:
+    car = parse_policy("lattice")
+    made = record_race(load_track("Tarnfjord"), car, car, load_race_config("paper", duration=0.3))
+    return saved(lambda path: save_replay(made, path), name)()[0]
 
 
-def viewed_table(data: bytes) -> object:
-    file = scratch() / "viewed.csv"
-    file.write_bytes(data)
-    return packed_races(read_results(file))
+# Environments
+
+ENVS: dict[str, tuple[type[Any], dict[str, Any]]] = {
+    "drive": (DriveEnv, {"opponent": "pure-pursuit"}),
+    "drives": (DriveVectorEnv, {"opponent": None, "num_envs": 3, "threads": 1}),
+    "two drives": (DriveHeadToHeadEnv, {}),
+    "duel": (DuelEnv, {"moves": 2, "step_seconds": 0.1}),
+    "duels": (DuelVectorEnv, {"moves": 2, "step_seconds": 0.1, "num_envs": 2, "threads": 1}),
+    "two duels": (HeadToHeadEnv, {"moves": 2, "step_seconds": 0.1}),
+    "match": (MatchEnv, {"races": 2}),
+    "matches": (MatchVectorEnv, {"races": 2, "num_envs": 2, "threads": 1}),
+}
 
 
-CURVE = (
-    ",".join(EVALUATION_COLUMNS)
-    + "\n"
-    + ",".join(["0", "100", *("paper" for _ in range(2)), *("1" for _ in range(len(EVALUATION_COLUMNS) - 4))])
-    + "\n"
-)
+@cache
+def environment(name: str) -> Any:
+    cls, arguments = ENVS[name]
+    return cls(track="Pipkin", **arguments)
 
 
-def configs(kind: str) -> Callable[[], list[bytes]]:
-    return lambda: [path.read_bytes() for path in shipped_configs(kind).values()]
+def sound_action(env: Any) -> Any:
+    if hasattr(env, "possible_agents"):
+        return {agent: env.action_space(agent).sample() for agent in env.possible_agents}
+    return env.action_space.sample()
+
+
+def inputs(name: str, data: bytes) -> object:
+    """Seeds, options, states and actions of an environment."""
+    draw, env = Draw(data), environment(name)
+    what = draw.byte() % 6
+    if what < 2:
+        policies = {"policies": [draw.value(0, 1), draw.value(2)]}
+        seed = draw.value(0, None, [1, 2, 3], [None, 1])
+        return env.reset(seed=seed, options=draw.value(None, {}, policies, {"start": draw.value()}))
+    env.reset(seed=0)
+    if what == 2 and hasattr(env, "set_state"):
+        return env.set_state(draw.value(env.get_state()))
+    sound = sound_action(env)
+    if isinstance(sound, dict):
+        return env.step(draw.value(sound, {agent: draw.value(action) for agent, action in sound.items()}, {"car_0": 0}))
+    # Numbers too large for 32 bits become infinite, with a warning of numpy's that is ours and not the environment's.
+    with np.errstate(all="ignore"):
+        odd = np.array([draw.number() for _ in range(np.size(sound))]).reshape(np.shape(sound)).astype(np.float32)
+    return env.step(draw.value(sound, odd, odd.tolist(), np.float64(sound), [[1], [1]], np.array(2), -1, 4))
+
+
+def made(name: str, data: bytes) -> object:
+    """Environments made of odd arguments, and a first step in them."""
+    draw = Draw(data)
+    cls, arguments = ENVS[name]
+    likely = dict(cls.declared.defaults)
+    if cls.declared.more is not None:
+        likely |= {one.name: one.default for one in fields(cls.declared.more)}
+    likely |= arguments
+    given = {"track": "Pipkin", **arguments, **draw.keywords({key: (value,) for key, value in likely.items()})}
+    env = cls(**given)
+    env.reset(seed=1)
+    result = env.step(sound_action(env))
+    env.close()
+    return result
+
+
+def opponents(data: bytes) -> object:
+    draw = Draw(data)
+    names = ("never-switch", "random-moves", "always-restraint+", "lattice:pace=0.9", "lane-switcher:3")
+    mixed = [(1, names[0]), (draw.number(), names[1])]
+    return parse_opponents(draw.value(*names, mixed, [draw.value(*names)]), small_game())
+
+
+POLICIES = ("lattice", "lattice:pace=0.8,side_margin=0.2", "lane-switcher:3", "pure-pursuit", "gap-follower")
+AGENTS = (
+    *(*POLICIES, "never-switch", "random-moves", "always-restraint+", "best-fixed", "best-schedule:fit=x.yaml"),
+    *("cfr-argmax", "cfr-argmax:network=default-paper-regret", "receding-horizon:depth=2", "random-policy"),
+    "adaptive:margin=0.1",
+)  # fmt: skip
+
+
+@cache
+def setting() -> Any:
+    return make_setting()
 
 
 TARGETS: dict[str, Target] = {
-    "map yaml": Target(lambda data: parse_ros_yaml(MAP, data), map_seed("Ring_map.yaml"), "yaml"),
+    "map yaml": Target(lambda data: parse_ros_yaml(MAP, data), ring("Ring_map.yaml"), "yaml"),
     "map info yaml": Target(lambda data: parse_info(MAP, data), files("*/*_track.yaml", shipped_folder()), "yaml"),
     "map picture": Target(lambda data: parse_grid(MAP, data, ROS), pictures, "binary"),
     "map centre line": Target(
-        lambda data: parse_csv(MAP, data, CENTERLINE_COLUMNS, ","), map_seed("Ring_centerline.csv"), "csv"
+        lambda data: parse_csv(MAP, data, CENTERLINE_COLUMNS, ","), ring("Ring_centerline.csv"), "csv"
     ),
-    "map race line": Target(
-        lambda data: parse_csv(MAP, data, RACELINE_COLUMNS, ";"), map_seed("Ring_raceline.csv"), "csv"
-    ),
+    "map race line": Target(lambda data: parse_csv(MAP, data, RACELINE_COLUMNS, ";"), ring("Ring_raceline.csv"), "csv"),
     "map folder": Target(
-        map_file("Ring_map.yaml", False), map_seed("Ring_map.yaml"), "yaml", ("../Ring_map.png", "/etc/passwd")
-    ),
-    "track of a yaml": Target(map_file("Ring_map.yaml", True), map_seed("Ring_map.yaml"), "yaml", most=3000),
-    "track of a centre line": Target(
-        map_file("Ring_centerline.csv", True), map_seed("Ring_centerline.csv"), "csv", most=3000
-    ),
-    "track of a race line": Target(
-        map_file("Ring_raceline.csv", True), map_seed("Ring_raceline.csv"), "csv", most=3000
-    ),
-    "track of a picture": Target(map_file("Ring_map.png", True), map_seed("Ring_map.png"), "binary", most=3000),
-    "track name": Target(text_of(load_track), texts("Pipkin", "tarnfjord", "./x", "maps/Pipkin"), "text"),
-    "yaml": Target(
-        plain_yaml,
-        files("*.yaml", shipped_fits()),
-        "yaml",
-        ("&a", "*a", "<<:", "!!int", "!!timestamp", "!!python/name:os"),
-    ),
-    "arrays": Target(unpack_arrays, lambda: [_chunk()], "npz"),
-    "archive manifest": Target(
-        manifest_of(default_archive, "manifest.yaml", load_archive),
-        files("*/manifest.yaml", ARCHIVE_FORMAT.shipped),
+        in_folder(small_map, "Ring_map.yaml", lambda folder: read_map(folder / "Ring_map.yaml")),
+        ring("Ring_map.yaml"),
         "yaml",
     ),
-    "archive arrays": Target(
-        content_of(default_archive, "manifest.yaml", "archive.npz", "arrays_sha256", load_archive),
-        files("default/archive.npz", ARCHIVE_FORMAT.shipped),
-        "npz",
+    "track of a yaml": Target(built("Ring_map.yaml"), ring("Ring_map.yaml"), "yaml", 3000),
+    "track of a centre line": Target(built("Ring_centerline.csv"), ring("Ring_centerline.csv"), "csv", 3000),
+    "track of a race line": Target(built("Ring_raceline.csv"), ring("Ring_raceline.csv"), "csv", 3000),
+    "track of a picture": Target(built("Ring_map.png"), ring("Ring_map.png"), "binary", 3000),
+    "track name": Target(as_text(load_track), texts("Pipkin", "tarnfjord", "./x", "maps/Pipkin"), "text"),
+    "archive name": Target(as_text(load_archive), texts("default", "contest", "archives/default"), "text"),
+    "policy text": Target(as_text(parse_policy), texts(*POLICIES), "text"),
+    "agent text": Target(as_text(lambda text: parse_agent(text, setting())), texts(*AGENTS), "text"),
+    "opponents": Target(opponents, values(40), "values"),
+    "yaml": Target(plain_yaml, files("*.yaml", shipped_fits()), "yaml"),
+    "arrays": Target(unpack_arrays, lambda: [chunk_seed()], "npz"),
+    "chunk": Target(
+        as_file(read_chunk, "chunk.npz"), lambda: [chunk_seed(), (scratch() / "seed.npz").read_bytes()], "binary"
     ),
-    "archive name": Target(text_of(load_archive), texts("default", "contest", "archives/default"), "text"),
-    "network manifest": Target(
-        manifest_of(some_network, "manifest.yaml", load_network),
-        lambda: [(some_network() / "manifest.yaml").read_bytes()],
-        "yaml",
+    "chunk, signed": Target(signed_chunk, lambda: [chunk_seed()], "npz"),
+    "tree manifest": Target(partial(read_trees, False, True), lambda: [trees(False)[1]], "yaml"),
+    "tree chunk, signed": Target(partial(read_trees, False, False), lambda: [trees(False)[2]], "npz"),
+    "ego tree manifest": Target(partial(read_trees, True, True), lambda: [trees(True)[1]], "yaml"),
+    "ego tree chunk, signed": Target(partial(read_trees, True, False), lambda: [trees(True)[2]], "npz"),
+    "job manifest": Target(
+        in_folder(job_folder, "job.yaml", job), lambda: [(job_folder() / "job.yaml").read_bytes()], "yaml"
     ),
-    "network weights": Target(
-        content_of(some_network, "manifest.yaml", "weights.safetensors", "weights_sha256", load_network),
-        lambda: [(some_network() / "weights.safetensors").read_bytes()],
-        "binary",
-    ),
-    "driver manifest": Target(
-        manifest_of(some_driver, "manifest.yaml", read_driver),
-        lambda: [(some_driver() / "manifest.yaml").read_bytes()],
-        "yaml",
-    ),
-    "driver weights": Target(
-        content_of(some_driver, "manifest.yaml", "weights.safetensors", "weights_sha256", read_driver),
-        lambda: [(some_driver() / "weights.safetensors").read_bytes()],
-        "binary",
-    ),
-    "chunk": Target(damaged_chunk, lambda: [_chunk()], "binary"),
-    "chunk, signed": Target(signed_chunk, lambda: [_chunk()], "npz"),
-    "tree manifest": Target(tree_manifest, lambda: [_tree_manifest()], "yaml"),
-    "tree chunk, signed": Target(tree_chunk, lambda: [_tree_chunk()], "npz"),
-    "ego tree manifest": Target(ego_manifest, lambda: [_ego_manifest()], "yaml"),
-    "ego tree chunk, signed": Target(ego_chunk, lambda: [_ego_chunk()], "npz"),
-    "job manifest": Target(job_folder, lambda: [_job()], "yaml"),
     "race state": Target(
-        as_file(load_state, "race.npz"),
-        _saved(lambda path: save_state(empty_state(2, 3), path), "race-seed.npz"),
-        "npz",
+        as_file(load_state, "race.npz"), saved(lambda path: save_state(empty_state(2, 3), path), "race-seed.npz"), "npz"
     ),
     "game state": Target(
         as_file(load_game, "game.npz"),
-        _saved(lambda path: save_game(small_game().reset(games=2), path), "game-seed.npz"),
+        saved(lambda path: save_game(small_game().reset(games=2), path), "game-seed.npz"),
         "npz",
     ),
+    "replay json": Target(as_file(read_replay, "race.json"), lambda: [replay("seed.json")], "json"),
+    "replay page": Target(as_file(read_replay, "race.html"), lambda: [replay("seed.html")], "binary"),
     "fit": Target(as_file(load_fit, "fit.yaml"), files("*.yaml", shipped_fits()), "yaml"),
-    "race config": Target(
-        as_file(load_race_config, "race.yaml"),
-        texts("preset: contest\nduration: 16.0\nspeed_range: [0.5, 0.9]\nstart: rolling\n"),
-        "yaml",
-    ),
-    "training config": Target(as_file(load_train_settings, "train.yaml"), configs("train"), "yaml"),
-    "archive config": Target(as_file(load_archive_config, "archive.yaml"), configs("archive"), "yaml"),
-    "study config": Target(as_file(load_study_config, "study.yaml"), configs("study"), "yaml"),
-    "ppo config": Target(as_file(load_ppo_settings, "ppo.yaml"), configs("ppo"), "yaml"),
-    "response config": Target(as_file(load_response_settings, "response.yaml"), configs("response"), "yaml"),
-    "results table": Target(results_table, texts(RESULTS), "csv"),
-    "results in the viewer": Target(viewed_table, texts(RESULTS), "csv"),
-    "results manifest": Target(results_manifest, results_manifests, "yaml"),
-    "losses to best replies": Target(
-        as_file(read_losses, "losses.csv"),
-        texts(
-            "agent,track,loss,low,high,races,reply_won,agent_won,agent_own_crash\n"
-            "a,Pipkin,0.1,0,0.2,400,0.6,0.4,0.1\na,all,,nan,2,3,1,1,1\n"
-        ),
+    "results table": Target(
+        in_folder(tournament_folder, "results.csv", lambda folder: make_table(open_results(folder).races)),
+        texts(RESULTS),
         "csv",
     ),
-    "robust config": Target(
-        as_file(load_robust_settings, "robust.yaml"), texts("pool_share: 0.5\nrounds: 2\n"), "yaml"
+    "results in the viewer": Target(
+        as_file(lambda path: packed_races(read_results(path)), "viewed.csv"), texts(RESULTS), "csv"
     ),
-    "psro config": Target(as_file(load_psro_settings, "psro.yaml"), texts("rounds: 3\nraces: 20\n"), "yaml"),
-    "self-play config": Target(as_file(load_self_play_settings, "self-play.yaml"), configs("self-play"), "yaml"),
+    "results manifest": Target(
+        in_folder(tournament_folder, "job.yaml", first_pairing),
+        lambda: [(tournament_folder() / "job.yaml").read_bytes()],
+        "yaml",
+    ),
+    "losses to best replies": Target(as_file(read_losses, "losses.csv"), texts(LOSSES), "csv"),
     "loss table": Target(
         as_file(read_curves, "curve.csv"), texts("epoch,training_loss,validation_loss\n0,1.5,2\n1,1,2\n"), "csv"
     ),
     "ppo curve": Target(as_file(read_evaluations, "ppo.csv"), texts(CURVE), "csv"),
-    "replay json": Target(
-        replay_json, lambda: [_saved(lambda path: save_replay(some_replay(), path), "seed.json")()[0]], "json"
-    ),
-    "replay page": Target(
-        as_file(read_replay, "race.html"),
-        lambda: [_saved(lambda path: save_replay(some_replay(), path), "seed.html")()[0]],
-        "binary",
-    ),
-    "policy text": Target(
-        text_of(parse_policy), texts(*POLICIES), "text", ("pace=", "side_margin", "nan", "1e999", "=", ",", ":")
-    ),
-    "agent text": Target(
-        text_of(lambda text: parse_agent(text, setting())), texts(*AGENTS), "text", ("=", ",", ":", "[1]", "{a: 1}")
-    ),
-    "opponents": Target(opponents, values(40), "values"),
-    "game options": Target(game_options, values(40), "values"),
-    "race options": Target(race_options, values(40), "values"),
-    "drive options": Target(drive_options, values(40), "values"),
-    "drive environments": Target(drive_envs, values(40), "values"),
-    "drive actions and seeds": Target(drive_inputs, values(60), "values"),
-    "duel environments": Target(duel_envs, values(40), "values"),
-    "duel actions and seeds": Target(duel_inputs, values(60), "values"),
-    "head-to-head inputs": Target(head_to_head_inputs, values(60), "values"),
 }
+for kind, load in CONFIGS.items():
+    TARGETS[f"{kind} config"] = Target(as_file(load, f"{kind}.yaml"), partial(config_seeds, kind), "yaml")
+for kind, (form, load) in ARTIFACTS.items():
+    for file in ("manifest.yaml", form.data_file):
+        kind_of_file = {".yaml": "yaml", ".npz": "npz"}.get(Path(file).suffix, "binary")
+        run = partial(artifact_data, kind) if file == form.data_file else in_folder(partial(artifact, kind), file, load)
+        seeds = partial(lambda kind, file: [(artifact(kind) / file).read_bytes()], kind, file)
+        TARGETS[f"{kind} {Path(file).stem}"] = Target(run, seeds, kind_of_file)
+for cls in settings_classes():
+    TARGETS[f"values of {cls.__name__}"] = Target(partial(settings_of, cls), values(40), "values")
+for name in ENVS:
+    TARGETS[f"{name}: arguments"] = Target(partial(made, name), values(40), "values")
+    TARGETS[f"{name}: inputs"] = Target(partial(inputs, name), values(60), "values")

@@ -1,11 +1,14 @@
-"""Write docs/gallery.md and its GIFs in docs/images/gallery: overtakes, defences and crashes, selected by a rule.
+"""Write the GIFs of the gallery and the table of its scenes, scenes.csv, to docs/images/gallery.
 
     python tools/gallery.py
 
 For each circuit of `CIRCUITS`, the races 0, 1, 2, ... of one seed are simulated in this order. The first race that
 contains a scene of a kind gives the GIF of that kind; `SCENES` says what counts as one.
+The page is made of the table whenever the site is built (``docs/site_pages.py``).
 """
 
+import csv
+import io
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +24,7 @@ from pcs_racing.race.replay import Replay
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 FOLDER = "images/gallery"
+TABLE = DOCS / FOLDER / "scenes.csv"
 
 CIRCUITS = ("Tarnfjord", "Quillburg")
 FAST, SLOW = "lattice:pace=0.95,overtaking=1", "lattice:pace=0.55"
@@ -50,6 +54,7 @@ def find_defence(replay: Replay) -> float | None:
     lead = np.asarray(replay.lead)
     run = 0
     for i, value in enumerate(lead):
+        # A change of the order ends it, and closer than 0.3 m the cars are beside each other.
         same = i > 0 and value * lead[i - 1] > 0.0 and 0.3 < abs(value) < CLOSE
         run = run + 1 if same else 0
         if run * replay.frame_dt >= DEFENDED and i * replay.frame_dt >= BEFORE + AFTER:
@@ -92,10 +97,8 @@ SCENES = {
 
 HEAD = """# Gallery
 
-<!-- Written by `python tools/gallery.py`. -->
-
-This page is a reference of what happens in races: overtakes, defences and crashes. A rule selects them. On each circuit
-the races 0, 1, 2, ... of seed {seed} are simulated under the rules of the preset `contest`, between
+A rule selects the scenes. On each circuit the races 0, 1, 2, ...
+of seed {seed} are simulated under the rules of the preset `contest`, between
 `{fast}` (fast, blue) and `{slow}` (slow, orange).
 The first race with a scene of a kind gives its GIF. It plays at the speed of the race, and its clock begins
 with the clip. The arrow, or the mark ahead of a car, shows which way the car drives.
@@ -103,8 +106,8 @@ with the clip. The arrow, or the mark ahead of a car, shows which way the car dr
 
 END = """## Make your own
 
-`pcs-racing view` shows, filters and plays the races of a tournament or a study ([watch races](view.md)).
-`pcs_racing.race.frames.write_gif` writes a recorded race as a GIF ([a notebook](notebooks/first_race.md) does it).
+`pcs-racing view` shows, filters and plays the races of a tournament or a study ([watch races](../view.md)).
+`pcs_racing.race.frames.write_gif` writes a recorded race as a GIF ([a notebook](../notebooks/first_race.md) does it).
 """
 
 
@@ -159,14 +162,31 @@ def cut(replay: Replay, time: float) -> Replay:
     )
 
 
-def gallery_page(clips: list[Clip]) -> str:
+def scenes() -> list[Clip]:
+    """Return the scenes of the table."""
+    with open(TABLE, newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    return [Clip(row["kind"], row["circuit"], int(row["race"]), float(row["time"]), row["outcome"]) for row in rows]
+
+
+def write_scenes(clips: list[Clip]) -> None:
+    """Write the table of the scenes."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(Clip._fields)
+    writer.writerows(clip._replace(time=f"{clip.time:.1f}") for clip in clips)
+    write_atomically(TABLE, lambda file: file.write(text.getvalue().encode("utf-8")))
+
+
+def gallery_page() -> str:
     """Return the page."""
+    clips = scenes()
     blocks = [HEAD.format(seed=SEED, fast=FAST, slow=SLOW).strip()]
     for kind, scene in SCENES.items():
         blocks += [f"## {scene.title}", scene.rule]
         for clip in (clip for clip in clips if clip.kind == kind):
             blocks += [
-                f"![{kind.capitalize()} on {clip.circuit}, seen from above]({clip.path})",
+                f"![{kind.capitalize()} on {clip.circuit}, seen from above](../{clip.path})",
                 f"{clip.circuit}, race {clip.race}, around {clip.time:.1f} s. How the race ended: {clip.outcome}.",
             ]
     blocks.append(END.strip())
@@ -174,7 +194,7 @@ def gallery_page(clips: list[Clip]) -> str:
 
 
 def main() -> None:
-    """Find the scenes, and write GIFs and page."""
+    """Find the scenes, and write the GIFs and their table."""
     (DOCS / FOLDER).mkdir(parents=True, exist_ok=True)
     clips = []
     for circuit in CIRCUITS:
@@ -188,9 +208,8 @@ def main() -> None:
             if size > LARGEST:
                 raise SystemExit(f"gallery: {path.name} has {size:,} bytes; at most {LARGEST:,} are allowed")
             clips.append(clip)
-    page = DOCS / "gallery.md"
-    write_atomically(page, lambda file: file.write(gallery_page(clips).encode("utf-8")))
-    print(page)
+    write_scenes(clips)
+    print(TABLE)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ def make_again(folder: Path) -> Track:
     if missing:
         raise MapError(f"{folder} was not generated: its track.yaml has no {' and no '.join(missing)}")
     track = generate_map(folder, **{key: info[key] for key in SETTINGS if key in info})
+    # Generating writes a fresh track.yaml; the description and the calibration of the old one are kept.
     write_map(read_map(folder)._replace(info=info))
     return track
 

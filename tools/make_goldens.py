@@ -15,8 +15,7 @@ import numpy as np
 GOLDENS = Path(__file__).resolve().parent.parent / "tests" / "goldens"
 sys.path.insert(0, str(GOLDENS))
 
-from comparison import differences  # noqa: E402
-from scenarios import SCENARIOS, file_name, track_hash  # noqa: E402
+from scenarios import SCENARIOS, differences, file_name, track_hash  # noqa: E402
 
 
 def main() -> None:

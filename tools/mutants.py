@@ -1,9 +1,9 @@
 """Put small faults into the code, one at a time, and see whether the tests notice.
 
-``run`` puts them into a copy of the tree and runs the tests of the file's own module, the golden trajectories left out;
-with ``--suite`` those that passed unnoticed go through all other tests. ``report`` counts and lists the survivors.
-Results are added to ``out/mutants/results.csv`` line by line: a run that was stopped goes on where it was left. A file
-that has changed is tried anew, a survivor is tried again when the tests of its module have changed.
+``run`` puts them into a copy of the tree and runs the tests of the file's room; with ``--suite`` those that passed
+unnoticed go through all other tests. ``report`` counts by room and lists the survivors. Results are added to
+``out/mutants/results.csv`` line by line: a run that was stopped goes on where it was left. A file that has changed is
+tried anew, a survivor is tried again when the tests of its room have changed.
 
 Survivors that do not matter stand in ``tools/mutants_accepted.csv``, each with the reason.
 """
@@ -22,12 +22,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from faults import Fault, changes_something, faults_of
-from mutants_table import COMPILED, MODULES, PLAIN, tests_of
+from mutants_table import COMPILED, PLAIN, ROOT, files, room_of, tests_of
 
-ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "out" / "mutants" / "results.csv"
 ACCEPTED = ROOT / "tools" / "mutants_accepted.csv"
 COLUMNS = ["file", "line", "kind", "before", "after", "source", "tests", "own", "suite", "seconds"]
@@ -39,45 +39,42 @@ PASSED = "-"
 Row = dict[str, str]
 
 
-class BaselineError(Exception):
-    """Tests that fail without any fault."""
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("command", choices=("run", "report"))
-    parser.add_argument("--faults", type=int, default=6, help="faults in each file (default 6)")
+    parser.add_argument("--faults", type=int, default=10, help="faults in each file (default 10)")
     parser.add_argument("--seed", type=int, default=1, help="which faults are drawn (default 1)")
     parser.add_argument("--files", nargs="+", default=["*"], help="only files that match one of these patterns")
     parser.add_argument("--suite", action="store_true", help="try survivors with the rest of the suite")
     parser.add_argument("--workers", type=int, default=1, help="processes of the rest of the suite (default 1)")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no further file after this time")
     options = parser.parse_args()
-    files = [file for file in MODULES if any(fnmatch.fnmatch(file, pattern) for pattern in options.files)]
-    if not files:
-        sys.exit(f"no file of tools/mutants_table.py matches {' '.join(options.files)}")
+    chosen = [file for file in files() if any(fnmatch.fnmatch(file, pattern) for pattern in options.files)]
+    if not chosen:
+        sys.exit(f"no file with arithmetic or branches matches {' '.join(options.files)}")
     if options.command == "run":
         signal.signal(signal.SIGTERM, lambda *_: sys.exit("stopped"))  # so that the copies are removed
         with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
-            run(files, options, Workplace(Path(folder)))
-    sys.exit(1 if report(files) else 0)
+            run(chosen, options, Workplace(Path(folder)))
+    sys.exit(1 if report(chosen) else 0)
 
 
-def run(files: list[str], options: argparse.Namespace, place: "Workplace") -> None:
-    """Try the faults that were not tried yet; after each file's own tests, its survivors on the suite if asked."""
+def run(chosen: list[str], options: argparse.Namespace, place: "Workplace") -> None:
+    """Try the faults that were not tried yet, file by file; the rooms take turns."""
     done = {key(row): row for row in results()}
-    for file in sorted(files, key=lambda file: bool(tests_of(file, COMPILED))):  # the quick ones first
-        try:
+    end = time.monotonic() + 60.0 * options.minutes
+    for file in chosen:
+        if time.monotonic() < end:
             try_file(file, options, place, done)
-        except BaselineError as error:
-            print(f"{file}: left out, {error}; mend it first", flush=True)
 
 
 def try_file(file: str, options: argparse.Namespace, place: "Workplace", done: dict[tuple[str, ...], Row]) -> None:
     """Try the faults of one file."""
-    text, tests = (place.pristine / file).read_text(), digest(place.pristine, *all_tests(file))
+    text, tests = (place.pristine / file).read_text(), digest(place.pristine, *tests_of(file, COMPILED))
     source = digest(place.pristine, file)
     earlier = {(row["line"], row["before"], row["after"]) for row in done.values() if row["source"] == source}
     chosen = drawn(file, text, options.faults, options.seed)
+    # A smaller --faults after a larger one must not forget survivors that were found before.
     again = [f for f in faults_of(text) if (str(f.line), f.before, f.after) in earlier and f not in chosen]
     for fault in chosen + again:
         row = dict(zip(COLUMNS, (file, str(fault.line), fault.kind, fault.before, fault.after), strict=False))
@@ -100,6 +97,7 @@ def drawn(file: str, text: str, count: int, seed: int) -> list[Fault]:
     by_line: dict[int, list[Fault]] = {}
     for fault in faults_of(text):
         by_line.setdefault(fault.line, []).append(fault)
+    # Each file has a stream of its own, so that an edit of one file draws no other faults in the rest.
     rng = random.Random(f"{seed} {file}")
     lines, chosen = sorted(by_line), []
     rng.shuffle(lines)
@@ -115,7 +113,7 @@ class Workplace:
 
     def __init__(self, folder: Path):
         self.pristine, self.tree = folder / "pristine", folder / "tree"
-        self.limits: dict[tuple[str, ...], float] = {}
+        self.limits: dict[tuple[str, frozenset[str]], tuple[float, list[str]]] = {}
         shutil.copytree(ROOT, self.pristine, ignore=shutil.ignore_patterns(*LEFT_OUT))
 
     def own_tests(self, file: str, fault: Fault) -> str:
@@ -134,23 +132,26 @@ class Workplace:
 
     def tried(self, file: str, fault: Fault, tests: tuple[str, ...], mode: str) -> str:
         """Which of some tests noticed the fault."""
-        if (mode, *tests) not in self.limits:
-            # Without any fault: the tests must pass, compiled code is kept for later, and the time is a measure.
-            begun = time.monotonic()
-            if (found := pytest(self.pristine, tests, mode, 7200.0)) != PASSED:
-                raise BaselineError(f"{found} fails without any fault ({mode})")
-            self.limits[mode, *tests] = 90.0 + 5.0 * (time.monotonic() - begun)
+        asked = mode, frozenset(tests)
+        if asked not in self.limits:
+            # Without any fault: compiled code is kept for later, the time is a measure, and what fails says nothing.
+            before = processor_seconds()
+            failing = pytest(self.pristine, tests, mode, 7200.0, "--maxfail=1000")
+            self.limits[asked] = 60.0 + 3.0 * (processor_seconds() - before), [f"--deselect={test}" for test in failing]
+            print("".join(f"{test} fails without any fault ({mode})\n" for test in failing), end="", flush=True)
+        limit, left_out = self.limits[asked]
         if mode == COMPILED or not self.tree.exists():  # compiled code of the last fault must not be found
             shutil.rmtree(self.tree, ignore_errors=True)
             shutil.copytree(self.pristine, self.tree)
         (self.tree / file).write_text(fault.text)
-        found = pytest(self.tree, tests, mode, self.limits[mode, *tests])
+        found = pytest(self.tree, tests, mode, limit, "-x", *left_out)
         shutil.copy2(self.pristine / file, self.tree / file)
-        return found
+        return found[0] if found else PASSED
 
 
-def pytest(tree: Path, tests: tuple[str, ...], mode: str, limit: float) -> str:
-    """Run tests in a copy of the tree; returns the first that failed, or ``-``."""
+def pytest(tree: Path, tests: tuple[str, ...], mode: str, limit: float, *more: str) -> list[str]:
+    """Run tests in a copy of the tree, and return those that failed."""
+    # What the caller has set must not decide what is found.
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "PCS_RACING_"))}
     environment |= {"PYTHONPATH": str(tree), "PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1"}
     # The cache holds tracks that were built by code without the fault, under names that the code decides.
@@ -158,36 +159,46 @@ def pytest(tree: Path, tests: tuple[str, ...], mode: str, limit: float) -> str:
     if mode == PLAIN:
         environment |= {"NUMBA_DISABLE_JIT": "1", "PYTHONDONTWRITEBYTECODE": "1" if tree.name == "tree" else ""}
     else:
+        # The fault is compiled once and run for seconds: optimising would take longer than it saves.
         environment |= {"NUMBA_OPT": "1", "NUMBA_LOOP_VECTORIZE": "0", "NUMBA_SLP_VECTORIZE": "0"}
-    command = [sys.executable, "-m", "pytest", "-x", "--tb=no", "-rfE", "--hypothesis-seed=0", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", "--tb=no", "-rfE", "--hypothesis-seed=0", "-p", "no:cacheprovider"]
     if mode == PLAIN:
         command += ["-W", "ignore::RuntimeWarning"]  # of overflows and 0 / 0, which are meant
+    # In a session of its own: tests start workers, and a fault may leave them behind.
     process = subprocess.Popen(
-        [*command, *tests],
+        [*command, *more, *tests],
         cwd=tree,
         env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
         start_new_session=True,
-        preexec_fn=limit_memory,
+        preexec_fn=partial(limit_resources, limit),
     )
     try:
-        output, _ = process.communicate(timeout=limit)
+        output, _ = process.communicate(timeout=20.0 * limit)
     except subprocess.TimeoutExpired:
-        return "time limit"
+        return ["time limit"]
     finally:
         with_group(process)
-    if process.returncode == 0:
-        return PASSED
-    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
-    return failed[1] if failed else f"exit status {process.returncode}"
+    if process.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return ["time limit"]
+    failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
+    return failed or ([f"exit status {process.returncode}"] if process.returncode else [])
 
 
-def limit_memory() -> None:
-    """Let a fault that asks for ever more memory fail instead of filling the machine (there is none on Windows)."""
+def processor_seconds() -> float:
+    """Processor time of all processes that were waited for so far."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
+def limit_resources(seconds: float) -> None:
+    """Let a fault fail that never ends or asks for ever more memory (there are no limits on Windows)."""
     import resource
 
+    # Processor time, because a machine that is busy with something else must not find faults.
+    resource.setrlimit(resource.RLIMIT_CPU, (round(seconds), round(seconds) + 5))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
 
 
@@ -200,20 +211,30 @@ def with_group(process: "subprocess.Popen[str]") -> None:
     process.wait()
 
 
-def report(files: list[str]) -> int:
-    """Print what was found, and return how many survivors nobody has accepted."""
-    rows = [row for row in {key(row): row for row in results()}.values() if row["file"] in files]
+def report(chosen: list[str]) -> int:
+    """Print the share of faults that were found in each room, and return how many survivors nobody has accepted."""
+    rows = [row for row in {key(row): row for row in results()}.values() if row["file"] in chosen]
     rows = [row for row in rows if row["source"] == digest(ROOT, row["file"])]
-    print(f"{'':32}{'faults':>8}{'own tests':>12}{'suite':>8}{'accepted':>10}{'open':>6}")
+    # Kinds of faults that are no longer made do not count either way.
+    made = {
+        file: {(str(f.line), f.after) for f in faults_of((ROOT / file).read_text())}
+        for file in {r["file"] for r in rows}
+    }
+    rows = [row for row in rows if (row["line"], row["after"]) in made[row["file"]]]
+    heading = ("files", "tried", "faults", "own tests", "suite", "accepted", "open", "found")
+    print(f"{'room':32}" + "".join(f"{name:>10}" for name in heading))
     survivors: list[Row] = []
-    for area in [*dict.fromkeys(MODULES[file].area for file in files), "together"]:
-        of_area = [row for row in rows if area in ("together", MODULES[row["file"]].area)]
-        own = [row for row in of_area if row["own"] != PASSED]
-        suite = [row for row in of_area if row["own"] == PASSED and row["suite"] not in ("", PASSED)]
-        accepted = [row for row in of_area if row["own"] == PASSED and row not in suite and reason(row)]
-        left = [row for row in of_area if row not in own and row not in suite and row not in accepted]
-        survivors = left
-        print(f"{area:32}{len(of_area):8}{len(own):12}{len(suite):8}{len(accepted):10}{len(left):6}")
+    for room in [*sorted(set(map(room_of, chosen))), "together"]:
+        of_room = [row for row in rows if room in ("together", room_of(row["file"]))]
+        own = [row for row in of_room if row["own"] != PASSED]
+        suite = [row for row in of_room if row["own"] == PASSED and row["suite"] not in ("", PASSED)]
+        accepted = [row for row in of_room if row["own"] == PASSED and row not in suite and reason(row)]
+        survivors = [row for row in of_room if row not in own and row not in suite and row not in accepted]
+        counted = len(of_room) - len(accepted)  # an accepted fault changes nothing that a test could see
+        found = f"{(len(own) + len(suite)) / counted:.0%}" if counted else "-"
+        numbers = (sum(room in ("together", room_of(file)) for file in chosen), len({row["file"] for row in of_room}))
+        numbers += tuple(map(len, (of_room, own, suite, accepted, survivors)))
+        print(f"{room:32}" + "".join(f"{cell:>10}" for cell in (*numbers, found)))
     for row in survivors:
         print(f"\n{row['file']}:{row['line']} ({row['kind']}){'' if row['suite'] else ', the suite not asked yet'}")
         print(f"  - {row['before']}\n  + {row['after']}")
@@ -253,10 +274,6 @@ def reason(row: Row) -> str:
             if all(accepted[name] == row[name] for name in ("file", "before", "after")):
                 return accepted["reason"]
     return ""
-
-
-def all_tests(file: str) -> list[str]:
-    return sorted({*tests_of(file, PLAIN), *tests_of(file, COMPILED)})
 
 
 def digest(tree: Path, *files: str) -> str:

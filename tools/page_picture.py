@@ -8,15 +8,14 @@ link says otherwise. Needs Chromium; it is driven as the tests drive it.
 
 import argparse
 import sys
-import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from PIL import Image
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tests/pcs_racing_agents/view"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from browser import Browser, missing
 
 
 def main() -> None:
@@ -27,38 +26,23 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=1440)
     parser.add_argument("--height", type=int, default=900)
     given = parser.parse_args()
-    if not given.page.is_file():
-        parser.error(f"there is no {given.page}")
-    from chromium_pipe import Browser, chromium  # type: ignore[import-not-found]
-    from PIL import Image
-
-    if chromium() is None:
-        parser.error("there is no chromium on PATH to open the page with")
+    if missing() or not given.page.is_file():
+        parser.error(missing() or f"there is no {given.page}")
     link = given.link if "theme=" in given.link else f"{given.link}&theme=light".lstrip("&")
-    with tempfile.TemporaryDirectory() as profile:
-        browser: Any = Browser(profile)
-        try:
-            browser.open(f"{given.page.resolve().as_uri()}#{link}", given.width, given.height)
-            pixels = still(browser)
-            if browser.complaints:
-                raise SystemExit(f"the page complains: {browser.complaints[0]}")
-        finally:
-            browser.close()
+    browser, before = Browser(), np.zeros(0)
+    try:
+        browser.open(f"{given.page.resolve().as_uri()}#{link}", given.width, given.height)
+        # What a frame draws is seen a little later: wait for two pictures in a row that are the same.
+        while not np.array_equal(before, pixels := browser.screenshot()):
+            before = pixels
+            time.sleep(1.0)
+        if browser.complaints:
+            raise SystemExit(f"the page complains: {browser.complaints[0]}")
+    finally:
+        browser.close()
     picture = Image.fromarray(pixels.astype(np.uint8)).quantize(256, dither=Image.Dither.NONE)
     picture.save(given.picture, optimize=True)
     print(f"{given.picture}: {given.width} x {given.height}, {given.picture.stat().st_size / 1e3:.0f} kB")
-
-
-def still(browser: Any) -> np.ndarray:
-    """Look until two pictures in a row, a second apart, are the same: what a frame draws is seen a little later."""
-    before = browser.screenshot()
-    for _ in range(60):
-        time.sleep(1.0)
-        after: np.ndarray = browser.screenshot()
-        if np.array_equal(before, after):
-            return after
-        before = after
-    raise SystemExit("the page never stands still; name a moment (t=...) and no play in --link")
 
 
 if __name__ == "__main__":

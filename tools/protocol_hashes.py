@@ -17,6 +17,7 @@ def main() -> None:
     given = parser.parse_args()
     file: Path = shipped_configs("protocol")[given.protocol]
     kept = re.sub(r"\nhashes:\n(?:- .*\n)*", "\n", file.read_text(encoding="utf-8"))
+    # Loading checks the hashes that a file states: the old ones must go before the new ones are asked for.
     file.write_text(kept, encoding="utf-8")
     lines = [f"- {line}\n" for line in load_protocol(given.protocol).hashes]
     file.write_text(f"{kept}hashes:\n{''.join(lines)}", encoding="utf-8")

@@ -5,7 +5,7 @@
 
 Each file of ``examples/clients`` names its libraries in a block of inline metadata (PEP 723). A virtual environment is
 made for each file and kept in the folder ``--out``; all together take some gigabytes and, the first time, half an hour.
-The table at the end stands in docs/recipes.md.
+The table at the end stands in docs/reports/clients.md.
 """
 
 import argparse
@@ -62,6 +62,7 @@ def environment(script: Path, folder: Path) -> Path:
     python = folder / "bin" / "python"
     wanted = "\n".join([TORCH, *dependencies(script)])
     stamp = folder / "installed.txt"
+    # Installing takes minutes: again only if the script asks for other libraries.
     if not stamp.is_file() or stamp.read_text() != wanted:
         subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True)
         limits = folder / "constraints.txt"

@@ -77,6 +77,7 @@ def environment_of(variant: Variant, scratch: Path, sources: Path) -> dict[str, 
     real = {"PCS_RACING_MAPS": "maps", "PCS_RACING_REFERENCE": "reference"}  # data beside the repository
     there = {name: str(REPOSITORY.parent / "shared" / folder) for name, folder in real.items()}
     kept = {name: value for name, value in os.environ.items() if name not in ("PYTHONHOME", "NUMBA_CACHE_DIR")}
+    # A home of its own: caches of compiled code in the user's would hide what this variant compiles.
     found = {**there, **kept, "HOME": str(scratch / "home"), "PYTHONPATH": str(sources), "TMPDIR": str(scratch / "tmp")}
     found |= {"PCS_RACING_CACHE": str(scratch / "tracks"), "CI": "true", **variant.environment}
     if not variant.read_only:  # there numba must find a folder by itself
@@ -101,6 +102,7 @@ def run(name: str, variant: Variant, python: str, workers: str, tests: Sequence[
         if variant.read_only:
             sources = scratch / "sources"
             shutil.copytree(REPOSITORY, sources, ignore=shutil.ignore_patterns(*COPIED))
+            # Root may write to what nobody may write to.
             if os.getuid() == 0:
                 who = {"user": "nobody", "group": "nogroup", "extra_groups": []}
                 for folder in (scratch, scratch / "home", scratch / "tmp"):
@@ -110,6 +112,7 @@ def run(name: str, variant: Variant, python: str, workers: str, tests: Sequence[
         environment = environment_of(variant, scratch, sources)
         if "NPY_DISABLE_CPU_FEATURES" in variant.environment:
             environment["NPY_DISABLE_CPU_FEATURES"] = disabled_here(variant.environment["NPY_DISABLE_CPU_FEATURES"])
+            # Otherwise the variant would be the plain run under another name.
             if not environment["NPY_DISABLE_CPU_FEATURES"] and len(variant.environment) == 1:
                 return Outcome("not run: this processor has no AVX-512")
         elsewhere = {"cwd": scratch / "tmp", "env": environment, **who}
@@ -125,6 +128,7 @@ def run(name: str, variant: Variant, python: str, workers: str, tests: Sequence[
             )
         after = os.times()
     finally:
+        # Folders without the right to write can't be removed.
         for path in scratch.rglob("*"):
             if path.is_dir() and not path.is_symlink():
                 path.chmod(0o755)

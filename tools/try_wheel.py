@@ -72,6 +72,7 @@ class Environment:
             venv.create(home, with_pip=True)
         self.scripts = home / ("Scripts" if os.name == "nt" else "bin")
         self.packages = home
+        # PYTHONPATH would find the source tree instead of the wheel.
         self.variables = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
         self.variables["NUMBA_CACHE_DIR"] = str(folder / "numba")  # compiled from nothing, as at a user's
 
@@ -117,6 +118,7 @@ def check_contents(wheel: Path) -> None:
     missing = [name for name in INSIDE if not any(inside.startswith(name) for inside in names)]
     if missing:
         sys.exit(f"{wheel.name} lacks {', '.join(missing)}")
+    # What was run before the build must not ship: bytecode, and tests that need the checkout.
     strays = [name for name in names if "__pycache__" in name or name.startswith("tests/")]
     if strays:
         sys.exit(f"{wheel.name} should not hold {strays[0]}")

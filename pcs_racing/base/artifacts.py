@@ -26,11 +26,7 @@ MANIFEST = "manifest.yaml"
 def shipped_folder(package: Path, name: str) -> Path:
     """Return the folder of files that come with a package.
 
-    Parameters
-    ----------
-    package : Path
-        Folder of the package. Once installed, the files lie in its folder ``shipped_NAME``; in a checkout they lie
-        beside the package, in the folder ``NAME``.
+    Once installed, they lie in the package's folder ``shipped_NAME``; in a checkout, in the folder ``NAME`` beside it.
     """
     inside = package / f"shipped_{name}"
     return inside if inside.is_dir() else package.parent / name
@@ -67,6 +63,7 @@ class ManifestFormat:
             raise InputError(
                 f"{file} has version {manifest.get('version')!r}; this release reads version {self.version}"
             )
+        # Unknown fields are refused as well: a misspelt optional one would count as absent.
         odd = (set(manifest) - set(self.optional)) ^ {"format", "version", *self.keys}
         if odd:
             names = ", ".join(sorted(map(str, odd)))
@@ -101,20 +98,10 @@ class ArtifactFormat(ManifestFormat):
     shipped: Path = Path()  #: Folder of those that come with the package, a folder for each name.
 
     def save(self, folder: str | Path, fields: Mapping[str, Any], data: bytes) -> Path:
-        """Write data and manifest into a folder, which is made if need be.
+        """Write data and manifest (``fields`` beside the digest) into a folder, which is made if need be; return it.
 
         A new folder appears whole or not at all. In one that exists the manifest is written last: until then its digest
         belongs to other data, which :meth:`load` notices.
-
-        Parameters
-        ----------
-        fields : Mapping
-            Of the manifest, beside the digest.
-
-        Returns
-        -------
-        Path
-            The folder.
         """
         folder = Path(folder)
         manifest = self._manifest({**fields, self.digest_key: hashlib.sha256(data).hexdigest()})
@@ -128,10 +115,12 @@ class ArtifactFormat(ManifestFormat):
                 temporary.rename(folder)
                 return folder
             except OSError as error:
-                if not folder.is_dir():  # else another process was faster: write into its folder
+                # Where there is a folder now, another process was faster: write into that.
+                if not folder.is_dir():
                     raise OSError(error.errno, error.strerror, str(folder)) from None
             finally:
                 shutil.rmtree(temporary, ignore_errors=True)
+        # The manifest last: if the process ends between the two, the digest tells that they don't belong together.
         write_atomically(folder / self.data_file, lambda stream: stream.write(data))
         write_atomically(folder / MANIFEST, lambda stream: stream.write(manifest))
         return folder

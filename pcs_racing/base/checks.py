@@ -72,6 +72,7 @@ def check_number(
     A number of Python is returned as it is, one of numpy as a number of Python.
     """
     fine = is_number(value)
+    # Compared only now: what is no number need not have an order.
     fine = fine and (least is None or value >= least) and (most is None or value <= most)
     if not fine or (above is not None and not value > above):
         kind = "finite number" if least is most is above is None else "number"
@@ -161,19 +162,10 @@ def check_array(
 ) -> NDArray[Any]:
     """Return a new array of finite numbers.
 
-    Parameters
-    ----------
-    value : array_like
-    shape : sequence of int or None
-        Its shape; None stands for any length.
-    least, most : float, optional
-        Limits of all numbers, which belong to the range.
-    dtype : dtype
-        Of the result.
-    error : type
-        What is raised.
+    In ``shape`` None stands for any length; ``least`` and ``most`` belong to the range.
     """
     try:
+        # Always a copy: the caller may go on writing to what it passed.
         array = np.array(value, dtype)
     except (TypeError, ValueError, OverflowError):
         raise error(f"{name} is {value!r:.200}; it must hold numbers") from None
@@ -226,15 +218,8 @@ def check_whole_array(
 ) -> NDArray[np.int64]:
     """Return a new array of whole numbers; numbers with a fraction are refused, not cut off.
 
-    Parameters
-    ----------
-    value : array_like
-    *shapes : tuple of int or None
-        Shapes that are allowed, all of them if none is named; None stands for any length.
-    least, most : int, optional
-        Limits of all numbers, which belong to the range.
-    error : type
-        What is raised.
+    Any of the ``shapes`` will do, and any shape if none is named; None stands for any length. ``least`` and ``most``
+    belong to the range.
     """
     array = as_array(value)
     fits = not shapes or any(_fits(array, shape) for shape in shapes)

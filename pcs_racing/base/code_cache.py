@@ -62,14 +62,9 @@ class CodeCache(FunctionCache):
 
 @cache
 def forget_stale_code(sources: str, code: str) -> None:
-    """Delete the cached code of a folder of modules if something that it may be made of has changed.
+    """Delete the cached code in the folder ``code`` if anything has changed of which it may be made.
 
-    Parameters
-    ----------
-    sources : str
-        Folder of the modules.
-    code : str
-        Folder where numba keeps their code.
+    ``sources`` is the folder of the modules whose code it is.
     """
     note, digest = Path(code, NOTE), digest_of(Path(sources).resolve())
     with suppress(OSError):  # nowhere to write to: then numba keeps nothing either
@@ -77,6 +72,7 @@ def forget_stale_code(sources: str, code: str) -> None:
             return
         for file in Path(code).glob("*.nb[ci]"):
             file.unlink(missing_ok=True)
+        # The note comes after the deletion: a process that ends between the two leaves nothing old under a new note.
         temporary = note.with_suffix(f".{os.getpid()}.tmp")
         temporary.write_bytes(digest)
         os.replace(temporary, note)
@@ -89,24 +85,25 @@ def digest_of(folder: Path) -> bytes:
     others they are the files beside them, and both packages.
     """
     if any(folder.is_relative_to(_PACKAGE / floor) for floor in SIMULATOR):
-        parts = [_digest(_PACKAGE / floor) for floor in SIMULATOR]
+        parts = [sources_digest(_PACKAGE / floor) for floor in SIMULATOR]
     elif folder.is_relative_to(_PACKAGE):
-        parts = [_digest(_PACKAGE)]
+        parts = [sources_digest(_PACKAGE)]
     else:
-        parts = [_digest(folder, deep=False), *map(_digest, sorted(_PACKAGE.parent.glob("pcs_racing*/")))]
+        parts = [sources_digest(folder, deep=False), *map(sources_digest, sorted(_PACKAGE.parent.glob("pcs_racing*/")))]
     return hashlib.sha256(b"".join(parts)).hexdigest().encode()
 
 
 @cache
-def _digest(folder: Path, deep: bool = True) -> bytes:
+def sources_digest(folder: Path, deep: bool = True) -> bytes:
     """Digest of the Python files in a folder, and in those below it."""
     found = hashlib.sha256()
     for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
         if entry.name.endswith(".py"):
+            # With its length, so that a line can't move from one file to the next unnoticed.
             content = Path(entry.path).read_bytes()
             found.update(f"{entry.name} {len(content)}\n".encode() + content)
         elif deep and entry.is_dir() and entry.name != "__pycache__":
-            found.update(_digest(Path(entry.path)))
+            found.update(sources_digest(Path(entry.path)))
     return found.digest()
 
 

@@ -20,12 +20,7 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     off, and use the elementary functions of :mod:`pcs_racing.base.elementary`. Then a function computes the same bits
     on every processor, and in every copy that the compiler inlines into its callers.
 
-    Parameters
-    ----------
-    function : callable, optional
-        The function to compile; without it, a decorator is returned.
-    **options
-        Further options of :func:`numba.njit`.
+    Without a function it returns a decorator. Further options are those of :func:`numba.njit`.
     """
     # Stated even where it is the default: otherwise a function compiled for a kernel would inherit the kernel's choice.
     options.setdefault("_nrt", True)
@@ -52,13 +47,6 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     Only for functions that neither allocate nor return arrays (allocating in one is an error when it is compiled).
     Numba offers no public option for that. Without this one (``_nrt=False``) a scan of 108 beams takes 21 us or more
     instead of 4 us, and two threads count the references of the same arrays (benchmarks/scan_speed.py).
-
-    Parameters
-    ----------
-    function : callable, optional
-        The function to compile; without it, a decorator is returned.
-    **options
-        Further options of :func:`numba.njit`.
     """
     return compiled(function, _nrt=False, **options)
 
@@ -75,13 +63,6 @@ def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> 
 
     It is left without the wrapper through which Python would call it, half the time of compiling a small one. Python
     gets a TypeError.
-
-    Parameters
-    ----------
-    function : callable, optional
-        What to compile; without it, a decorator is returned.
-    **options
-        Further options of :func:`numba.njit`.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
@@ -111,29 +92,18 @@ _begun: set[str] = set()
 def first_call(dispatcher: Any, what: str, seconds: int) -> AbstractContextManager[bool]:
     """Surround the first call of a compiled function, so that one process compiles it and the others wait.
 
-    Prints a line to stderr if the function is neither in memory nor in numba's cache on disk: that it is compiled,
-    or that another process does so.
+    Prints a line to stderr if the function is neither in memory nor in numba's cache on disk: that ``what`` is compiled
+    in about so many seconds, or that another process does so.
 
-    Parameters
-    ----------
-    dispatcher : numba dispatcher
-        The function about to be called.
-    what : str
-        What is being compiled, for the reader.
-    seconds : int
-        About how long it takes.
-
-    Yields
-    ------
-    bool
-        Whether the function is about to be compiled. A caller whose work takes long can then call it without any work,
-        so that other processes wait for the compilation alone.
+    Yields whether the function is about to be compiled. A caller whose work takes long can then call it without any
+    work, so that other processes wait for the compilation alone.
     """
     if what in _begun:  # asking numba what it has compiled costs more than a short race
         return _LATER_CALL
     return _first_call(dispatcher, what, seconds)
 
 
+# One object for all later calls: a race of a step should not make one each time.
 _LATER_CALL = nullcontext(False)
 
 
@@ -147,6 +117,7 @@ def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
     with ExitStack() as turn:
         with suppress(OSError):  # nowhere to write to: then nothing is kept either, and every process compiles
             _wait_for_turn(turn, dispatcher, what)
+        # Asked once more: another process may have compiled it while this one waited.
         if not _on_disk(dispatcher):
             _say(f"compiling {what} (about {seconds} s, once; it is cached on disk)")
         turn.enter_context(_without_collecting_garbage())

@@ -91,18 +91,10 @@ def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
 
 @kernel
 def dense_forward(flat, sizes, x, y, tanh):  # type: ignore[no-untyped-def]
-    """Pass ``x[:sizes[0]]`` through all layers.
+    """Pass ``x[:sizes[0]]`` through all layers, whose numbers are ``flat`` (:meth:`DenseLayers.flat`).
 
-    Parameters
-    ----------
-    flat : float array
-        Weights and biases, :meth:`DenseLayers.flat`.
-    sizes : tuple or array of int
-        :attr:`DenseLayers.sizes`.
-    x, y : float arrays, at least as long as the largest of ``sizes``
-        Overwritten. The outputs stand in ``y`` if the number of layers is odd, else in ``x``.
-    tanh : bool
-        Whether a tanh follows each layer, the last one too; otherwise ReLUs stand between the layers.
+    ``x`` and ``y``, each as long as the largest of ``sizes``, are overwritten. The outputs stand in ``y`` if the number
+    of layers is odd, else in ``x``. Either a tanh follows each layer, or ReLUs stand between the layers.
     """
     at = 0
     layers = len(sizes) - 1
@@ -112,8 +104,10 @@ def dense_forward(flat, sizes, x, y, tanh):  # type: ignore[no-untyped-def]
         for j in range(width):
             y[j] = flat[at + j]
         at += width
+        # Four inputs at a time, so that the sums in ``y`` are loaded and stored once; one after the other, so that the
+        # rounding is that of one input at a time.
         whole = count - count % 4
-        for i in range(0, whole, 4):  # four inputs at a time: the sums in ``y`` are loaded and stored once
+        for i in range(0, whole, 4):
             a, b, c, d = x[i], x[i + 1], x[i + 2], x[i + 3]
             w0 = flat[at : at + width]
             w1 = flat[at + width : at + 2 * width]
@@ -132,6 +126,7 @@ def dense_forward(flat, sizes, x, y, tanh):  # type: ignore[no-untyped-def]
         elif layer < layers - 1:
             for j in range(width):
                 y[j] = max(y[j], np.float32(0.0))
+        # What came out of this layer goes into the next one.
         x, y = y, x
 
 
@@ -139,14 +134,7 @@ def dense_forward(flat, sizes, x, y, tanh):  # type: ignore[no-untyped-def]
 def dense_rows(rows, flat, sizes, scratch, out):  # type: ignore[no-untyped-def]
     """Compute ``out = W_L relu(... relu(W_1 x + b_1) ...) + b_L`` for each row; says whether all inputs are finite.
 
-    Parameters
-    ----------
-    rows : float32 array, shape (R, D)
-    flat, sizes
-        As for :func:`dense_forward`.
-    scratch : float32 array, shape (2, largest of ``sizes``)
-    out : float32 array, shape (R, A)
-        Written.
+    ``rows`` has shape (R, D), ``out`` (R, A) and ``scratch`` (2, largest of ``sizes``), all float32.
     """
     finite = True
     last = (len(sizes) - 1) % 2
@@ -174,23 +162,10 @@ def layers_to_bytes(layers: DenseLayers, others: Mapping[str, Floats] | None = N
 def layers_from_bytes(
     file: Path, content: bytes, hidden: Any, others: Collection[str] = ()
 ) -> tuple[DenseLayers, dict[str, Floats]]:
-    """Read what :func:`layers_to_bytes` wrote.
+    """Read what :func:`layers_to_bytes` wrote: the layers, and the other tensors by name.
 
-    Parameters
-    ----------
-    file : Path
-        For messages.
-    content : bytes
-        Of the file.
-    hidden : list of int
-        Widths of the hidden layers that the file must have, as its manifest says.
-    others : collection of str
-        Names of the other tensors.
-
-    Returns
-    -------
-    layers : DenseLayers
-    others : dict of str to ndarray
+    ``hidden`` are the widths of the hidden layers as the manifest says, and ``others`` the names of the other tensors:
+    the file must have just these. Its name is for messages.
     """
     if not isinstance(hidden, list) or not all(type(width) is int for width in hidden):
         raise InputError(f"{file.parent}: hidden is {hidden!r:.80}; it must be a list of whole numbers")
@@ -215,6 +190,7 @@ def layers_from_bytes(
         )
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
+    # The names fit, and yet the widths may be others.
     if list(layers.hidden) != hidden:
         raise InputError(f"{file} has hidden layers {list(layers.hidden)}; its manifest says {hidden}")
     return layers, {key: tensors[key] for key in others}

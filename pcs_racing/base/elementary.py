@@ -26,6 +26,7 @@ def sine_cosine(angle):  # type: ignore[no-untyped-def]
 
     No branch and no table, so that loops over many angles use vector instructions.
     """
+    # The number of quarter turns, rounded by an addition: a call of ``floor`` could not be vectorised everywhere.
     shifted = angle * 0.6366197723675814 + _ROUNDER
     quarter = shifted - _ROUNDER
     turn = np.float64(shifted).view(np.int64)
@@ -38,6 +39,7 @@ def sine_cosine(angle):  # type: ignore[no-untyped-def]
     c = q * (-2.75573143513906633035e-07 + q * (2.08757232129817482790e-09 - q * 1.13596475577881948265e-11))
     c = -1.38888888888741095749e-03 + q * (2.48015872894767294178e-05 + c)
     c = 1.0 - q * (0.5 - q * (4.16666666666666019037e-02 + q * c))
+    # After an odd number of quarter turns sine and cosine change places.
     swapped = turn & 1 != 0
     sine = c if swapped else s
     cosine = s if swapped else c
@@ -45,20 +47,6 @@ def sine_cosine(angle):  # type: ignore[no-untyped-def]
     sine_bits = np.float64(sine).view(np.int64) ^ ((turn & 2) << 62)
     cosine_bits = np.float64(cosine).view(np.int64) ^ (((turn + 1) & 2) << 62)
     return np.int64(sine_bits).view(np.float64), np.int64(cosine_bits).view(np.float64)
-
-
-@kernel(forceinline=True)
-def rough_sine_cosine(angle):  # type: ignore[no-untyped-def]
-    """Sine and cosine of an angle in [-pi, pi] rad with an error below 2e-7, for half the work of the full ones.
-
-    Polynomials of a quarter of the angle, fitted for the least error, and the angle doubled twice.
-    """
-    r = 0.25 * angle
-    q = r * r
-    s = r + r * q * (-0.1666665066926158 + q * (0.008331978661730726 + q * -0.0001949563608930487))
-    c = 1.0 + q * (-0.49999894781196397 + q * (0.04165629457023776 + q * -0.0013597823021645442))
-    s, c = 2.0 * s * c, 1.0 - 2.0 * s * s
-    return 2.0 * s * c, 1.0 - 2.0 * s * s
 
 
 @kernel(forceinline=True)
@@ -71,6 +59,8 @@ def tangent(angle):  # type: ignore[no-untyped-def]
 @kernel
 def arctangent(x):  # type: ignore[no-untyped-def]
     """Angle in [-pi/2, pi/2] whose tangent is x, in rad, to 1 ulp."""
+    # Large arguments are turned by a quarter or an eighth of a circle, to where the fraction below is exact enough;
+    # ``rest`` is what the number for that turn lacks.
     a = abs(x)
     begin = 0.0
     rest = 0.0
@@ -93,6 +83,7 @@ def arctangent2(y, x):  # type: ignore[no-untyped-def]
     """Angle in [-pi, pi] of the direction (x, y), in rad, to 2 ulp; 0 of no direction."""
     if x == 0.0 and y == 0.0:
         return 0.0
+    # The quotient of the smaller by the larger: it can't overflow.
     if abs(y) > abs(x):
         quarter = np.pi / 2.0 if y > 0.0 else -np.pi / 2.0
         return quarter - arctangent(x / y)
@@ -120,6 +111,7 @@ def exponential(x):  # type: ignore[no-untyped-def]
     if not -746.0 < x < 710.0:
         return x + np.inf if not x <= -746.0 else 0.0
     n = np.floor(x * 1.4426950408889634 + 0.5)
+    # The logarithm of 2 in two parts, of which the product with the first is exact.
     r = (x - n * 6.93145751953125e-1) - n * 1.42860682030941723212e-6
     q = r * r
     p = r * ((1.26177193074810590878e-4 * q + 3.02994407707441961300e-2) * q + 1.0)
@@ -133,6 +125,7 @@ def exponential(x):  # type: ignore[no-untyped-def]
 def hyperbolic_tangent(x):  # type: ignore[no-untyped-def]
     """Hyperbolic tangent, to 2 ulp."""
     a = abs(x)
+    # Near 0 the exponentials would cancel, so a fraction takes their place there.
     if a >= 0.625:
         a = 1.0 - 2.0 / (exponential(2.0 * a) + 1.0)
         return -a if x < 0.0 else a
@@ -144,17 +137,7 @@ def hyperbolic_tangent(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def sines_cosines(angles):  # type: ignore[no-untyped-def]
-    """Sines and cosines of many angles.
-
-    Parameters
-    ----------
-    angles : ndarray, shape (N,)
-        In rad, each within 1000 of 0.
-
-    Returns
-    -------
-    sines, cosines : ndarray, shape (N,)
-    """
+    """Sines and cosines of many angles, shape (N,), in rad, each within 1000 of 0."""
     sines = np.empty(angles.shape[0])
     cosines = np.empty(angles.shape[0])
     for k in range(angles.shape[0]):
@@ -164,17 +147,7 @@ def sines_cosines(angles):  # type: ignore[no-untyped-def]
 
 @compiled
 def headings(vectors):  # type: ignore[no-untyped-def]
-    """Angles in [-pi, pi] of plane vectors.
-
-    Parameters
-    ----------
-    vectors : ndarray, shape (N, 2)
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        In rad.
-    """
+    """Angles in [-pi, pi] of plane vectors, shape (N, 2), in rad."""
     out = np.empty(vectors.shape[0])
     for k in range(vectors.shape[0]):
         out[k] = arctangent2(vectors[k, 1], vectors[k, 0])
@@ -182,15 +155,6 @@ def headings(vectors):  # type: ignore[no-untyped-def]
 
 
 def lengths(vectors: np.ndarray) -> np.ndarray:
-    """Lengths of plane vectors of moderate size.
-
-    Parameters
-    ----------
-    vectors : ndarray, shape (..., 2)
-
-    Returns
-    -------
-    ndarray, shape (...,)
-    """
+    """Lengths of plane vectors of moderate size, shape (..., 2)."""
     x, y = vectors[..., 0], vectors[..., 1]
     return np.asarray(np.sqrt(x * x + y * y), np.float64)

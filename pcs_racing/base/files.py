@@ -10,18 +10,12 @@ from pcs_racing.base.errors import InputError
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file completely or not at all: ``write`` fills a temporary file, which then replaces ``path``.
-
-    Raises
-    ------
-    OSError
-        If the file can't be written, for example because the disk is full. The error names ``path``; an existing file
-        stays unchanged.
-    """
+    """Write a file completely or not at all: ``write`` fills a temporary file, which then replaces ``path``."""
     if not path.parent.is_dir():
         raise InputError(f"can't write {path}: there is no folder {path.parent}")
     if path.is_dir():
         raise InputError(f"can't write {path}: it is a folder")
+    # In the same folder, because a file can only be renamed within one file system; cut, because names have a limit.
     temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
     try:
         with open(temporary, "xb") as file:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from pcs_racing.base.checks import check_number, check_wholes
 from pcs_racing.base.errors import InputError
 
 # Steps per unit: millimetres and milliradians for what is interpolated, centimetres for what is only looked at.
@@ -31,21 +32,10 @@ _MOST_NUMBERS = 10_000_000
 
 
 def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -> dict[str, Any]:
-    """Return an array as compressed text.
+    """Return an array as compressed text: ``shape``, ``per_unit``, ``differences`` and ``data``, ready for JSON.
 
-    Parameters
-    ----------
-    values : ndarray
-        Finite numbers, at most 2^40 steps in absolute value.
-    per_unit : float
-        Steps per unit of ``values``: 1000 keeps three decimals.
-    differences : sequence of int
-        Axes along which differences are taken, in this order; an axis may occur twice.
-
-    Returns
-    -------
-    dict
-        ``shape``, ``per_unit``, ``differences`` and ``data``, ready for JSON.
+    ``per_unit`` is the number of steps per unit: 1000 keeps three decimals. Differences are taken along the axes
+    ``differences``, in this order; an axis may occur twice. Values must be finite, and at most 2^40 steps in size.
     """
     values = np.asarray(values, float)
     if not np.all(np.abs(values * per_unit) < _LARGEST):  # also false for NaN
@@ -53,6 +43,7 @@ def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -
     whole = np.rint(values * per_unit).astype(np.int64)
     for axis in differences:
         whole = np.diff(whole, axis=axis, prepend=0)
+    # Small numbers of either sign become small numbers without one.
     folded = np.where(whole < 0, -2 * whole - 1, 2 * whole).ravel()
     lengths = np.ones(folded.shape, np.int64)
     for place in range(1, _MOST_CHARACTERS):
@@ -68,31 +59,16 @@ def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -
 
 
 def unpack(packed: object, name: str = "array") -> np.ndarray:
-    """Return the array of a text that `pack` wrote, after a check of all its fields.
-
-    Parameters
-    ----------
-    packed : object
-        The value read from the JSON.
-    name : str
-        Name of the value in error messages.
-
-    Returns
-    -------
-    ndarray, float64
-        Finite numbers below 1e15 in absolute value.
-    """
+    """Return the array of a text that `pack` wrote, after a check of all its fields: numbers below 1e15 in size."""
     fields = _parts(packed, name, ("shape", "per_unit", "differences", "data"))
     shape, per_unit, differences, data = fields
-    if not _whole_numbers(shape, _MOST_NUMBERS) or len(shape) > 6 or math.prod(shape) > _MOST_NUMBERS:
-        raise InputError(f"{name}.shape must list at most six sizes, {_MOST_NUMBERS} numbers in all, got {shape!r:.60}")
-    per_unit = _number(per_unit, f"{name}.per_unit", 1e-9, 1e9)
-    if not _whole_numbers(differences, len(shape) - 1) or len(differences) > _MOST_DIFFERENCES:
-        raise InputError(f"{name}.differences must list axes of {shape}, got {differences!r:.60}")
-    if not isinstance(data, str) or not data.isascii():
-        raise InputError(f"{name}.data must be text in the base-64 alphabet")
-    digits = _VALUES[np.frombuffer(data.encode(), np.uint8)]
-    if np.any(digits == 255):
+    shape = check_wholes(f"{name}.shape", shape, 0, _MOST_NUMBERS, (0, 6))
+    if math.prod(shape) > _MOST_NUMBERS:
+        raise InputError(f"{name}.shape is {shape}; there may be {_MOST_NUMBERS} numbers in all")
+    per_unit = check_number(f"{name}.per_unit", per_unit, 1e-9, 1e9)
+    differences = check_wholes(f"{name}.differences", differences, 0, len(shape) - 1, (0, _MOST_DIFFERENCES))
+    digits = _VALUES[np.frombuffer(data.encode(errors="replace"), np.uint8)] if isinstance(data, str) else None
+    if digits is None or np.any(digits == 255):
         raise InputError(f"{name}.data must be text in the base-64 alphabet")
     last = digits < 32
     count, ends = math.prod(shape), int(np.count_nonzero(last))
@@ -107,6 +83,7 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
         raise InputError(f"{name}.data holds a number of more than {_MOST_CHARACTERS} characters")
     place = np.arange(len(digits)) - np.repeat(starts, lengths)
     folded = np.add.reduceat((digits & 31).astype(np.int64) << (5 * place), starts)
+    # Odd numbers stood for negative ones.
     whole = np.where(folded & 1, -(folded >> 1) - 1, folded >> 1).reshape(shape)
     for axis in differences:
         whole = np.cumsum(whole, axis=axis)
@@ -119,6 +96,7 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
 def join_segments(segments: np.ndarray) -> list[np.ndarray]:
     """Join segments (S, 4) into polylines (n, 2), rounded to 1 cm; a closed polyline ends with its first point."""
     ends = [tuple(row) for row in (np.rint(segments * COARSE) / COARSE + 0.0).tolist()]
+    # Backwards, so that of several segments that begin at a point the first is taken from the end of the list.
     following: dict[tuple[float, ...], list[int]] = {}
     for i in range(len(ends) - 1, -1, -1):
         following.setdefault(ends[i][:2], []).append(i)
@@ -202,8 +180,8 @@ def pack_costs(costs: np.ndarray) -> dict[str, Any]:
 def unpack_costs(packed: object, name: str) -> np.ndarray:
     """Return the costs that `pack_costs` packed."""
     offset, per_unit, steps = _parts(packed, name, ("offset", "per_unit", "steps"))
-    offset = _number(offset, f"{name}.offset", -1e15, 1e15)
-    per_unit = _number(per_unit, f"{name}.per_unit", 1e-15, 1e9)
+    offset = check_number(f"{name}.offset", offset, -1e15, 1e15)
+    per_unit = check_number(f"{name}.per_unit", per_unit, 1e-15, 1e9)
     steps = unpack(steps, f"{name}.steps")
     return np.where(steps > 0.0, offset + (steps - 1.0) / per_unit, np.inf)
 
@@ -216,14 +194,3 @@ def _parts(packed: object, name: str, keys: tuple[str, ...]) -> list[Any]:
     if not isinstance(packed, dict) or packed.keys() != set(keys):
         raise InputError(f"{name} must be an object with {', '.join(keys)}")
     return [packed[key] for key in keys]
-
-
-def _number(value: object, name: str, low: float, high: float) -> float:
-    if type(value) not in (int, float) or not low <= value <= high:  # type: ignore[operator]
-        raise InputError(f"{name} must be a number from {low:g} to {high:g}, got {value!r:.60}")
-    return float(value)  # type: ignore[arg-type]
-
-
-def _whole_numbers(values: object, most: int) -> bool:
-    """Return whether a value is a list of plain integers from 0 to ``most``."""
-    return isinstance(values, list) and all(type(value) is int and 0 <= value <= most for value in values)

@@ -27,37 +27,32 @@ _MOST_MEMBERS = 1000  # of a file of arrays
 _KINDS = "biufcUS"  # of arrays: booleans, numbers and texts
 
 
-def read_limited(path: str | os.PathLike[str], limit: int, kind: str) -> bytes:
-    """Return the content of a regular file.
+def read_limited(path: str | os.PathLike[str], limit: int, kind: str, error: type[InputError] | None = None) -> bytes:
+    """Return the content of a regular file of at most ``limit`` bytes; ``kind`` ("an archive") is for the message.
 
-    Parameters
-    ----------
-    path : path
-        A pipe or a device is refused: it may never end.
-    limit : int
-        Maximum number of bytes.
-    kind : str
-        Expected kind of file, for the message: "an archive".
-
-    Raises
-    ------
-    OSError
-        If it can't be read.
+    Whatever is wrong is an ``error``; without one, an :class:`OSError` stays what it is.
     """
-    with open(path, "rb", opener=_ordinary) as file:
-        size = os.fstat(file.fileno()).st_size  # not the limit: room for all that is asked for is made at once
-        content = file.read(min(size, limit) + 1)
+    refused = error or InputError
+    try:
+        with open(path, "rb", opener=_open_at_once) as file:
+            status = os.fstat(file.fileno())
+            # A pipe or a device may never end.
+            if not stat.S_ISREG(status.st_mode):
+                raise refused(f"{path} is no ordinary file")
+            # Not the limit: room for all that is asked for is made at once.
+            content = file.read(min(status.st_size, limit) + 1)
+    except OSError as problem:
+        if error is None:
+            raise
+        raise error(f"can't read {path}: {problem.strerror or problem}") from None
     if len(content) > limit:
-        raise InputError(f"{path} has more than {limit} bytes; that is not {kind}")
+        raise refused(f"{path} has more than {limit} bytes; that is not {kind}")
     return content
 
 
-def _ordinary(path: str, flags: int) -> int:
-    handle = os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
-    if stat.S_ISREG(os.fstat(handle).st_mode):
-        return handle
-    os.close(handle)
-    raise InputError(f"{path} is no ordinary file")
+def _open_at_once(path: str, flags: int) -> int:
+    """Open a file; a pipe that nobody writes to would be waited for."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def plain_yaml(data: bytes | str) -> Any:
@@ -74,7 +69,8 @@ def plain_yaml(data: bytes | str) -> Any:
         raise
     except RecursionError:
         raise InputError("it is nested too deeply") from None
-    except Exception as error:  # values that only look like dates and numbers fail in a dozen ways
+    # Values that only look like dates and numbers fail in a dozen ways.
+    except Exception as error:
         raise InputError(" ".join(str(error).split())[:200] or type(error).__name__) from None
 
 
@@ -96,7 +92,8 @@ def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:
     if id(node) not in sizes:
         if depth > _DEEPEST:
             raise InputError(f"it is nested more than {_DEEPEST} levels deep")
-        sizes[id(node)] = math.inf  # for one that contains itself
+        # For one that contains itself: its size is asked for while it is being worked out.
+        sizes[id(node)] = math.inf
         pairs = isinstance(node, yaml.MappingNode)
         children = [child for pair in node.value for child in pair] if pairs else node.value
         sizes[id(node)] = 1.0 + sum(_size(child, sizes, depth + 1) for child in children)
@@ -104,24 +101,18 @@ def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:
 
 
 def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an ``.npz`` file by name; objects are refused.
-
-    Parameters
-    ----------
-    content : bytes
-        Of the file.
-    limit : int
-        Most bytes of all arrays together.
-    """
+    """Return the arrays of the content of an ``.npz`` file by name, ``limit`` bytes at most; objects are refused."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as file:
             members = file.infolist()
+            # The announced sizes are checked before a single member is unpacked.
             if len(members) > _MOST_MEMBERS or sum(member.file_size for member in members) > limit:
                 raise InputError(f"it unpacks to more than {limit} bytes or {_MOST_MEMBERS} arrays")
             return {member.filename.removesuffix(".npy"): _array(file.read(member)) for member in members}
     except InputError:
         raise
-    except Exception as error:  # zipfile and zlib raise a dozen kinds for damaged files
+    # zipfile and zlib raise a dozen kinds for damaged files.
+    except Exception as error:
         raise InputError(" ".join(str(error).split())[:200] or type(error).__name__) from None
 
 

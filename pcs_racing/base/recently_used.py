@@ -9,14 +9,9 @@ Value = TypeVar("Value")
 
 
 class RecentlyUsed(Generic[Key, Value]):
-    """Values by key; where there are too many, the one goes that was not used for the longest time.
+    """The ``most`` values (at least 1) that were used last, by key.
 
     Unlike :func:`functools.lru_cache` it can be copied and pickled together with what the values refer to.
-
-    Parameters
-    ----------
-    most : int
-        Values that are kept, at least 1.
     """
 
     def __init__(self, most: int) -> None:
@@ -29,5 +24,6 @@ class RecentlyUsed(Generic[Key, Value]):
             self._kept[key] = make()
             if len(self._kept) > self._most:
                 self._kept.popitem(last=False)
+        # The order is that of use: the first one goes next.
         self._kept.move_to_end(key)
         return self._kept[key]

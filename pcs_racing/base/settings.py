@@ -130,17 +130,14 @@ def checked(function: Callable[[Any], Any], words: str = "") -> Rule:
 
 
 def setting(default: Any, rule: Rule, meaning: str) -> Any:
-    """Declare a setting: a dataclass field with its rule and its meaning.
+    """Declare a setting: a dataclass field with its rule and its meaning, one sentence with the unit.
 
-    Parameters
-    ----------
-    default
-        Must obey the rule, or be None where the setting may be None; ``dataclasses.MISSING`` where there is none.
-    meaning : str
-        One sentence, with the unit.
+    The default must obey the rule, or be None where the setting may be None; ``dataclasses.MISSING`` stands for no
+    default.
     """
     metadata = {"rule": rule, "meaning": meaning}
-    if isinstance(default, dict):  # each object gets its own, and frozen settings stay hashable
+    # Each object gets a mapping of its own, and frozen settings stay hashable.
+    if isinstance(default, dict):
         return dataclasses.field(default_factory=lambda: dict(default), hash=False, metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)
 
@@ -151,7 +148,8 @@ class Settings:
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        own = cleandoc(cls.__dict__.get("__doc__") or "")  # from Python 3.13 on it is not indented anyway
+        # From Python 3.13 on the docstring is not indented anyway; before, both parts must be.
+        own = cleandoc(cls.__dict__.get("__doc__") or "")
         cls.__doc__ = f"{own}\n\n{_attributes(cls)}"
 
     def __post_init__(self) -> None:
@@ -160,6 +158,7 @@ class Settings:
             if value is None and field.default is None:
                 continue
             kept = field.metadata["rule"].check(field.name, value)
+            # A rule may bring a value into another form, such as a list into a tuple; the settings are frozen by now.
             if kept is not value:
                 object.__setattr__(self, field.name, kept)
 
@@ -173,22 +172,10 @@ def load_settings(
     /,
     **changes: Any,
 ) -> S:
-    """Return settings from a name, a YAML file or settings, with some fields changed.
+    """Return settings from a name out of ``named``, a YAML file or settings, with some fields changed.
 
-    Parameters
-    ----------
-    kind : str
-        What the settings are for, for messages: "race".
-    default : Settings
-        What a field is that a file leaves out; returned, changed, without a source.
-    source : str, Path or Settings, optional
-        A name out of ``named``, a YAML file that holds a mapping of the fields, or settings.
-    named : mapping, optional
-        Settings, or files of settings, that have a name.
-    base_key : str, optional
-        Key of a file that names the settings, out of ``named``, that take the default's place.
-    **changes
-        Fields that are to be others.
+    ``default`` is what a field is that a file leaves out, or all of them without a source; a file's key ``base_key``
+    names other settings, out of ``named``, that take its place. ``kind`` ("race") is for messages.
     """
     known = dict(named or {})
     if source is None or isinstance(source, type(default)):
@@ -210,6 +197,7 @@ def load_settings(
         default = load_settings(kind, default, name, named)
     _check_keys(kind, default, values, str(place))
     _check_keys(kind, default, changes, "the arguments")
+    # In one step: a value of the file may be possible only together with a change.
     try:
         return replace(default, **{**values, **changes})
     except ConfigError as error:
@@ -218,13 +206,7 @@ def load_settings(
 
 def read_settings(path: str | os.PathLike[str]) -> dict[Any, Any]:
     """Read a YAML file that holds a mapping; no code in it is run."""
-    try:
-        content = read_limited(path, MAX_YAML, "a file of settings")
-    except OSError as error:
-        raise ConfigError(f"can't read {path}: {error.strerror or error}") from None
-    except InputError as error:
-        raise ConfigError(str(error)) from None
-    values = parse_yaml(path, content, ConfigError)
+    values = parse_yaml(path, read_limited(path, MAX_YAML, "a file of settings", ConfigError), ConfigError)
     if not isinstance(values, dict):
         raise ConfigError(f"{path} holds {type(values).__name__}; it must be a mapping of settings")
     return dict(values)
@@ -275,6 +257,7 @@ def _attributes(cls: type[Settings]) -> str:
 def _declared(cls: type) -> dict[str, tuple[str, "Field[Any]"]]:
     """Types and declarations of the settings of a class, which need not have become a dataclass yet."""
     declared = {}
+    # Derived classes last: what they declare anew takes the place of what they inherit.
     for base in reversed(cls.__mro__):
         made = base.__dict__.get("__dataclass_fields__", {})
         for name, kind in get_annotations(base).items():

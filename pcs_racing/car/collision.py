@@ -1,15 +1,17 @@
 """Contacts between cars and of cars with walls, by exact rectangles, and the fault for a contact.
 
-A car is the rectangle of ``2 half_length x 2 half_width`` centred on its pose. Two cars are in contact when they share
-a positive area. A car and a wall are in contact when a piece of the wall is inside the car. Touching alone is not a
-contact. No lidar scan is needed.
+A car is the rectangle of ``2 half_length x 2 half_width`` (m) centred on its pose: x, y (m) and psi (rad). Two cars are
+in contact when they share a positive area. A car and a wall are in contact when a piece of the wall is inside the car.
+Touching alone is not a contact. No lidar scan is needed.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
 from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
-from pcs_racing.track.frenet import interpolate, wrap_s
+from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, interpolate, wrap_s
 
 # Two closing speeds this close to each other (as a share of the larger, or in m/s) put both cars at fault.
 EQUAL_SHARES = 0.05
@@ -24,39 +26,36 @@ FIELD_ERROR = 1.5
 _SAME_AXIS = 1e-3
 
 
+class Rectangle(NamedTuple):
+    """The outline of a car."""
+
+    x: float  #: Of the centre, m.
+    y: float
+    psi: float  #: Direction of the length, rad.
+    half_length: float  #: m
+    half_width: float
+
+
 @kernel
-def rectangles_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, half_length1, half_width1):  # type: ignore[no-untyped-def]
-    """Whether two rectangles share a positive area, by their four separating axes.
-
-    Parameters
-    ----------
-    x0, y0, psi0 : float
-        Centre (m) and heading (rad) of the first rectangle.
-    x1, y1, psi1 : float
-        Those of the second.
-    half_length0, half_width0, half_length1, half_width1 : float
-        Half the sides along and across the headings, m.
-
-    Returns
-    -------
-    bool
-    """
-    dx = x1 - x0
-    dy = y1 - y0
-    reach = half_length0 + half_width0 + half_length1 + half_width1  # no less than the two half diagonals together
+def rectangles_overlap(a, b):  # type: ignore[no-untyped-def]
+    """Whether two rectangles share a positive area, by their four separating axes."""
+    # Cars are mostly far apart: settled without a sine.
+    dx = b.x - a.x
+    dy = b.y - a.y
+    reach = a.half_length + a.half_width + b.half_length + b.half_width  # no less than the two half diagonals together
     if dx * dx + dy * dy >= reach * reach:
         return False
-    s0, c0 = sine_cosine(psi0)
-    s1, c1 = sine_cosine(psi1)
+    s0, c0 = sine_cosine(a.psi)
+    s1, c1 = sine_cosine(b.psi)
     c = abs(c0 * c1 + s0 * s1)
     s = abs(c0 * s1 - s0 * c1)
-    if abs(dx * c0 + dy * s0) >= half_length0 + half_length1 * c + half_width1 * s:
+    if abs(dx * c0 + dy * s0) >= a.half_length + b.half_length * c + b.half_width * s:
         return False
-    if abs(dy * c0 - dx * s0) >= half_width0 + half_length1 * s + half_width1 * c:
+    if abs(dy * c0 - dx * s0) >= a.half_width + b.half_length * s + b.half_width * c:
         return False
-    if abs(dx * c1 + dy * s1) >= half_length1 + half_length0 * c + half_width0 * s:
+    if abs(dx * c1 + dy * s1) >= b.half_length + a.half_length * c + a.half_width * s:
         return False
-    return abs(dy * c1 - dx * s1) < half_width1 + half_length0 * s + half_width0 * c
+    return abs(dy * c1 - dx * s1) < b.half_width + a.half_length * s + a.half_width * c
 
 
 @inner_kernel(forceinline=True)
@@ -84,20 +83,22 @@ def inside_wall(track, x, y):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _wall_in_rectangle(walls, seen_start, seen, distance, middle, stretch, x, y, psi, half_length, half_width):  # type: ignore[no-untyped-def]
+def _wall_in_rectangle(near, stretch, body):  # type: ignore[no-untyped-def]
     """Whether a wall that can be seen from a stretch passes through the inside of a rectangle."""
-    s, c = sine_cosine(psi)
-    dx = x - middle[stretch, 0]
-    dy = y - middle[stretch, 1]
+    s, c = sine_cosine(body.psi)
+    dx = body.x - near.seen_middle[stretch, 0]
+    dy = body.y - near.seen_middle[stretch, 1]
+    half_length, half_width = body.half_length, body.half_width
     reach = np.sqrt(dx * dx + dy * dy) + np.sqrt(half_length * half_length + half_width * half_width)
-    for k in range(seen_start[stretch], seen_start[stretch + 1]):
-        if distance[k] >= reach:
+    for k in range(near.seen_start[stretch], near.seen_start[stretch + 1]):
+        # The list is sorted: nothing behind this one can reach into the rectangle.
+        if near.seen_distance[k] >= reach:
             break
-        i = np.uint32(seen[k])
-        ax = walls[i, 0] - x
-        ay = walls[i, 1] - y
-        bx = walls[i, 2] - x
-        by = walls[i, 3] - y
+        i = np.uint32(near.seen[k])
+        ax = near.walls[i, 0] - body.x
+        ay = near.walls[i, 1] - body.y
+        bx = near.walls[i, 2] - body.x
+        by = near.walls[i, 3] - body.y
         if _segment_in_rectangle(
             ax * c + ay * s, ay * c - ax * s, bx * c + by * s, by * c - bx * s, half_length, half_width
         ):
@@ -106,29 +107,14 @@ def _wall_in_rectangle(walls, seen_start, seen, distance, middle, stretch, x, y,
 
 
 @inner_kernel(forceinline=True)
-def hits_wall(  # type: ignore[no-untyped-def]
-    distance,
-    origin_x,
-    origin_y,
-    cell,
-    walls,
-    seen_start,
-    seen,
-    seen_distance,
-    seen_middle,
-    stretch,
-    x,
-    y,
-    psi,
-    half_length,
-    half_width,
-):
-    """Compute `car_hits_wall` on single arrays, because passing a whole track takes longer than the test."""
-    per_cell = 1.0 / cell
-    u = (x - origin_x) * per_cell
-    v = (y - origin_y) * per_cell
-    clearance = interpolate(distance, u - 0.5, v - 0.5)
-    error = FIELD_ERROR * cell
+def hits_wall(near, s, body):  # type: ignore[no-untyped-def]
+    """Compute `car_hits_wall` for :class:`WallArrays`, a :class:`Rectangle` and an arc length in [0, length)."""
+    half_length, half_width = body.half_length, body.half_width
+    per_cell = 1.0 / near.cell
+    u = (body.x - near.origin_x) * per_cell
+    v = (body.y - near.origin_y) * per_cell
+    clearance = interpolate(near.distance, u - 0.5, v - 0.5)
+    error = FIELD_ERROR * near.cell
     radius = np.sqrt(half_length * half_length + half_width * half_width)
     if clearance > radius + error:
         return False
@@ -136,75 +122,35 @@ def hits_wall(  # type: ignore[no-untyped-def]
     step = half_length * (2.0 / 3.0)
     part = np.sqrt(0.25 * step * step + half_width * half_width) + error
     if clearance > part:
-        s, c = sine_cosine(psi)
-        du = step * c * per_cell
-        dv = step * s * per_cell
+        sine, cosine = sine_cosine(body.psi)
+        du = step * cosine * per_cell
+        dv = step * sine * per_cell
         if (
-            interpolate(distance, u + du - 0.5, v + dv - 0.5) > part
-            and interpolate(distance, u - du - 0.5, v - dv - 0.5) > part
+            interpolate(near.distance, u + du - 0.5, v + dv - 0.5) > part
+            and interpolate(near.distance, u - du - 0.5, v - dv - 0.5) > part
         ):
             return False
     if clearance <= min(half_length, half_width) - error:
         return True
+    # A body whose centre is in a wall may be too small to touch the wall's face.
     if clearance < error:
-        rows, columns = distance.shape
-        if not (0.0 <= v < rows and 0.0 <= u < columns) or distance[int(v), int(u)] <= 0.0:
+        rows, columns = near.distance.shape
+        if not (0.0 <= v < rows and 0.0 <= u < columns) or near.distance[int(v), int(u)] <= 0.0:
             return True
-    return _wall_in_rectangle(
-        walls,
-        seen_start,
-        seen,
-        seen_distance,
-        seen_middle,
-        int(stretch) % seen_middle.shape[0],
-        x,
-        y,
-        psi,
-        half_length,
-        half_width,
-    )
+    return _wall_in_rectangle(near, int(s / near.seen_stretch) % near.seen_middle.shape[0], body)
 
 
 @kernel
 def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore[no-untyped-def]
-    """Whether a car's rectangle reaches into a wall; everything outside the map is wall.
+    """Whether the rectangle of a car at arc length ``s`` (m) reaches into a wall; everything outside the map is wall.
 
     The distance field settles the clear cases. Else the rectangle is tested against the wall segments that can be seen
     from the car's stretch of track. These suffice: of all points of walls inside the rectangle, nothing hides the one
     nearest to the centre from it, because the straight way there stays inside the rectangle. A car whose centre is in a
     wall has hit it, too, even if it is too small to touch the wall's face.
-
-    Parameters
-    ----------
-    track : TrackArrays
-    x, y, psi : float
-        Pose of the car, m and rad.
-    half_length, half_width : float
-        Half the sides of its rectangle, m.
-    s : float
-        Arc length of the car on the race line, m.
-
-    Returns
-    -------
-    bool
     """
-    return hits_wall(
-        track.distance,
-        track.origin_x,
-        track.origin_y,
-        track.cell,
-        track.walls,
-        track.seen_start,
-        track.seen,
-        track.seen_distance,
-        track.seen_middle,
-        wrap_s(track, s) / track.seen_stretch,
-        x,
-        y,
-        psi,
-        half_length,
-        half_width,
-    )
+    near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
+    return hits_wall(near, wrap_s(track, s), Rectangle(x, y, psi, half_length, half_width))
 
 
 @compiled
@@ -231,22 +177,22 @@ def _clip(polygon, count, a, b, limit, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, half_length1, half_width1):  # type: ignore[no-untyped-def]
-    """Centroid of the area two rectangles share, relative to (x0, y0); half way between their centres if none."""
+def _middle_of_overlap(a, b):  # type: ignore[no-untyped-def]
+    """Centroid of the area two rectangles share, relative to the first's centre; half way to the second's if none."""
     polygon = np.empty((8, 2))
     other = np.empty((8, 2))
-    s, c = sine_cosine(psi1)
+    s, c = sine_cosine(b.psi)
     for i in range(4):
-        u = half_length1 if i in (0, 3) else -half_length1
-        v = half_width1 if i < 2 else -half_width1
-        polygon[i, 0] = x1 - x0 + u * c - v * s
-        polygon[i, 1] = y1 - y0 + u * s + v * c
-    s, c = sine_cosine(psi0)
+        u = b.half_length if i in (0, 3) else -b.half_length
+        v = b.half_width if i < 2 else -b.half_width
+        polygon[i, 0] = b.x - a.x + u * c - v * s
+        polygon[i, 1] = b.y - a.y + u * s + v * c
+    s, c = sine_cosine(a.psi)
     count = polygon.shape[0] // 2  # of the corners
-    count = _clip(polygon, count, c, s, half_length0, other)
-    count = _clip(other, count, -c, -s, half_length0, polygon)
-    count = _clip(polygon, count, -s, c, half_width0, other)
-    count = _clip(other, count, s, -c, half_width0, polygon)
+    count = _clip(polygon, count, c, s, a.half_length, other)
+    count = _clip(other, count, -c, -s, a.half_length, polygon)
+    count = _clip(polygon, count, -s, c, a.half_width, other)
+    count = _clip(other, count, s, -c, a.half_width, polygon)
     area = 0.0
     mx = 0.0
     my = 0.0
@@ -258,7 +204,7 @@ def _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, ha
         mx += part * (ax + bx) / 3.0
         my += part * (ay + by) / 3.0
     if area <= 0.0:
-        return 0.5 * (x1 - x0), 0.5 * (y1 - y0)
+        return 0.5 * (b.x - a.x), 0.5 * (b.y - a.y)
     return polygon[0, 0] + mx / area, polygon[0, 1] + my / area
 
 
@@ -273,45 +219,33 @@ def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def contact_fault(state0, state1, half_length0, half_width0, half_length1, half_width1):  # type: ignore[no-untyped-def]
-    """Decide which car is at fault for a contact of two cars.
+def contact_fault(state0, state1, a, b):  # type: ignore[no-untyped-def]
+    """Decide which car is at fault for a contact of two, by their vehicle states and rectangles; at least one is.
 
     The contact direction is the axis of least penetration of the two rectangles, from the first car to the second. Each
     car's share is the speed with which its own body moves into the other one: the velocity of its material point in the
     middle of the overlap, along that direction, nothing if it moves away. The car with the larger share is at fault;
     both are when the shares lie within ``EQUAL_SHARES`` or ``EQUAL_SPEEDS`` of each other. So the follower is at fault
     for a rear-end contact, however hard the leader braked, and of two parallel cars the one that moved over.
-
-    Parameters
-    ----------
-    state0, state1 : ndarray, shape (7,)
-        States x, y, delta, v, psi, psi_dot, beta of the two cars (m, rad, m/s, rad/s).
-    half_length0, half_width0, half_length1, half_width1 : float
-        Half the sides of their rectangles, m.
-
-    Returns
-    -------
-    fault0, fault1 : bool
-        At least one is true.
     """
-    x0, y0, v0, psi0, rate0, beta0 = state0[0], state0[1], state0[3], state0[4], state0[5], state0[6]
-    x1, y1, v1, psi1, rate1, beta1 = state1[0], state1[1], state1[3], state1[4], state1[5], state1[6]
-    dx = x1 - x0
-    dy = y1 - y0
-    s, c = sine_cosine(psi1 - psi0)
+    v0, rate0, v1, rate1 = state0[3], state0[5], state1[3], state1[5]
+    dx = b.x - a.x
+    dy = b.y - a.y
+    s, c = sine_cosine(b.psi - a.psi)
     s, c = abs(s), abs(c)
     axes = np.empty((4, 3))  # unit vector from the first car towards the second, penetration along it
     reaches = (
-        half_length0 + half_length1 * c + half_width1 * s,
-        half_width0 + half_length1 * s + half_width1 * c,
-        half_length1 + half_length0 * c + half_width0 * s,
-        half_width1 + half_length0 * s + half_width0 * c,
+        a.half_length + b.half_length * c + b.half_width * s,
+        a.half_width + b.half_length * s + b.half_width * c,
+        b.half_length + a.half_length * c + a.half_width * s,
+        b.half_width + a.half_length * s + a.half_width * c,
     )
     least = np.inf
     for i in range(4):
-        psi = (psi0 if i < 2 else psi1) + 0.5 * np.pi * (i % 2)
+        psi = (a.psi if i < 2 else b.psi) + 0.5 * np.pi * (i % 2)
         axes[i, 0], axes[i, 1], axes[i, 2] = _axis(dx, dy, psi, reaches[i])
         least = min(least, axes[i, 2])
+    # Two cars corner to corner may be as deep in each other along two axes: the contact lies between them.
     nx = 0.0
     ny = 0.0
     for i in range(4):
@@ -321,9 +255,9 @@ def contact_fault(state0, state1, half_length0, half_width0, half_length1, half_
     norm = np.sqrt(nx * nx + ny * ny)
     nx /= norm
     ny /= norm
-    mx, my = _middle_of_overlap(x0, y0, psi0, x1, y1, psi1, half_length0, half_width0, half_length1, half_width1)
-    s0, c0 = sine_cosine(psi0 + beta0)
-    s1, c1 = sine_cosine(psi1 + beta1)
+    mx, my = _middle_of_overlap(a, b)
+    s0, c0 = sine_cosine(a.psi + state0[6])
+    s1, c1 = sine_cosine(b.psi + state1[6])
     share0 = (v0 * c0 - rate0 * my) * nx + (v0 * s0 + rate0 * mx) * ny
     share1 = (v1 * c1 - rate1 * (my - dy)) * nx + (v1 * s1 + rate1 * (mx - dx)) * ny
     share0 = max(share0, 0.0)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
-from pcs_racing.track.frenet import wrap_s
+from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, wrap_s
 
 # A segment may end this far, in m, before the point that was computed on it.
 _ROUNDING = 1e-9
@@ -22,23 +22,11 @@ _OUTSIDE = 1e-8
 
 @kernel(forceinline=True)
 def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untyped-def]
-    """Return the smaller of ``best`` and the minimum time to collision with the points of a segment.
+    """Return the smaller of ``best`` and the minimum time to collision (s) with the points of a segment.
 
-    Parameters
-    ----------
-    ax, ay, bx, by : float
-        Ends of the segment relative to the lidar, m.
-    vx, vy : float
-        Velocity of the lidar relative to the segment, m/s.
-    speed : float
-        Its norm, positive.
-    best : float
-        Time known so far, s.
-
-    Returns
-    -------
-    float
+    The ends a and b (m) and the velocity (m/s), whose norm ``speed`` is positive, are those seen from the lidar.
     """
+    # Both ends lie behind, so the whole segment does.
     if max(vx * ax + vy * ay, vx * bx + vy * by) <= 0.0:
         return best
     ex = bx - ax
@@ -88,31 +76,32 @@ def _outside_circle(ax, ay, bx, by, cx, cy, square):  # type: ignore[no-untyped-
 
 
 @inner_kernel(forceinline=True)
-def walls_ittc(walls, seen_start, seen, distance, middle, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-def]
+def walls_ittc(near, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-def]
     """Return the smaller of ``best`` and the minimum time to collision with the walls visible from a stretch."""
     speed = np.sqrt(vx * vx + vy * vy)
     if speed == 0.0:
         return best
-    k, last = seen_start[stretch], seen_start[stretch + 1]
+    k, last = near.seen_start[stretch], near.seen_start[stretch + 1]
     while k < last:
         # The circle of the best time so far, about (cx, cy) as seen from the lidar. What is so far from the stretch's
         # middle lies outside it, as do all later segments.
         cx = 0.5 * best * vx
         cy = 0.5 * best * vy
         radius = 0.5 * best * speed + _OUTSIDE
-        dx = x + cx - middle[stretch, 0]
-        dy = y + cy - middle[stretch, 1]
+        dx = x + cx - near.seen_middle[stretch, 0]
+        dy = y + cy - near.seen_middle[stretch, 1]
         reach = np.sqrt(dx * dx + dy * dy) + radius
+        # As soon as the best time falls, the circle is smaller, and more of the list is beyond it.
         known = best
         while k < last and not best < known:
-            if distance[k] >= reach:
+            if near.seen_distance[k] >= reach:
                 return best
-            i = np.uint32(seen[k])
+            i = np.uint32(near.seen[k])
             k += 1
-            ax = walls[i, 0] - x
-            ay = walls[i, 1] - y
-            bx = walls[i, 2] - x
-            by = walls[i, 3] - y
+            ax = near.walls[i, 0] - x
+            ay = near.walls[i, 1] - y
+            bx = near.walls[i, 2] - x
+            by = near.walls[i, 3] - y
             # Most segments lie outside: seen here without a root or a quotient.
             if not _outside_circle(ax, ay, bx, by, cx, cy, radius * radius):
                 best = segment_ittc(ax, ay, bx, by, vx, vy, speed, best)
@@ -145,43 +134,15 @@ def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, 
 
     Parameters
     ----------
-    track : TrackArrays
-    x, y : float
-        Position of the lidar, m.
-    vx, vy : float
-        Its velocity in the frame of the map, m/s.
-    s : float
-        Its arc length on the race line, m.
-    ox, oy, opsi : float
-        Pose of the opponent's centre, m and rad.
-    half_length, half_width : float
-        Half the sides of the opponent's rectangle, m.
-    ovx, ovy : float
-        Velocity of the opponent in the frame of the map, m/s.
-    use_opponent : bool
-        Whether there is an opponent.
+    x, y, vx, vy, s : float
+        Position (m), velocity in the frame of the map (m/s) and arc length (m) of the lidar.
+    ox, oy, opsi, half_length, half_width, ovx, ovy : float
+        Pose (m and rad) of the opponent's centre, half the sides of its rectangle (m), and its velocity (m/s).
     horizon : float
         Cap of the result, s.
-
-    Returns
-    -------
-    float
-        Time in [0, horizon], s.
     """
     stretch = int(wrap_s(track, s) / track.seen_stretch) % track.seen_middle.shape[0]
-    best = walls_ittc(
-        track.walls,
-        track.seen_start,
-        track.seen,
-        track.seen_distance,
-        track.seen_middle,
-        stretch,
-        x,
-        y,
-        vx,
-        vy,
-        horizon,
-    )
+    best = walls_ittc(WallArrays(*track[WALLS_BEGIN:WALLS_END]), stretch, x, y, vx, vy, horizon)
     if use_opponent:
         best = rectangle_ittc(ox - x, oy - y, opsi, half_length, half_width, vx - ovx, vy - ovy, best)
     return best

@@ -92,6 +92,7 @@ def step_lanes(lanes, cars, dt):  # type: ignore[no-untyped-def]
             psi_dot = part[LANES * _vehicle.PSI_DOT + i]
             beta = part[LANES * _vehicle.BETA + i]
             rate, acceleration = target_inputs(delta, v, part[_STEER + i], part[_SPEED + i], car, dt)
+            # Never the slow branch here: a branch would keep the loop from being vectorised.
             x, y, delta, v, psi, psi_dot, beta = runge_kutta(
                 x, y, delta, v, psi, psi_dot, beta, rate, acceleration, car, dt, False
             )

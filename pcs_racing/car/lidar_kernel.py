@@ -129,6 +129,7 @@ def _draw(beams, x, y, cos, sin, px, py, work, out):  # type: ignore[no-untyped-
     angles, chosen = work[0], work[1]
     _find_angles(beams, x, y, cos, sin, px, py, angles[: count + 1])
     _choose(beams, x, y, px, py, angles, last, chosen[:count])
+    # The chosen ones are moved to the front without a branch: every one is written, and only some are kept.
     kept = 0
     for k in range(np.uint64(count)):
         is_chosen = chosen[k] > 0.0
@@ -149,6 +150,7 @@ def _draw(beams, x, y, cos, sin, px, py, work, out):  # type: ignore[no-untyped-
         p = (vy - uy) * scale
         q = (ux - vx) * scale
         begin, end = _span(beams, angles[first], angles[after])
+        # A segment across the first direction is drawn at both ends of the scan.
         if begin < 0.0:
             around = min(max(np.ceil(begin + turn), 0.0), last + 1.0)
             _fill(beams.cos, beams.sin, p, q, int(around), int(last), out)
@@ -270,29 +272,11 @@ def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped
 
 @kernel
 def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out):  # type: ignore[no-untyped-def]
-    """Write one scan, without allocating anything.
+    """Write one scan, without allocating anything: ranges in m, in [0, max_range], into ``out`` of shape (beams,).
 
-    A lidar inside a wall or off the map reads 0 everywhere.
-
-    Parameters
-    ----------
-    track : TrackArrays
-    beams : Beams
-        As in ``Lidar(track).kernel``.
-    x, y, psi : float
-        Pose of the lidar, m and rad.
-    s : float
-        Its arc length on the race line, m.
-    has_opponent : bool
-        Whether there is an opponent to draw.
-    ox, oy, opsi : float
-        Pose of the opponent's centre, m and rad.
-    half_length, half_width : float
-        Half the sides of its rectangle, m.
-    work : ndarray, shape (4, n), float64
-        Working memory with n >= 16, one for each thread; ``np.empty(WORK_SHAPE)`` will do.
-    out : ndarray, shape (beams,)
-        Receives the ranges in m, in [0, max_range].
+    A lidar inside a wall or off the map reads 0 everywhere. The working memory, one for each thread, may have any shape
+    (4, n) with n >= 16; ``np.empty(WORK_SHAPE)`` will do. The lidar is at (x, y, psi) and arc length ``s``, the
+    opponent's rectangle around (ox, oy, opsi), in m and rad.
     """
     if inside_wall(track, x, y):
         out[:] = 0.0
@@ -308,10 +292,12 @@ def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_lengt
         for k in range(out.shape[0]):
             if out[k] <= 0.0:
                 out[k] = 1.0 / _follow(track, beams, x, y, cos, sin, k, beams.max_range)
+    # Before the edges: a jump to what lies beyond the longest range is none.
     least = 1.0 / beams.max_range
     for k in range(out.shape[0]):
         out[k] = out[k] if out[k] > least else least
     _settle_edges(track, beams, x, y, cos, sin, out)
+    # The opponent comes last: its edges are exact and need not be settled on the grid.
     if has_opponent:
         _draw_rectangle(beams, ox - x, oy - y, opsi, half_length, half_width, cos, sin, work, out)
     for k in range(out.shape[0]):

@@ -221,11 +221,13 @@ def _derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  #
     a = _limited_acceleration(v, acceleration, car)
     if slow and v < KINEMATIC_BELOW:
         return _kinematic_derivative(delta, v, psi, beta, rate, a, car.lr, car.lf + car.lr)
+    # Braking (a < 0) puts load on the front axle and takes it from the rear.
     front = car.front - car.front_shift * a
     rear = car.rear + car.rear_shift * a
     front_moment = car.lf * front
     rear_moment = car.lr * rear
     turn = rear_moment - front_moment
+    # One division instead of two: it is the slowest of these operations.
     per_v = 1.0 / v
     turned = psi_dot * per_v
     yaw_dot = car.yaw_gain * (
@@ -238,21 +240,11 @@ def _derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  #
 
 @kernel(forceinline=True)
 def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow):  # type: ignore[no-untyped-def]
-    """One classic Runge-Kutta step of a car with its inputs held; returns its new state.
+    """One classic Runge-Kutta step of ``dt`` seconds of a car with its inputs held; returns its new state.
 
-    Parameters
-    ----------
-    x, y, delta, v, psi, r, beta : float
-        The car's state.
-    rate, acceleration : float
-        Steering rate in rad/s and longitudinal acceleration in m/s^2; limited inside the derivative, in all four
-        stages.
-    car : Handling
-    dt : float
-        Length of the step in s.
-    slow : bool
-        Whether the speed may be below ``KINEMATIC_BELOW`` in one of the stages. Without it there is no branch, so that
-        loops over many cars use vector instructions.
+    Steering rate (rad/s) and longitudinal acceleration (m/s^2) are limited inside the derivative, in all four stages.
+    ``slow`` says whether the speed may be below ``KINEMATIC_BELOW`` in one of the stages. Without it there is no
+    branch, so that loops over many cars use vector instructions.
     """
     h = 0.5 * dt
     a0, a1, a2, a3, a4, a5, a6 = _derivative(delta, v, psi, r, beta, rate, acceleration, car, slow)
@@ -272,6 +264,7 @@ def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow)
         y + w * (a1 + 2.0 * b1 + 2.0 * c1 + d1),
         delta + w * (a2 + 2.0 * b2 + 2.0 * c2 + d2),
         v + w * (a3 + 2.0 * b3 + 2.0 * c3 + d3),
+        # Into [0, 2 pi): sines are exact for moderate angles only.
         psi - 2.0 * np.pi * np.floor(psi * (0.5 / np.pi)),
         r + w * (a5 + 2.0 * b5 + 2.0 * c5 + d5),
         beta + w * (a6 + 2.0 * b6 + 2.0 * c6 + d6),
@@ -280,19 +273,7 @@ def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow)
 
 @kernel
 def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
-    """Advance one vehicle in place by one step with its inputs held (`runge_kutta`).
-
-    Parameters
-    ----------
-    state : ndarray, shape (7,)
-        The vehicle's state, overwritten.
-    rate, acceleration : float
-        Steering rate in rad/s and longitudinal acceleration in m/s^2.
-    p : ndarray, shape (18,)
-        Parameter row (:meth:`VehicleParams.as_row`).
-    dt : float
-        Length of the step in s.
-    """
+    """Advance one vehicle with the parameter row ``p`` in place by one step with its inputs held (`runge_kutta`)."""
     state[X], state[Y], state[DELTA], state[V], state[PSI], state[PSI_DOT], state[BETA] = runge_kutta(
         state[X],
         state[Y],
@@ -331,9 +312,7 @@ def step_to_target(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _gym_inputs(state, steer, speed, p):  # type: ignore[no-untyped-def]
-    """Inputs of the established simulator's controllers: bang-bang steering and a speed gain that depends on the
-    case.
-    """
+    """Inputs of the established simulator's controllers: bang-bang steering, and a speed gain for each case."""
     error = steer - state[DELTA]
     rate = np.sign(error) * p[STEER_RATE_MAX] if abs(error) > 1e-4 else 0.0
     v = state[V]
@@ -354,6 +333,7 @@ def _simulate(states, controls, mode, dt, params):  # type: ignore[no-untyped-de
     for b in range(states.shape[0]):
         p = params[b]
         for k in range(controls.shape[1]):
+            # Driven in place in the next row, so that no state is allocated.
             states[b, k + 1] = states[b, k]
             state = states[b, k + 1]
             first = controls[b, k, 0]

@@ -3,18 +3,17 @@
 A batch advances E episodes at once, each with one or two players: an environment is one player's view of an episode.
 Environment ``i`` belongs to player ``i % players`` of episode ``i // players``. Each episode draws from a generator of
 its own, so a batch of any size gives the same numbers. What happens when an episode ends is not the batch's business:
-:class:`pcs_racing.envs.scalar.ScalarEnv` and :class:`pcs_racing.envs.vector.BatchVectorEnv` see to that.
+:class:`pcs_racing.envs.single.SingleEnv` and :class:`pcs_racing.envs.vector.BatchVectorEnv` see to that.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_choice, check_seed, check_whole
-from pcs_racing.base.errors import InputError, UnknownNameError, choices
-from pcs_racing.race.rendering import MODES, VIEWS, Renderer
+from pcs_racing.base.checks import check_whole
+from pcs_racing.race.rendering import Renderer
 
 MOST_EPISODES = 100_000
 
@@ -73,6 +72,9 @@ class Batch(Protocol):
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
         """Write the observations of some episodes into the rows of their environments, ``out`` of shape (n, D)."""
 
+    def both_views(self) -> NDArray[np.float32]:
+        """What each car of every episode observes, whoever drives it, shape (episodes, 2, D)."""
+
     def infos(self) -> dict[str, NDArray[Any]]:
         """Infos of all environments: arrays of n numbers by name."""
 
@@ -83,9 +85,9 @@ class Batch(Protocol):
         """Draw an environment's race as it stands."""
 
     def film(
-        self, renderer: Renderer, environment: int, ticks: int | None = None
+        self, renderer: Renderer, environment: int, ticks: int | None = None, step: Any = None
     ) -> Iterator[NDArray[np.uint8] | None]:
-        """Draw the last step of an environment, a frame every so many simulation steps of 0.01 s."""
+        """Draw a step of an environment, by default the last, a frame every so many simulation steps of 0.01 s."""
 
     def get_state(self) -> tuple[Any, ...]:
         """Return copies of all that changes."""
@@ -102,28 +104,3 @@ def check_batch_size(episodes: int, threads: int | None) -> None:
     check_whole("num_envs", episodes, 1, MOST_EPISODES)
     if threads is not None:
         check_whole("threads", threads, 1)
-
-
-def check_reset_seed(seed: Any, name: str = "seed") -> int | None:
-    """Return a seed as Gymnasium wants it."""
-    return None if seed is None else check_seed(name=name, seed=seed)
-
-
-def check_rendering(render_mode: str | None, view: str, modes: Sequence[str] = MODES) -> None:
-    """Refuse an unknown render mode or view."""
-    check_choice("view", view, VIEWS)
-    if render_mode is not None:
-        check_choice("render_mode", render_mode, modes)
-
-
-def check_options(options: Any, known: Iterable[str]) -> dict[str, Any]:
-    """Return the options of a reset, those that are None left out."""
-    if options is None:
-        return {}
-    if not isinstance(options, Mapping):
-        raise InputError(f"options are {options!r}; they must be None or a mapping")
-    names = list(known)
-    for name in options:
-        if name not in names:
-            raise UnknownNameError(f"reset option {name!r} is unknown; {choices(str(name), names)}")
-    return {name: value for name, value in options.items() if value is not None}

@@ -1,6 +1,6 @@
 """Which circuit each episode of a batch is driven on: always the same, one of several, or a generated one."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any
 
@@ -16,13 +16,6 @@ from pcs_racing.track.track import Track
 RANDOM = "random"
 
 
-def is_circuits(source: Any) -> bool:
-    """Whether a value has a type that the argument ``track`` of an environment may have."""
-    if isinstance(source, list | tuple):
-        return len(source) > 0 and all(isinstance(one, str | PathLike | Track) for one in source)
-    return isinstance(source, str | PathLike | Track | RandomCircuits)
-
-
 class Circuits:
     """The circuits of a batch of episodes.
 
@@ -36,7 +29,9 @@ class Circuits:
     """
 
     def __init__(self, source: Any, episodes: int) -> None:
-        if not is_circuits(source):
+        listed = source if isinstance(source, list | tuple) else [source]
+        random = RandomCircuits() if source == RANDOM else source if isinstance(source, RandomCircuits) else None
+        if random is None and not (listed and all(isinstance(one, str | PathLike | Track) for one in listed)):
             raise InputError(
                 f"track is {source!r:.200}; it must be a circuit's name, its folder, a Track, a list of these, "
                 f"{RANDOM!r} or RandomCircuits"
@@ -46,9 +41,7 @@ class Circuits:
         self.number = np.zeros(episodes, np.int64)
         self._keys = np.zeros(episodes, np.uint64)
         self._past = np.full(episodes, -1)  # episodes since the key was drawn
-        random = RandomCircuits() if source == RANDOM else source if isinstance(source, RandomCircuits) else None
         self._builder = None if random is None else CircuitBuilder(random, episodes)
-        listed = source if isinstance(source, list | tuple) else [source]
         self._listed: list[Track] = [] if random is not None else [as_track(one) for one in listed]
 
     @property
@@ -75,6 +68,7 @@ class Circuits:
             if self.several:
                 self.number[rows] = [generator.integers(len(self._listed)) for generator in generators]
             return
+        # The generator is asked once; later circuits follow from the key, so that they can be built ahead of time.
         for row, generator in zip(rows, generators, strict=True):
             if self._past[row] < 0:
                 self._keys[row] = generator.integers(2**63)
@@ -108,14 +102,8 @@ class Circuits:
             self._builder.close()
 
 
-class _RandomNames(Mapping[int, str]):
-    """Names of random circuits by their numbers."""
+class _RandomNames(dict[int, str]):
+    """Names of random circuits by their numbers, of which there are too many to list."""
 
-    def __getitem__(self, number: int) -> str:
+    def __missing__(self, number: int) -> str:
         return f"random-{number}"
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(())
-
-    def __len__(self) -> int:
-        return 0

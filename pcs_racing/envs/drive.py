@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.envs.arguments import Declared
 from pcs_racing.envs.drive_batch import DriveBatch
-from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.envs.parallel import ParallelBatchEnv, ParallelState
-from pcs_racing.envs.scalar import ScalarEnv
+from pcs_racing.envs.drive_options import DriveOptions, drive_elements
+from pcs_racing.envs.over_batch import Declared, with_table
+from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.race.rendering import MODES
+from pcs_racing.game.observation import observation_table
 
 
+@with_table(observation_table(drive_elements(DriveOptions(beams=1))))
 class DriveEnv(ScalarEnv):
     """Drive one car against a motion planner, or alone.
 
@@ -42,33 +42,10 @@ class DriveEnv(ScalarEnv):
     ## Observation Space
 
     A flat ``Box`` of float32. ``env.unwrapped.elements`` holds the name, unit, bounds and meaning of every element;
-    values are clipped to the bounds. With ``normalize=True`` the bounds are mapped to -1 and 1. With the default
-    `look_ahead` of six distances there are 41 elements and one for each beam:
+    values are clipped to the bounds. With ``normalize=True`` the bounds are mapped to -1 and 1. With the defaults there
+    are 41 elements, and one more for each beam, up to ``max_range``:
 
-    | Index | Element | Unit | Low | High |
-    |---|---|---|---|---|
-    | 0 | speed | m/s | -5 | 20 |
-    | 1 | steering | rad | -0.4189 | 0.4189 |
-    | 2 | yaw rate | rad/s | -20 | 20 |
-    | 3 | slip | rad | -3.142 | 3.142 |
-    | 4 | target steering | rad | -0.4189 | 0.4189 |
-    | 5 | target speed | m/s | 0 | 20 |
-    | 6 | offset | m | -10 | 10 |
-    | 7 | heading error | rad | -3.142 | 3.142 |
-    | 8, 12, ... 28 | curvature 0, 1, 2, 4, 6, 9 m ahead | 1/m | -5 | 5 |
-    | 9, 13, ... 29 | line speed there | m/s | 0 | 20 |
-    | 10, 14, ... 30 | left: free width there | m | 0 | 10 |
-    | 11, 15, ... 31 | right: free width there | m | 0 | 10 |
-    | 32 | opponent (present) | 1 | 0 | 1 |
-    | 33 | opponent gap | m | -30 | 30 |
-    | 34 | opponent offset | m | -20 | 20 |
-    | 35 | opponent x | m | -30 | 30 |
-    | 36 | opponent y | m | -30 | 30 |
-    | 37 | opponent heading | rad | -3.142 | 3.142 |
-    | 38 | opponent vx | m/s | -30 | 30 |
-    | 39 | opponent vy | m/s | -30 | 30 |
-    | 40 | lead | m | -1000 | 1000 |
-    | 41, ... | beam 0, ... | m | 0 | 30 (`max_range`) |
+    {observation_table}
 
     Nothing in it tells where on the circuit the car is, so what is learned on one circuit can drive on another. Beams
     see the opponent.
@@ -204,26 +181,8 @@ class DriveEnv(ScalarEnv):
 class DriveVectorEnv(BatchVectorEnv):
     """Many :class:`DriveEnv` in one, with the same numbers for the same seeds.
 
-    Parameters
-    ----------
-    num_envs : int
-        Number of races.
-    autoreset_mode : AutoresetMode or str
-        What happens after an episode has ended: see :class:`pcs_racing.envs.vector.BatchVectorEnv`.
-    max_episode_steps : int, optional
-        Steps after which an episode is truncated, in addition to its duration.
-    threads : int, optional
-        Threads that may share a step; the result does not depend on it. By default as many as there are cores. Fewer
-        are used where a step is short (``env.batch.threads``), and one where the opponent is plain Python.
-    render_mode, view, render_size, **options
-        As for :class:`DriveEnv`; `render` returns a frame for each race.
-
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
+    The arguments are those of :class:`DriveEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`. Fewer threads
+    are used where a step is short (``env.batch.threads``), and one where the opponent is plain Python.
 
     Examples
     --------
@@ -295,26 +254,19 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
 
     ## Information
 
-    `info` of each agent holds numbers: `time` (s), `progress` and `lead` (own, m), `crash` and `opponent_crash`
-    (`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), `fault` (1 if it is to blame), `overtakes`, `result`
-    (`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that pays nobody), `opponent` (-1: the
-    other agent), `laps`, `lap_time`, `best_lap` and what was drawn for the episode, as in `DriveEnv`.
+    `info` of each agent holds the numbers of `DriveEnv`, seen from its own car; `opponent` is -1: the other agent.
     `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
 
     ## Arguments
 
-    - `track` (`"Tarnfjord"`): a circuit's name, its folder, or a `Track`; a list of these, of which one is drawn for
-      each episode; or `"random"`: a newly generated circuit for each episode.
-    - `race` (`"paper"`): rules of the race: `"paper"`, `"contest"`, a YAML file or a `RaceConfig`.
+    Those of `DriveEnv`, with their meaning and default there, such as `track`, `race`, `render_mode`, `view` and
+    `render_size`; but:
+
     - `opponent` (`None`): what drives `car_1` in place of a second agent, as for `pcs_racing/Drive-v1`. Then `car_0` is
       the only agent.
     - `time_step` (0.02): length of a step in s, a multiple of 0.02 s up to 1 s.
     - `rivalry` (1.0): see *Rewards*.
-    - `render_mode` (`None`): `"rgb_array"`: `render()` returns a picture; `"human"`: every step is shown in a window.
-    - `view` (`"both"`): `"track"`, `"both"`, `"car_0"` or `"car_1"`.
-    - `render_size` (`(960, 640)`): width and height in pixels.
     - `max_cycles` (`None`): steps after which an episode is truncated.
-    - every other argument of `DriveEnv`, with its meaning and default there.
 
     ## Vectorized environment
 
@@ -334,9 +286,8 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
+        **ScalarEnv.metadata,
         "name": "drive_head_to_head_v0",
-        "render_modes": list(MODES),
-        "render_fps": 50,
         "is_parallelizable": True,
     }
     batch_type = DriveBatch
@@ -344,69 +295,17 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     declared = Declared(
         DriveOptions,
         positional=("track", "race"),
-        named=("opponent", "time_step", "rivalry"),
         changed={"opponent": None, "time_step": 0.02, "rivalry": 1.0},
     )
-
-    def _use(self, batch: Any) -> None:
-        super()._use(batch)
-        self.metadata["render_fps"] = batch.frame_rate
-
-    def state(self) -> NDArray[np.float32]:
-        """Observations of both cars, one after the other, whoever drives them.
-
-        Raises
-        ------
-        InputError
-            Before the first reset.
-        """
-        self._check_started()
-        return self.batch.both_views().reshape(-1)
-
-    # Copies are made anew from the arguments: they share the track, and neither compiled code nor a window.
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        own = {
-            "render_mode": self.render_mode,
-            "view": self.view,
-            "render_size": self.render_size,
-            "max_cycles": self.max_cycles,
-        }
-        return _rebuild, ({**self._arguments, **own}, self.get_state())
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "DriveHeadToHeadEnv":
-        function, arguments = self.__reduce__()
-        copied: DriveHeadToHeadEnv = function(*arguments)
-        return copied
-
-
-def _rebuild(arguments: dict[str, Any], state: ParallelState) -> DriveHeadToHeadEnv:
-    made = DriveHeadToHeadEnv(**arguments)
-    made.set_state(state)
-    return made
 
 
 class DriveHeadToHeadVectorEnv(BatchVectorEnv):
     """Many races of :class:`DriveHeadToHeadEnv` in one, with the same numbers for the same seeds.
 
     Environment ``2 i`` is car 0 of race ``i``, and ``2 i + 1`` its car 1: one policy that acts in all of them races
-    against itself. Seeds belong to races: ``reset(seed=...)`` takes one for each race.
-
-    Parameters
-    ----------
-    num_envs : int
-        Twice the number of races.
-    time_step, rivalry, **settings
-        As for :class:`DriveHeadToHeadEnv`, without ``opponent``: for opponents that learn nothing there is
-        :class:`pcs_racing.envs.drive.DriveVectorEnv`.
-    autoreset_mode : AutoresetMode or str
-        What happens after an episode has ended: see :class:`pcs_racing.envs.vector.BatchVectorEnv`.
-    max_episode_steps : int, optional
-        Steps after which an episode is truncated, in addition to its duration.
-    threads : int, optional
-        Threads that share a step; the result does not depend on it.
-    render_mode, view, render_size
-        As for :class:`DriveHeadToHeadEnv`; `render` returns a frame for each environment.
+    against itself. Seeds belong to races: ``reset(seed=...)`` takes one for each race. The arguments are those of
+    :class:`DriveHeadToHeadEnv`, without ``opponent``, and of :class:`pcs_racing.envs.vector.BatchVectorEnv`. For
+    opponents that learn nothing there is :class:`DriveVectorEnv`.
 
     Examples
     --------
@@ -421,11 +320,10 @@ class DriveHeadToHeadVectorEnv(BatchVectorEnv):
     players = 2
 
 
-def parallel_env(**arguments: Any) -> DriveHeadToHeadEnv:
-    """Make a :class:`DriveHeadToHeadEnv` (PettingZoo's parallel interface); the arguments are the class's."""
-    return DriveHeadToHeadEnv(**arguments)
+parallel_env = DriveHeadToHeadEnv
+"""PettingZoo's name for what makes an environment of its parallel interface."""
 
 
 def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], Any]:
     """Make the same environment in PettingZoo's turn-by-turn interface: both agents act, then a step is driven."""
-    return parallel_to_aec(DriveHeadToHeadEnv(**arguments))
+    return parallel_to_aec(parallel_env(**arguments))

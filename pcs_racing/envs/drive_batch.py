@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -11,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import compiled_for, first_call
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.car.lidar import WORK_SHAPE, Beams, Lidar
 from pcs_racing.envs.batch import BatchStep, check_batch_size
-from pcs_racing.envs.drive_courses import Courses
-from pcs_racing.envs.drive_kernel import Sight, observe_races, restart, set_commands, step_races
+from pcs_racing.envs.drive_kernel import Sight, StepResults, observe_races, restart, set_commands, step_races
 from pcs_racing.envs.drive_options import SEE_OPPONENT, DriveOptions, drive_elements
-from pcs_racing.envs.infos import Crash, Result, codes, race_info, race_infos, race_results
+from pcs_racing.envs.infos import Result, common_codes, race_info, race_infos, race_results
 from pcs_racing.envs.moving_opponents import MovingOpponents
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent, drive_opponents, shared_planner
@@ -30,11 +31,12 @@ from pcs_racing.planners.pursuit import COMMAND_SLOTS, hold_command, leave_path
 from pcs_racing.race.conditions import runs_of
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.driving import default_threads
-from pcs_racing.race.kernel import WORK_SIZE
-from pcs_racing.race.races import RaceSetup, advance, start_races, winners
+from pcs_racing.race.kernel import WORK_SIZE, KernelSettings
+from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.rendering import Renderer, half_sizes
-from pcs_racing.race.start_grid import settle
+from pcs_racing.race.start_grid import Starts, settle
 from pcs_racing.race.state import WALL_CRASH, RaceState, take
+from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
 
 EXTERNAL = Planner("external", (), leave_path, hold_command, memory_size=COMMAND_SLOTS)
@@ -43,6 +45,23 @@ EXTERNAL = Planner("external", (), leave_path, hold_command, memory_size=COMMAND
 WORTH_A_THREAD = 250.0  # us of work in a step; to hand over less takes longer than to do it
 TICK_US, SCAN_US, BEAM_US = 0.5, 2.5, 0.005  # about what a simulation step, a scan and each of its beams take
 MOST_NUMBERS = 250_000_000  # of all observations together: 1 GB
+KEPT = 64  # circuits that no race is on
+
+
+class Scene(NamedTuple):
+    """What the kernel is handed for a run of races: the circuit, the rules, and what the players observe."""
+
+    arrays: TrackArrays
+    settings: KernelSettings
+    sight: Sight
+
+
+class Course(NamedTuple):
+    """A circuit with what all races on it share."""
+
+    setup: RaceSetup
+    grid: RaceState  #: Races at all places that episodes begin at.
+    scene: Scene  #: Of races without obstacles.
 
 
 class DriveBatch:
@@ -83,28 +102,28 @@ class DriveBatch:
         planner = EXTERNAL
         if self.opponents:
             planner = shared_planner(self.opponents, self._moving.game if self._moving else None)
+        # The memory of late commands has one size for all episodes: that of the longest delay.
         delay = self.variety.randomization.most_delay
         self.setup = RaceSetup(self.variety.circuits.track(0), config, (EXTERNAL, planner), self.variety.cars, delay)
         self._ticks = options.ticks
         self.horizon = -(-self.setup.config.ticks // self._ticks)
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
-            "crash": codes(Crash),
-            "opponent_crash": codes(Crash),
-            "result": codes(Result),
-            "opponent": {-1: "none", **{i: opponent.name for i, opponent in enumerate(self.opponents)}},
+            **common_codes(opponent.name for opponent in self.opponents),
             **self.variety.codes,
         }
         self.elements = drive_elements(options)
+        # Refused before arrays of this size are made.
         environments = self.episodes * players
         if environments * len(self.elements) > MOST_NUMBERS:
             raise InputError(
                 f"{environments} environments observe {len(self.elements)} numbers each; take fewer environments or "
                 f"beams: {MOST_NUMBERS} numbers are the limit"
             )
-        self._prepare_observations(options)
+        self._sight = self._make_sight()
         self._prepare_races(threads)
-        self.observation_space = spaces.Box(self.low, self.high, dtype=np.float32)
+        low, high = (bound * self._sight.gain + self._sight.shift for bound in (self._sight.low, self._sight.high))
+        self.observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
     def _make_game(self) -> RaceGame:
@@ -119,60 +138,69 @@ class DriveBatch:
         """The circuit of the first race."""
         return self.variety.track(0)
 
-    @property
-    def grid(self) -> RaceState:
-        """Races at all places of the first circuit that episodes begin at."""
-        return self._courses.on(0).grid
-
-    def _prepare_observations(self, options: DriveOptions) -> None:
+    def _make_sight(self) -> Sight:
+        """What the players observe; ``ahead`` belongs to a circuit."""
+        options = self.options
         low = np.array([element.low for element in self.elements])
         high = np.array([element.high for element in self.elements])
-        scale = 2.0 / (high - low) if options.normalize else np.ones(len(low))
-        shift = -1.0 - low * scale if options.normalize else np.zeros(len(low))
-        self.high = (high * scale + shift).astype(np.float32)
-        self.low = (low * scale + shift).astype(np.float32)
-        self._writing = (low, high, scale, shift)
+        gain = 2.0 / (high - low) if options.normalize else np.ones(len(low))
+        nothing = np.empty(0)
+        nothing.flags.writeable = False  # as a lidar's are: both have the same compiled type then
+        beams = Beams(0.0, 1.0, float(options.max_range), nothing, nothing)
         if options.beams > 0:
-            self._beams = Lidar(self.setup.track, options.beams, options.fov, options.max_range).kernel
-        else:
-            nothing = np.empty(0)
-            nothing.flags.writeable = False  # as a lidar's are: both have the same compiled type then
-            self._beams = Beams(0.0, 1.0, float(options.max_range), nothing, nothing)
-        self._noise = self.variety.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
+            beams = Lidar(self.setup.track, options.beams, options.fov, options.max_range).kernel
+        return Sight(
+            players=self.players,
+            alone=self.alone,
+            own_state=options.own_state,
+            ahead=np.empty(0, np.int64),
+            opponent=SEE_OPPONENT.index(options.see_opponent),
+            time_left=options.time_left,
+            end_tick=self.setup.config.ticks,
+            beams=beams,
+            noise=self.variety.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise))),
+            low=low,
+            high=high,
+            gain=gain,
+            shift=-1.0 - low * gain if options.normalize else np.zeros(len(low)),
+        )
+
+    def course(self, circuit: int) -> Course:
+        """Return the course on a circuit, by its number; made when a race is first on it."""
+        return self._courses.get(circuit, lambda: self._make_course(circuit))
+
+    def _make_course(self, circuit: int) -> Course:
+        setup = replace(self.setup, track=self.variety.circuits.track(circuit))
+        line, ds = setup.track.arrays.line, setup.track.arrays.ds
+        ahead = np.array([round(distance / ds) % len(line) for distance in self.options.look_ahead], np.int64)
+        lines = start_lines(setup.track, setup.config, 0, split="train")
+        places = Starts(np.repeat(lines, 2), np.tile(np.array([0, 1]), len(lines)))
+        grid = start_races(setup, places, np.zeros(len(places), np.uint64))
+        settings = setup.settings
+        # Time to collision costs time, and only opponents that observe characteristics need it.
+        if self._moving is None:
+            settings = settings._replace(ittc_horizon=0.0)
+        return Course(setup, grid, Scene(setup.track.arrays, settings, self._sight._replace(ahead=ahead)))
 
     def _prepare_races(self, threads: int | None) -> None:
         setup, races, options = self.setup, self.episodes, self.options
-        sight = Sight(
-            self.players,
-            self.alone,
-            options.own_state,
-            np.empty(0, np.int64),
-            SEE_OPPONENT.index(options.see_opponent),
-            options.time_left,
-            setup.config.ticks,
-            self._beams,
-            self._noise,
-        )
-        # Time to collision is measured only for opponents that observe characteristics.
-        self._courses = Courses(
-            self.variety.circuits, setup, sight, options.look_ahead, ittc=self._moving is not None, races=races
-        )
-        course = self._courses.on(0)
+        # As many circuits can be in use at once as there are races.
+        self._courses: RecentlyUsed[int, Course] = RecentlyUsed(KEPT + races)
+        course = self.course(0)
         self._scenes = [course.scene] * races  # of each race: what it is driven on, and what its players observe
         #: All races; written to by `restart` and `step`.
         self.state = take(course.grid, np.zeros(races, np.intp))
         self.drawn = np.zeros(races, np.int64)  #: Index of each race's opponent.
+        # Equal weights draw a whole number, others a share: which of the two is part of what a seed means.
         weights = np.array([opponent.weight for opponent in self.opponents] or [1.0])
         self._edges = None if (weights == weights[0]).all() else np.cumsum(weights) / weights.sum()
         self.theta = np.zeros((races, 2, setup.theta_size))
         self.vehicles = self.variety.vehicles
         turn = max(vehicle.steer_max for vehicle in setup.vehicles[: self.players])
         self._limits = (turn, float(options.top_speed))
-        worth = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
-        self._weights = (
-            *(float(getattr(options, name)) for name in worth),
-            setup.config.crash_rule == "fault-loses",
-        )
+        paid = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
+        fault_loses = setup.config.crash_rule == "fault-loses"
+        self._weights = (*(float(getattr(options, name)) for name in paid), fault_loses)
         self._rows = np.arange(races)
         variety = self.variety
         self._uniform = not variety.circuits.several  # until an obstacle stands somewhere
@@ -212,9 +240,10 @@ class DriveBatch:
             raise InputError("reset options 'start' and 'poses' were both given; give one of the two")
         boxes = obstacles_option(options, len(rows))
         self.variety.draw(rows, generators)
-        groups = [(self._courses.on(circuit), some) for circuit, some in self.variety.groups(rows)]
+        groups = [(self.course(circuit), some) for circuit, some in self.variety.groups(rows)]
         places, seeds, at = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.uint64), np.zeros((len(rows), 2))
         grids: list[RaceState] = []
+        # The draws of an episode come in this order whatever is given, so that one seed is one episode.
         for course, some in groups:
             grid = course.grid
             if starts is not None:
@@ -226,17 +255,20 @@ class DriveBatch:
                 places[i] = generator.integers(course.grid.races)
                 self._draw_opponent(int(rows[i]), generator)
                 seeds[i] = generator.integers(2**64, dtype=np.uint64)
+                # What stands where the options say has a row of its own instead of a place on the grid.
                 if grid is not course.grid:
                     places[i] = k
             at[some] = grid.frenet[places[some], :, 0]
             grids.append(grid)
         self.variety.place_obstacles(rows, at, generators, boxes)
+        # Before anything is written: a reset that is refused leaves the races as they were.
         if boxes is not None:
             for (course, some), grid in zip(groups, grids, strict=True):
                 self._check_clear(course.setup, rows[some], take(grid, places[some]))
         for (course, some), grid in zip(groups, grids, strict=True):
             for row in rows[some]:
                 arrays = self.variety.track(int(row)).arrays
+                # Races with obstacles have arrays of their own, and are stepped apart from the others.
                 own = arrays is not course.scene.arrays
                 self._scenes[row] = course.scene._replace(arrays=arrays) if own else course.scene
                 self._uniform &= not own
@@ -288,7 +320,6 @@ class DriveBatch:
                 self.state,
                 self.vehicles,
                 scene.sight._replace(players=players),
-                *self._writing,
                 rows,
                 first,
                 last,
@@ -318,34 +349,37 @@ class DriveBatch:
         races, ticks = self.episodes, self._ticks
         results = self._results()
         if self._in_python:
+            # The kernel then pays and observes, but does not drive: 0 ticks.
             set_commands(actions, *self._limits, self.state.memory, 0, races)
             self._advance_in_python(ticks)
             ticks = 0
-        threads = self.threads
-        edges = [races * k // threads for k in range(threads + 1)]
-        # This thread does the first part itself: to wake another one takes as long as some races' step.
-        parts = [
-            self._pool.submit(self._step_part, actions, ticks, edges[k], edges[k + 1], k, results)
-            for k in range(1, threads)
-        ]
-        self._step_part(actions, ticks, 0, edges[1], 0, results)
-        for part in parts:
-            part.result()
+        if self.threads == 1:
+            self._step_part(actions, ticks, 0, races, 0, results)
+        else:
+            edges = [races * k // self.threads for k in range(self.threads + 1)]
+            parts = [
+                self._pool.submit(self._step_part, actions, ticks, edges[k], edges[k + 1], k, results)
+                for k in range(1, self.threads)
+            ]
+            # This thread does the first part itself: to wake another one takes as long as some races' step.
+            self._step_part(actions, ticks, 0, edges[1], 0, results)
+            for part in parts:
+                part.result()
         if self._moving is not None:
             self._moving.move(self.state, self.theta, self.opponents, self.drawn, generators)
-        _, reward, terminated, truncated, out = results
-        return BatchStep(out, reward, terminated, truncated)
+        return BatchStep(results.observations, results.reward, results.terminated, results.truncated)
 
-    def _results(self) -> tuple[NDArray[Any], ...]:
-        """Arrays for a step: the progress before it, and what it overwrites: rewards, ends and observations."""
+    def _results(self) -> StepResults:
         count = self.episodes * self.players
-        ends = np.empty(count, np.bool_), np.empty(count, np.bool_)
-        return self.state.progress.copy(), np.empty(count), *ends, np.empty((count, len(self.elements)), np.float32)
+        ended, late = np.empty(count, np.bool_), np.empty(count, np.bool_)
+        observations = np.empty((count, len(self.elements)), np.float32)
+        return StepResults(self.state.progress.copy(), np.empty(count), ended, late, observations)
 
     def _step_part(
-        self, actions: NDArray[np.float64], ticks: int, first: int, last: int, worker: int, results: tuple[Any, ...]
+        self, actions: NDArray[np.float64], ticks: int, first: int, last: int, worker: int, results: StepResults
     ) -> None:
         """Step a part of the races, on one thread."""
+        # Races on the same circuit stand side by side, so that a call of the kernel takes a run of them.
         runs = [(0, last - first)] if self._uniform or first == last else runs_of(self._scenes[first:last])
         for low, high in runs:
             scene = self._scenes[first + low] if first < last else self._scenes[0]
@@ -361,13 +395,13 @@ class DriveBatch:
                 self._limits,
                 self._weights,
                 scene.sight,
-                *self._writing,
                 self._rows,
                 first + low,
                 first + high,
                 self._buffers[worker],
-                *results,
+                results,
             )
+            # Looked up once: to find the machine code by the types of all arguments takes longer than a step.
             if self._compiled is None:
                 self._compiled = compiled_for(step_races, arguments)
             self._compiled(*arguments)
@@ -378,9 +412,7 @@ class DriveBatch:
         for first, last in runs_of(circuits.tolist()):
             part = RaceState._make(array[first:last] for array in self.state)
             conditions = self.variety.conditions(np.arange(first, last))
-            advance(
-                self._courses.on(int(circuits[first])).setup, part, self.theta[first:last], ticks, conditions=conditions
-            )
+            advance(self.course(int(circuits[first])).setup, part, self.theta[first:last], ticks, conditions=conditions)
 
     def infos(self) -> dict[str, NDArray[Any]]:
         """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
@@ -401,6 +433,7 @@ class DriveBatch:
         """How each race has ended for each player, shape (B, players); alone a car races nobody: its result is open."""
         state, config = self.state, self.setup.config
         result = np.zeros((self.episodes, self.players), np.int64)
+        # In most steps no race is over, and nobody need be asked who won.
         over = (state.crash[:, 0] != 0) | (state.crash[:, 1] != 0) | (state.tick >= config.ticks)
         if self.alone or not over.any():
             return result
@@ -438,7 +471,7 @@ class DriveBatch:
         return renderer.render(cars, plans=plans, names=names, text=text)
 
     def film(
-        self, renderer: Renderer, environment: int, ticks: int | None = None
+        self, renderer: Renderer, environment: int, ticks: int | None = None, step: Any = None
     ) -> Iterator[NDArray[np.uint8] | None]:
         """Draw nothing: a step is short enough to be a single frame."""
         yield from ()
@@ -460,10 +493,11 @@ class DriveBatch:
             raise InputError(f"the state's opponents {drawn!r} are not among the {len(self.opponents)} that there are")
         self.variety.set_state(variety)
         for row in range(self.episodes):
-            scene = self._courses.on(int(self.variety.circuits.number[row])).scene
+            scene = self.course(int(self.variety.circuits.number[row])).scene
             arrays = self.variety.track(row).arrays
             self._scenes[row] = scene if arrays is scene.arrays else scene._replace(arrays=arrays)
             self._uniform &= self._scenes[row] is self._scenes[0]
+        # Into the own arrays: the state that was given stays as it is.
         for name, own in self.state._asdict().items():
             own[...] = getattr(races, name)
         self.drawn[:], self.theta[:, 1] = drawn, theta

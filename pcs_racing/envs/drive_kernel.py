@@ -48,6 +48,20 @@ class Sight(NamedTuple):
     end_tick: int  #: Steps of 0.01 s of a race.
     beams: Beams  #: Of the lidar; with no beams there is no scan.
     noise: NDArray[Any]  #: shape (B,): Standard deviation of its ranges in each race, m.
+    low: NDArray[Any]  #: shape (n,): Bounds of the elements, to which they are clipped.
+    high: NDArray[Any]
+    gain: NDArray[Any]  #: shape (n,): What is written is ``gain`` times the clipped value, plus ``shift``.
+    shift: NDArray[Any]
+
+
+class StepResults(NamedTuple):
+    """What a step overwrites, and the progress that it is paid from; the players of a race have rows side by side."""
+
+    before: NDArray[np.float64]  #: shape (B, 2): Progress before the step, m.
+    reward: NDArray[np.float64]  #: shape (B * players,)
+    terminated: NDArray[np.bool_]  #: shape (B * players,)
+    truncated: NDArray[np.bool_]  #: shape (B * players,)
+    observations: NDArray[np.float32]  #: shape (B * players, n)
 
 
 @kernel
@@ -58,6 +72,7 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
     first two numbers of its memory say. Car 1 stays where it is, and nothing is summed up for characteristics.
     """
     keep = settings.noise_keep
+    # What is added to the disturbance makes up for what fades, so that its spread stays that of the rules.
     share = np.sqrt(1.0 - keep * keep)
     half = 0.5 * track.length
     for race in range(first, last):
@@ -65,6 +80,7 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
         own = state.cars[race, 0]
         p = vehicles[race, 0]
         noise_sd = steering_sd(settings, p)
+        # A race that is over stands still: its numbers are the last ones until it is restarted.
         while state.tick[race] < end and state.crash[race, 0] == 0:
             tick = state.tick[race]
             if tick % CONTROL_EVERY == 0:
@@ -79,11 +95,13 @@ def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type
                         state.memory[race, 0], p[_vehicle.STEER_DELAY], tick, state.command[race, 0, 0]
                     )
             _vehicle.step_to_target(own, state.command[race, 0, 0], state.command[race, 0, 1], p, DT)
+            # Walls and progress are looked at after a control period, as often as in races of two cars.
             tick += 1
             state.tick[race] = tick
             if tick % CONTROL_EVERY == 0:
                 before = state.frenet[race, 0, 0]
                 s, d = project(track, own[_vehicle.X], own[_vehicle.Y], before)
+                # From one end of the line to the other s jumps by a lap; what was driven is the short way.
                 driven = s - before
                 if driven > half:
                     driven -= track.length
@@ -115,6 +133,7 @@ def _see_own(line, ds, cars, frenet, memory, race, car, row, k):  # type: ignore
     row[k + 4] = memory[race, car, 0]
     row[k + 5] = memory[race, car, 1]
     row[k + 6] = frenet[race, car, 1]
+    # Between two samples the heading follows from the curvature, which is constant there.
     heading = line[here, PSI] + (s - here * ds) * line[here, KAPPA]
     row[k + 7] = angle_between(cars[race, car, _vehicle.PSI], heading)
 
@@ -171,6 +190,7 @@ def _in_sight(track, cars, race, car, reach):  # type: ignore[no-untyped-def]
     dx = cars[race, 1 - car, _vehicle.X] - x
     dy = cars[race, 1 - car, _vehicle.Y] - y
     apart = np.sqrt(dx * dx + dy * dy)
+    # No ray has a direction between two cars at the same place; they see each other.
     if apart > reach or apart == 0.0:
         return apart == 0.0
     u = (x - track.origin_x) / track.cell
@@ -226,16 +246,17 @@ def _observe(track, state, vehicles, sight, race, car, row, work):  # type: igno
 
 
 @inner_kernel
-def _write(row, low, high, gain, shift, beams, out):  # type: ignore[no-untyped-def]
-    """Clip an observation to its bounds, scale it if asked, and round it to float32.
-
-    The ranges of the beams, which come last, share their bounds: read once, they leave room in the processor's cache.
-    """
+def _write(row, sight, out):  # type: ignore[no-untyped-def]
+    """Clip an observation to its bounds, scale it if asked, and round it to float32."""
+    low, high, gain, shift = sight.low, sight.high, sight.gain, sight.shift
     count = row.shape[0]
-    for k in range(np.uint64(count - beams)):
+    first_beam = count - sight.beams.cos.shape[0]
+    # Unsigned counters spare the test for negative indices.
+    for k in range(np.uint64(first_beam)):
         out[k] = np.float32(min(max(row[k], low[k]), high[k]) * gain[k] + shift[k])
+    # The beams come last and share their bounds: read once, these leave room in the processor's cache.
     least, most, factor, offset = low[count - 1], high[count - 1], gain[count - 1], shift[count - 1]
-    for k in range(np.uint64(count - beams), np.uint64(count)):
+    for k in range(np.uint64(first_beam), np.uint64(count)):
         out[k] = np.float32(min(max(row[k], least), most) * factor + offset)
 
 
@@ -244,36 +265,22 @@ def _noisy(scan, seed, car, tick, noise, most):  # type: ignore[no-untyped-def]
     """Add to each range noise that depends on the race's seed, the car, the time and the beam alone."""
     beams = scan.shape[0]
     for k in range(beams):
+        # A number of its own for each beam at each moment: no scan repeats the noise of another.
         draw = steering_noise(seed ^ _LIDAR_KEY, car, tick * beams + k)
         scan[k] = min(max(scan[k] + noise * draw, 0.0), most)
 
 
 @kernel
-def observe_races(track, state, vehicles, sight, low, high, gain, shift, rows, first, last, row, work, out):  # type: ignore[no-untyped-def]
-    """Write the observations of the players of the races ``rows[first:last]``.
+def observe_races(track, state, vehicles, sight, rows, first, last, row, work, out):  # type: ignore[no-untyped-def]
+    """Write the observations of the players of the races ``rows[first:last]``, each into its player's row of ``out``.
 
-    Parameters
-    ----------
-    track : TrackArrays
-    state : RaceState
-    vehicles : ndarray, shape (B, 2, 18)
-    sight : Sight
-    low, high, gain, shift : ndarray, shape (n,)
-        Bounds of the elements, and what turns a clipped value into the one that is written.
-    rows : ndarray of int64
-        Which races to observe.
-    first, last : int
-        The part of ``rows`` to work off.
-    row : ndarray, shape (n,)
-        Scribbled on, as is ``work``, of shape ``WORK_SHAPE`` of the lidar.
-    out : ndarray, shape (B * players, n), float32
-        Receives the observations, each in its player's row.
+    The contents of ``row``, of shape (n,), and ``work``, of the lidar's ``WORK_SHAPE``, are undefined afterwards.
     """
     for i in range(first, last):
         race = rows[i]
         for car in range(sight.players):
             _observe(track, state, vehicles, sight, race, car, row, work)
-            _write(row, low, high, gain, shift, sight.beams.cos.shape[0], out[race * sight.players + car])
+            _write(row, sight, out[race * sight.players + car])
 
 
 @kernel
@@ -284,6 +291,7 @@ def set_commands(actions, steer_max, top_speed, memory, first, last):  # type: i
     """
     for race in range(first, last):
         for car in range(actions.shape[1]):
+            # The driver of a player's car does nothing but hold what stands in its memory.
             memory[race, car, 0] = steer_max * min(max(actions[race, car, 0], -1.0), 1.0)
             memory[race, car, 1] = 0.5 * top_speed * (1.0 + min(max(actions[race, car, 1], -1.0), 1.0))
 
@@ -312,32 +320,31 @@ def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _end_step(  # type: ignore[no-untyped-def]
-    progress, crash, fault, tick, end_tick, weights, players, alone, before, reward, terminated, truncated, first, last
-):
+def _end_step(state, end_tick, weights, sight, results, first, last):  # type: ignore[no-untyped-def]
     """Rewards and ends after a step, from the progress before it and the state after it."""
     per_metre, rivalry, penalty, win, fault_loses = weights
+    progress, crash, fault, before = state.progress, state.crash, state.fault, results.before
     for race in range(first, last):
         crashed = crash[race, 0] != 0 or crash[race, 1] != 0
-        late = tick[race] >= end_tick
+        late = state.tick[race] >= end_tick
         # Where winning pays, nothing follows after the last moment of a race.
         ended = crashed or (late and win > 0.0)
-        for car in range(players):
+        for car in range(sight.players):
             other = 1 - car
             own = progress[race, car] - before[race, car]
-            opponent = 0.0 if alone else progress[race, other] - before[race, other]
-            worth = step_reward(own, opponent, fault[race, car], (per_metre, rivalry, penalty))
-            if win > 0.0 and not alone and (crashed or late):
+            opponent = 0.0 if sight.alone else progress[race, other] - before[race, other]
+            reward = step_reward(own, opponent, fault[race, car], (per_metre, rivalry, penalty))
+            if win > 0.0 and not sight.alone and (crashed or late):
                 lead = progress[race, car] - progress[race, other]
-                worth += win * win_sign(lead, crashed, fault[race, car], fault[race, other], fault_loses)
-            player = race * players + car
-            reward[player] = worth
-            terminated[player] = ended
-            truncated[player] = late and not ended
+                reward += win * win_sign(lead, crashed, fault[race, car], fault[race, other], fault_loses)
+            player = race * sight.players + car
+            results.reward[player] = reward
+            results.terminated[player] = ended
+            results.truncated[player] = late and not ended
 
 
 @kernel
-def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, actions, limits, weights, sight, low, high, gain, shift, rows, first, last, buffers, before, reward, terminated, truncated, out):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
+def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, actions, limits, weights, sight, rows, first, last, buffers, results):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
     """One step of races ``first`` to ``last - 1``: drive ``ticks`` steps on, pay, and observe.
 
     Parameters
@@ -351,39 +358,18 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
     weights : tuple
         Reward for a metre, share of the opponent's progress that is taken off, penalty
         (:func:`pcs_racing.game.reward.step_reward`); reward of a win, and whether a fault loses the race.
-    sight, low, high, gain, shift, rows, out
-        As in :func:`observe_races`; ``rows`` counts from 0 to B - 1.
-    first, last : int
-        The part of the batch to step.
+    rows : ndarray of int64
+        The numbers from 0 to B - 1.
     buffers : tuple of ndarray
-        ``scratch`` and ``work`` of the races, ``row`` and ``work`` of the observations: all scribbled on.
-    before : ndarray, shape (B, 2)
-        Progress from which the reward counts, m.
-    reward, terminated, truncated : ndarray, shape (B * players,)
-        Overwritten.
+        ``scratch`` and ``work`` of the races, ``row`` and ``work`` of the observations; contents undefined afterwards.
+    results : StepResults
     """
     scratch, work, row, scan_work = buffers
     set_commands(actions, limits[0], limits[1], state.memory, first, last)
     if sight.alone:
         advance_alone(track, state, vehicles, settings, ticks, first, last)
     else:
-        advance_races(
-            track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, first, last, scratch, work
-        )
-    _end_step(
-        state.progress,
-        state.crash,
-        state.fault,
-        state.tick,
-        settings.end_tick,
-        weights,
-        sight.players,
-        sight.alone,
-        before,
-        reward,
-        terminated,
-        truncated,
-        first,
-        last,
-    )
-    observe_races(track, state, vehicles, sight, low, high, gain, shift, rows, first, last, row, scan_work, out)
+        drivers = (plan0, control0, plan1, control1)
+        advance_races(track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work)
+    _end_step(state, settings.end_tick, weights, sight, results, first, last)
+    observe_races(track, state, vehicles, sight, rows, first, last, row, scan_work, results.observations)

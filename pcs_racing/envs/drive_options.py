@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,25 +12,15 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Rule, Settings, checked, choice, flag, number, setting, whole
 from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_RANGE, MOST_BEAMS
 from pcs_racing.car.vehicle import F1TENTH, load_vehicles
-from pcs_racing.envs.circuits import is_circuits
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.observation import ObservationElement as Element
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.rates import CONTROL_EVERY, DT
 
 SEE_OPPONENT = ("never", "in sight", "always")
 """When the opponent is observed; each at the index that the kernel knows it by."""
-
-
-class Element(NamedTuple):
-    """One number of the observation: its name, unit, bounds and meaning."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    meaning: str
 
 
 def _source(kind: type) -> Rule:
@@ -44,11 +34,8 @@ def _source(kind: type) -> Rule:
     return Rule(check)
 
 
-def _circuits(name: str, value: Any) -> Any:
-    if not is_circuits(value):
-        raise ConfigError(
-            f"{name} is {value!r:.200}; it must be a name, a path, a Track, a list of these, 'random' or RandomCircuits"
-        )
+def _anything(name: str, value: Any) -> Any:
+    """What is checked where it is used, by one who knows more of it."""
     return value
 
 
@@ -70,12 +57,10 @@ def _look_ahead(value: Any) -> tuple[float, ...]:
 class DriveOptions(Settings):
     """Arguments of the control-level environments; :class:`pcs_racing.envs.drive.DriveEnv` describes them."""
 
-    track: Any = setting("Tarnfjord", Rule(_circuits), "Circuit or circuits (`pcs_racing.envs.circuits`).")
-    opponent: Any = setting("lattice", Rule(lambda name, value: value), "Opponents (`pcs_racing.envs.opponents`).")
+    track: Any = setting("Tarnfjord", Rule(_anything), "Circuit or circuits (`pcs_racing.envs.circuits`).")
+    opponent: Any = setting("lattice", Rule(_anything), "Opponents (`pcs_racing.envs.opponents`).")
     race: str | Path | RaceConfig = setting("paper", _source(RaceConfig), "Rules of the race.")
-    duration: float | None = setting(
-        None, Rule(lambda name, value: value), "Length of a race, s; by default that of the rules."
-    )
+    duration: float | None = setting(None, Rule(_anything), "Length of a race, s; by default that of the rules.")
     time_step: float = setting(0.1, checked(_time_step, "a multiple of 0.02, up to 1"), "Length of a step, s.")
     top_speed: float = setting(8.0, number(0.1, F1TENTH.v_max), "Target speed that the action 1 asks for, m/s.")
     beams: int = setting(0, whole(0, MOST_BEAMS), "Beams of the lidar; 0 for none.")
@@ -95,7 +80,7 @@ class DriveOptions(Settings):
     rivalry: float = setting(0.0, number(-1e6, 1e6), "Share of the opponent's progress that is taken off.")
     crash_penalty: float = setting(10.0, number(0.0, 1e6), "Penalty of a crash by own fault.")
     win_reward: float = setting(0.0, number(0.0, 1e6), "Reward of a win, and penalty of a defeat.")
-    start_lines: int = setting(100, Rule(lambda name, value: value), "Start lines to draw from.")
+    start_lines: int = setting(100, Rule(_anything), "Start lines to draw from.")
     archive: str | Path | PolicyArchive = setting(
         "default", _source(PolicyArchive), "Archive of opponents that move between policies."
     )

@@ -9,17 +9,26 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.envs.arguments import Declared
-from pcs_racing.envs.filmed import FilmedEnv
-from pcs_racing.envs.game_batch import FILM_RATE, GameBatch, GameOptions
+from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.opponents import Opponent
-from pcs_racing.envs.parallel import ParallelBatchEnv
+from pcs_racing.envs.over_batch import FILM, Declared, with_table
+from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
+from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.config import GameConfig
+from pcs_racing.game.observation import observation_elements, observation_table
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.rendering import MODES
+
+AXES = get_characteristics(("aggressiveness", "restraint"))
+"""Those of the archive "default", which the tables of the classes' pages are made for."""
+
+_MOVES = GameConfig().moves
+_TABLE = observation_table(observation_elements(AXES, _MOVES), _MOVES)
 
 
-class DuelEnv(FilmedEnv):
+@with_table(_TABLE)
+class DuelEnv(ScalarEnv):
     """Play the game of moves in Policy Characteristic Space against an opponent.
 
     ## Description
@@ -42,15 +51,7 @@ class DuelEnv(FilmedEnv):
     unit, bounds and meaning of each. Step 0 is the one in which the players only watch, step ``k`` follows move ``k``.
     "Range" means that 0 is the archive's smallest and 1 its largest value.
 
-    | Index | Element | Unit | Low | High |
-    |---|---|---|---|---|
-    | 6k | own_aggressiveness_k | range | -1 | 2 |
-    | 6k + 1 | own_restraint_k | range | -1 | 2 |
-    | 6k + 2 | opponent_aggressiveness_k | range | -1 | 2 |
-    | 6k + 3 | opponent_restraint_k | range | -1 | 2 |
-    | 6k + 4 | lead_k | 20 m | -5 | 5 |
-    | 6k + 5 | seen_k | 1 | 0 | 1 |
-    | 30 | step | 1 | 0 | 1 |
+    {observation_table}
 
     ## Rewards
 
@@ -73,13 +74,8 @@ class DuelEnv(FilmedEnv):
 
     ## Information
 
-    Numbers: ``time`` (s), ``progress`` and ``lead`` (m), ``crash`` and ``opponent_crash``
-    (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the own car is to blame for a crash),
-    ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that
-    pays nobody), ``opponent`` (index of the game's opponent), ``move`` and ``opponent_move`` (-1 before the first, and
-    for a driver), ``policy`` (index in the archive), ``action_mask``, ``laps`` (complete ones, from one crossing of the
-    line s = 0 to the next), ``lap_time`` and ``best_lap`` (s, of the last and the shortest of them; -1 if there is
-    none), and where episodes differ in it, ``track`` (its number) and what ``randomize`` drew.
+    The numbers of :class:`pcs_racing.envs.drive.DriveEnv`, and ``move`` and ``opponent_move`` (-1 before the first, and
+    for a driver), ``policy`` (index in the archive) and ``action_mask``.
     ``env.unwrapped.metadata["codes"]`` holds the words of all codes; ``env.unwrapped.outcome()`` is the info in words.
 
     ## Arguments
@@ -87,8 +83,7 @@ class DuelEnv(FilmedEnv):
     Parameters
     ----------
     track : str, Path or Track, a list of these, "random" or RandomCircuits
-        A circuit's name, its folder, or a track. Of a list one is drawn for each episode; with "random" each episode is
-        driven on a newly generated circuit, or as :class:`pcs_racing.race.random_circuits.RandomCircuits` says.
+        As for :class:`pcs_racing.envs.drive.DriveEnv`.
     archive : str, Path or PolicyArchive
     opponent : str, competitor, or list
         By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each game and kept);
@@ -104,15 +99,9 @@ class DuelEnv(FilmedEnv):
         Whether models take their best move; if not, they draw with a generator of their own, which no seed of this
         environment reaches.
     vehicle : VehicleParams, dict, str or Path, or a list of two
-        Parameters of both cars, or of car 0 and car 1: a dict or a YAML file names those that differ from F1TENTH's
-        (:class:`pcs_racing.VehicleParams`), such as ``{"mu": 0.8}``.
     randomize : Randomization, dict, str or Path, optional
-        Ranges from which each episode draws friction, mass, steering delay and steering noise of its cars
-        (:class:`pcs_racing.envs.randomization.Randomization`), such as ``{"friction": [0.7, 1.1]}``.
     obstacles : Obstacles, int, dict, str or Path, optional
-        Boxes that stand on the track, drawn for each episode: how many, or their settings
-        (:class:`pcs_racing.envs.obstacles.Obstacles`).
-        A car that touches one has crashed as into a wall, and the lattice planner avoids most.
+        As for :class:`pcs_racing.envs.drive.DriveEnv`; there is no lidar to draw the noise of.
     render_mode : {"rgb_array", "rgb_array_list", "human"}, optional
         With "rgb_array" a frame shows how a step ended; with "rgb_array_list" `render` returns all frames since it was
         last called, or since the reset, 25 for each second of racing
@@ -150,6 +139,7 @@ class DuelEnv(FilmedEnv):
     (31,)
     """
 
+    metadata: dict[str, Any] = {**ScalarEnv.metadata, "render_modes": [*MODES, FILM]}  # noqa: RUF012
     batch_type = GameBatch
     batch: GameBatch
     declared = Declared(GameOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig)
@@ -172,27 +162,7 @@ class DuelEnv(FilmedEnv):
 class DuelVectorEnv(BatchVectorEnv):
     """Many :class:`DuelEnv` in one, with the same numbers for the same seeds.
 
-    Parameters
-    ----------
-    num_envs : int
-        Number of games.
-    autoreset_mode : AutoresetMode or str
-        What happens after a game has ended: see :class:`pcs_racing.envs.vector.BatchVectorEnv`.
-    max_episode_steps : int, optional
-        Moves after which a game is truncated.
-    threads : int, optional
-        Threads that share a step, all cores by default; the result does not depend on it.
-    track, archive, opponent, race, deterministic_opponent, vehicle, randomize, obstacles, render_mode, view
-        As for :class:`DuelEnv`; `render` returns a frame for each environment.
-    render_size, **settings
-        As for :class:`DuelEnv`.
-
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
+    The arguments are those of :class:`DuelEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`.
 
     Examples
     --------
@@ -220,20 +190,15 @@ class SelfPlayVectorEnv(DuelVectorEnv):
     """Games in which both cars belong to the agent: environment ``2 i`` is car 0 of game ``i``, ``2 i + 1`` its car 1.
 
     One policy that acts in all environments plays against itself; rewards of a pair add up to zero. Seeds belong to
-    games: ``reset(seed=...)`` takes one for each game.
-
-    Parameters
-    ----------
-    num_envs : int
-        Twice the number of games.
-    **arguments
-        As for :class:`DuelVectorEnv`, without ``opponent``.
+    games: ``reset(seed=...)`` takes one for each game. The arguments are those of :class:`DuelVectorEnv`, without
+    ``opponent``.
     """
 
     declared = replace(DuelVectorEnv.declared, changed={"opponent": None})
     players = 2
 
 
+@with_table(_TABLE)
 class HeadToHeadEnv(ParallelBatchEnv):
     """Two cars race each other; their players change, move by move, how aggressive and how restrained they drive.
 
@@ -259,15 +224,7 @@ class HeadToHeadEnv(ParallelBatchEnv):
     only watch, step `k` follows move `k`. The unit "range" means that 0 is the archive's smallest and 1 its largest
     value of that characteristic; values beyond the bounds are clipped.
 
-    | index | name | unit | low | high | meaning |
-    | --- | --- | --- | --- | --- | --- |
-    | 6k + 0 | own_aggressiveness_k | range | -1 | 2 | the own policy's aggressiveness in step k, from the archive |
-    | 6k + 1 | own_restraint_k | range | -1 | 2 | the own policy's restraint in step k, from the archive |
-    | 6k + 2 | opponent_aggressiveness_k | range | -1 | 2 | the opponent's aggressiveness as measured in step k alone |
-    | 6k + 3 | opponent_restraint_k | range | -1 | 2 | the opponent's restraint as measured in step k alone |
-    | 6k + 4 | lead_k | 20 m | -5 | 5 | own lead at the end of step k |
-    | 6k + 5 | seen_k | 1 | 0 | 1 | 1 once step k is over; until then it and the numbers above are 0 |
-    | 30 | step | 1 | 0 | 1 | share of the moves that have been made |
+    {observation_table}
 
     `state()` is the observation of `car_0` followed by that of `car_1`.
 
@@ -294,31 +251,16 @@ class HeadToHeadEnv(ParallelBatchEnv):
 
     ## Information
 
-    `info` of each agent holds numbers: `time` (s), `progress` and `lead` (own, m), `crash` and `opponent_crash`
-    (`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), `fault` (1 if it is to blame), `overtakes`, `result`
-    (`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a crash that pays nobody), `opponent` (-1: the
-    other agent), `move` and `opponent_move` (-1 before the first), `policy` (index in the archive), `action_mask`,
-    `laps` (complete ones, from one crossing of the line s = 0 to the next), `lap_time` and `best_lap` (s, of the last
-    and the shortest of them; -1 if there is none), and where games differ in it, `track` and what `randomize` drew.
+    `info` of each agent holds the numbers of `DuelEnv`, seen from its own car; `opponent` is -1: the other agent.
     `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
 
     ## Arguments
 
-    - `track` (`"Tarnfjord"`): a circuit's name, its folder, or a `Track`; a list of these, of which one is drawn for
-      each game; or `"random"`: a newly generated circuit for each game.
-    - `archive` (`"default"`): an archive's name, its folder, or a `PolicyArchive`.
-    - `race` (`"paper"`): rules of the race: `"paper"`, `"contest"`, a YAML file, a `RaceConfig`; or a `GameConfig`.
+    Those of `DuelEnv`, with their meaning and default there: `track`, `archive`, `race`, `deterministic_opponent`,
+    `vehicle`, `randomize`, `obstacles`, `render_mode`, `view`, `render_size`; and:
+
     - `opponent` (`None`): what drives `car_1` in place of a second agent: as for `pcs_racing/Duel-v1`. Then `car_0` is
       the only agent.
-    - `deterministic_opponent` (`True`): whether a model takes its best move.
-    - `vehicle` (`F1TENTH`): parameters of both cars, or a list of two: `VehicleParams`, a dict of those that differ, or
-      a YAML file.
-    - `randomize` (`None`): ranges from which each game draws `friction`, `mass`, `steering_delay` and `steering_noise`.
-    - `obstacles` (`None`): boxes that stand on the track, drawn for each game: their number, or settings
-      (`pcs_racing.envs.obstacles.Obstacles`).
-    - `render_mode` (`None`): `"rgb_array"`: `render()` returns a picture; `"human"`: every step is shown in a window.
-    - `view` (`"both"`): `"track"`, `"both"`, `"car_0"` or `"car_1"`.
-    - `render_size` (`(960, 640)`): width and height in pixels.
     - `max_cycles` (`None`): moves after which an episode is truncated.
     - every field of `GameConfig`: `moves` (4), `step_seconds` (8.0), `epsilon` (0.5; one number, or several), `stay`
       (as the race's rules say), `utility`, `fault_penalty` (0), `discount` (1), `characteristics` (the archive's),
@@ -337,9 +279,8 @@ class HeadToHeadEnv(ParallelBatchEnv):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
+        **ScalarEnv.metadata,
         "name": "head_to_head_v1",
-        "render_modes": ["human", "rgb_array"],
-        "render_fps": FILM_RATE,
         "is_parallelizable": True,
     }
     batch_type = GameBatch
@@ -353,28 +294,16 @@ class HeadToHeadEnv(ParallelBatchEnv):
         """The rules."""
         return self.batch.game
 
-    def state(self) -> NDArray[np.float32]:
-        """Observations of both cars, one after the other.
-
-        Raises
-        ------
-        InputError
-            Before the first reset.
-        """
-        self._check_started()
-        return self.batch.seen[0].reshape(-1).copy()
-
     def frames(self) -> Iterator[NDArray[np.uint8] | None]:
         """Drive the last step again and draw 25 moments of each second: what `render` gives, for videos."""
         if self.render_mode is not None:
             yield from self.batch.film(self._open_renderer(), 0)
 
 
-def parallel_env(**arguments: Any) -> HeadToHeadEnv:
-    """Make a :class:`HeadToHeadEnv` (PettingZoo's parallel interface); the arguments are the class's."""
-    return HeadToHeadEnv(**arguments)
+parallel_env = HeadToHeadEnv
+"""PettingZoo's name for what makes an environment of its parallel interface."""
 
 
 def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], int | None]:
     """Make the same environment in PettingZoo's turn-by-turn interface: both cars move, then a step is driven."""
-    return parallel_to_aec(HeadToHeadEnv(**arguments))
+    return parallel_to_aec(parallel_env(**arguments))

@@ -2,9 +2,9 @@
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -14,7 +14,7 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.batch import BatchStep, check_batch_size
-from pcs_racing.envs.infos import Crash, Result, codes, of_players, race_info, race_infos, race_results
+from pcs_racing.envs.infos import Result, common_codes, of_players, race_info, race_infos, race_results
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
 from pcs_racing.envs.reset_options import start_option
@@ -68,46 +68,6 @@ class GameOptions:
 KEPT = 64  # games on circuits that no episode is on
 
 
-class CircuitGames:
-    """Games by the number of their circuit, made when they are first asked for; the last ones used are kept.
-
-    Parameters
-    ----------
-    variety : Variety
-        Circuits and cars of the batch.
-    opponent : see :func:`pcs_racing.envs.opponents.parse_opponents`
-        None where players move both cars.
-    threads : int, optional
-        Threads that share a step of a game.
-    """
-
-    def __init__(
-        self, variety: Variety, archive: PolicyArchive, rules: GameConfig, opponent: Any, threads: int | None
-    ) -> None:
-        self._variety, self._archive, self._rules = variety, archive, rules
-        self._opponent, self._threads = opponent, threads
-        self._games: RecentlyUsed[int, tuple[RaceGame, list[Opponent]]] = RecentlyUsed(KEPT + variety.episodes)
-
-    def on(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
-        """Return the game on a circuit, by its number, and the opponents in it."""
-        return self._games.get(circuit, lambda: self._make(circuit))
-
-    def _make(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
-        game = RaceGame(
-            self._variety.circuits.track(circuit),
-            self._archive,
-            self._rules,
-            threads=self._threads,
-            vehicles=self._variety.cars,
-            most_delay=self._variety.randomization.most_delay,
-        )
-        opponents = [] if self._opponent is None else parse_opponents(self._opponent, game)
-        planner = shared_planner(opponents, game)
-        if planner is not game.setup.planners[1]:
-            game = replace(game, opponent_planner=planner)
-        return game, opponents
-
-
 class GameBatch:
     """Games of moves; car 0 belongs to a player, car 1 to an opponent or to a second player.
 
@@ -117,71 +77,51 @@ class GameBatch:
     ----------
     episodes : int
         Number of games.
-    archive, race, **settings
-        As in :func:`pcs_racing.game.make.make_game`.
-    track, vehicle, randomize, obstacles
-        As in :class:`pcs_racing.envs.variety.Variety`.
-    opponent : see :func:`pcs_racing.envs.opponents.parse_opponents`
-        None where a second player moves car 1.
-    deterministic_opponent : bool
-        Whether trained models take their best move or draw one.
     threads : int, optional
         Threads that share a step.
     players : int
         2 where there is no opponent.
+    **arguments
+        Of :class:`GameOptions` and, to change the rules, of :class:`pcs_racing.game.config.GameConfig`.
     """
 
+    options_type: ClassVar[type[GameOptions]] = GameOptions
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
     frame_rate = 1
     film_rate: int | None = FILM_RATE
 
-    def __init__(
-        self,
-        episodes: int,
-        *,
-        track: Any,
-        archive: PolicyArchive | str | Path,
-        opponent: Any,
-        race: GameConfig | RaceConfig | str | Path,
-        deterministic_opponent: bool = True,
-        vehicle: Any = F1TENTH,
-        randomize: Any = None,
-        obstacles: Any = None,
-        threads: int | None = None,
-        players: int = 1,
-        **settings: Any,
-    ) -> None:
+    def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
         check_batch_size(episodes, threads)
-        if (opponent is None) is (players == 1):
+        own = {one.name for one in fields(self.options_type)}
+        options: Any = self.options_type(**{name: value for name, value in arguments.items() if name in own})
+        if (options.opponent is None) is (players == 1):
             raise InputError(
-                f"opponent is {opponent!r}; "
+                f"opponent is {options.opponent!r}; "
                 + ("name one, for instance 'random-moves'" if players == 1 else "both cars belong to players here")
             )
         self.episodes, self.players = int(episodes), players
-        self.variety = Variety(self.episodes, track, vehicle, randomize, obstacles)
+        self.variety = Variety(self.episodes, options.track, options.vehicle, options.randomize, options.obstacles)
         if "lidar_noise" in self.variety.drawn:
             raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
-        rules = load_game_config(race, **settings)
-        self._games = CircuitGames(self.variety, load_archive(archive), rules, opponent, threads)
+        rules = load_game_config(options.race, **{name: value for name, value in arguments.items() if name not in own})
+        self._made_of = load_archive(options.archive), rules, options.opponent, threads
+        self._games: RecentlyUsed[int, tuple[RaceGame, list[Opponent]]] = RecentlyUsed(KEPT + self.episodes)
         # The game on the first circuit; the rules are the same on the others.
-        self.game, self.opponents = self._games.on(0)
+        self.game, self.opponents = self.game_on(0)
         weights = np.array([each.weight for each in self.opponents] or [1.0])
         self._edges = np.cumsum(weights) / weights.sum()
-        self._deterministic = deterministic_opponent
-        self.horizon = self.game.config.moves
-        low, high = (np.array([getattr(e, end) for e in self.elements], np.float32) for end in ("low", "high"))
-        self.observation_space = spaces.Box(low, high, dtype=np.float32)
-        self.action_space = spaces.Discrete(len(self.game.move_names))
+        self._deterministic = options.deterministic_opponent
         moves = {NO_MOVE: "none", **dict(enumerate(self.game.competitor_moves))}
         self.codes: Mapping[str, Mapping[int, str]] = {
-            "crash": codes(Crash),
-            "opponent_crash": codes(Crash),
-            "result": codes(Result),
+            **common_codes(each.name for each in self.opponents),
             "move": moves,
             "opponent_move": moves,
-            "opponent": {-1: "none", **{i: each.name for i, each in enumerate(self.opponents)}},
             **self.variety.codes,
         }
+        self._set_rules(options)
+        low, high = (np.array([getattr(e, end) for e in self.elements], np.float32) for end in ("low", "high"))
+        self.observation_space = spaces.Box(low, high, dtype=np.float32)
+        self.action_space = spaces.Discrete(len(self.actions))
         self.state: GameState | None = None  #: None before the first `restart`.
         self.before: GameState | None = None  # what the last step began with: films are driven again from it
         #: shape (episodes, 2, D): What both players observe.
@@ -192,27 +132,44 @@ class GameBatch:
         self.memories: list[Any] = [None] * self.episodes
         self._begun: list[tuple[NDArray[np.uint64], Starts | None] | None] = [None] * self.episodes  # and not moved yet
 
-    @property
-    def elements(self) -> tuple[ObservationElement, ...]:
-        """Name, unit, bounds and meaning of each number of an observation."""
-        return self.game.observation_elements
+    def _set_rules(self, options: Any) -> None:
+        """Set what is played: what the players observe, their actions by name, and the steps of an episode."""
+        self.elements: tuple[ObservationElement, ...] = self.game.observation_elements
+        self.actions, self.horizon = self.game.move_names, self.game.config.moves
 
     @property
     def track(self) -> Track:
         """The circuit of the first episode."""
-        return self.track_of(0)
+        return self.game.track if self.state is None else self.variety.track(0)
 
-    def track_of(self, environment: int) -> Track:
-        """Return the circuit that an environment is on."""
-        return self.game.track if self.state is None else self.variety.track(environment // self.players)
+    def game_on(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
+        """Return the game on a circuit, by its number, and the opponents in it; made when it is first asked for."""
+        return self._games.get(circuit, lambda: self._make_game(circuit))
+
+    def _make_game(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
+        archive, rules, opponent, threads = self._made_of
+        game = RaceGame(
+            self.variety.circuits.track(circuit),
+            archive,
+            rules,
+            threads=threads,
+            vehicles=self.variety.cars,
+            most_delay=self.variety.randomization.most_delay,
+        )
+        opponents = [] if opponent is None else parse_opponents(opponent, game)
+        # The opponents can only be read in a game, and then say which planner it must be made with.
+        planner = shared_planner(opponents, game)
+        if planner is not game.setup.planners[1]:
+            game = replace(game, opponent_planner=planner)
+        return game, opponents
 
     def game_of(self, episode: int) -> RaceGame:
         """Return the game on the circuit of an episode."""
-        return self._games.on(int(self.variety.circuits.number[episode]))[0]
+        return self.game_on(int(self.variety.circuits.number[episode]))[0]
 
     def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
-        """Return moves as (episodes, players)."""
-        checked = check_moves(actions, self.game.move_names, shape, ("environment",), player="action")
+        """Return actions as (episodes, players)."""
+        checked = check_moves(actions, self.actions, shape, ("environment",), player="action")
         return checked.reshape(self.episodes, self.players)
 
     def restart(
@@ -227,27 +184,22 @@ class GameBatch:
         the line (m) and side (0 puts car 0 on the left or in front); and "obstacles", boxes (x, y, heading, length,
         width), for each game or for all.
         """
-        starts = start_option(options, len(rows))
-        policies = check_policies(self.game.archive, options.get("policies"), len(rows))
-        boxes = obstacles_option(options, len(rows))
+        starts, policies, boxes = self._read(options, len(rows))
         self.variety.draw(rows, generators)
         if self.variety.obstacles is not None and starts is None:  # they must be known, to keep obstacles away
             lines = [self.game_of(row).start_lines for row in rows]
             drawn_lines = [line[gen.integers(len(line))] for line, gen in zip(lines, generators, strict=True)]
             starts = Starts(np.array(drawn_lines), np.array([gen.integers(2) for gen in generators], np.int64))
+        # Without obstacles to draw nobody reads the places.
         places = np.zeros((len(rows), 2)) if starts is None else np.repeat(starts.s[:, None], 2, axis=1)
         self.variety.place_obstacles(rows, places, generators, boxes)
+        # A game is a function of this key, whatever the generator draws later.
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
-        drivers: list[Policy | None] = []
-        drawn = np.zeros(len(rows), np.int64)
-        for i, generator in enumerate(generators):
-            if self.opponents:
-                drawn[i] = draw_opponent(self._edges, generator)
-            drivers.append(self.opponents[drawn[i]].draw_policy(generator) if self.opponents else None)
+        drawn, drivers = self._draw_opponents(generators)
         if self.state is None:
             self.state = self._empty()
         for circuit, some in self.variety.groups(rows):
-            fresh = self._games.on(circuit)[0].reset(
+            fresh = self.game_on(circuit)[0].reset(
                 keys[some],
                 policies=policies[some],
                 starts=None if starts is None else starts.take(some),
@@ -260,6 +212,24 @@ class GameBatch:
             self.memories[row] = None
             self._begun[row] = keys[i : i + 1], None if starts is None else starts.take(np.array([i]))
         self.seen = self.game.observation(self.state)
+
+    def _read(self, options: Mapping[str, Any], count: int) -> tuple[Starts | None, NDArray[np.int64], Any]:
+        """Return the options of a reset of some episodes: starts, policies and obstacles."""
+        policies = check_policies(self.game.archive, options.get("policies"), count)
+        return start_option(options, count), policies, obstacles_option(options, count)
+
+    def _draw_opponents(
+        self, generators: Sequence[np.random.Generator]
+    ) -> tuple[NDArray[np.int64], list[Policy | None]]:
+        """Draw the opponent of each new episode: its index and, of a driver, the policy that it keeps to."""
+        drawn = np.zeros(len(generators), np.int64)
+        if not self.opponents:
+            return drawn, [None] * len(generators)
+        drivers = []
+        for i, generator in enumerate(generators):
+            drawn[i] = draw_opponent(self._edges, generator)
+            drivers.append(self.opponents[drawn[i]].draw_policy(generator))
+        return drawn, drivers
 
     def started(self) -> GameState:
         """Return the state."""
@@ -282,14 +252,15 @@ class GameBatch:
         return BatchStep(self._observations(), rewards, done, np.zeros(len(done), np.bool_))
 
     def _apply(self, state: GameState, moves: NDArray[np.int64]) -> GameState:
+        # On one circuit the whole batch is one call: no games are taken out and put back.
         groups = self.variety.groups(np.arange(self.episodes))
         if len(groups) == 1:
             circuit, rows = groups[0]
-            return self._games.on(circuit)[0].apply(state, moves, self.variety.conditions(rows))
+            return self.game_on(circuit)[0].apply(state, moves, self.variety.conditions(rows))
         new = state.copy()
         for circuit, rows in groups:
             conditions = self.variety.conditions(rows)
-            put_games(new, rows, self._games.on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions))
+            put_games(new, rows, self.game_on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions))
         return new
 
     def _replies(
@@ -303,10 +274,11 @@ class GameBatch:
         replies = np.zeros(self.episodes, np.int64)
         among = np.arange(self.episodes) if among is None else among
         for circuit, some in self.variety.groups(among):
-            game, opponents = self._games.on(circuit)
+            game, opponents = self.game_on(circuit)
             on = among[some]
             for k, opponent in enumerate(opponents):
                 rows = on[self.drawn[on] == k]
+                # A driver makes no moves.
                 if len(rows) == 0 or opponent.policies:
                     continue
                 asked = ask_moves(
@@ -326,6 +298,10 @@ class GameBatch:
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
         """Write the observations of some games into the rows of their players."""
         out.reshape(self.episodes, self.players, -1)[rows] = self.seen[rows, : self.players]
+
+    def both_views(self) -> NDArray[np.float32]:
+        """What each car of every game observes, whoever moves it, shape (B, 2, D)."""
+        return self.seen
 
     def _observations(self) -> NDArray[np.float32]:
         return self.seen[:, : self.players].reshape(self.episodes * self.players, -1).copy()
@@ -405,6 +381,7 @@ class GameBatch:
         """Where the pieces of driving of an episode's last step began, and the parameters that drove them."""
         state = self.started()
         theta, begun = state.theta[episode : episode + 1].copy(), self._begun[episode]
+        # The first step was driven when the game began; it starts on the grid, which is made again from the keys.
         if begun is not None:
             conditions = self.variety.conditions(np.array([episode]))
             noise = state.race.seed[episode : episode + 1]
@@ -456,6 +433,7 @@ class GameBatch:
     def _check_state(self, state: Any) -> None:
         if not isinstance(state, GameState) or state.games != self.episodes:
             raise InputError(f"the state is not one of {self.episodes} games; use what get_state returned")
+        # Shapes before values: an index in an archive says nothing if the arrays belong to another game.
         model = self._empty()
         names = (*model.race._fields, *model._fields[1:])
         given: list[Any] = [*state.race, *state[1:]]

@@ -24,7 +24,7 @@ Every environment uses the same names, and every value is a number or an array o
 | `action_mask` | 1 for each move that may be made (int8) |
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from typing import Any
 
@@ -60,6 +60,13 @@ def codes(kind: type[IntEnum]) -> dict[int, str]:
     return {member.value: member.name.lower() for member in kind}
 
 
+def common_codes(opponents: Iterable[str]) -> dict[str, dict[int, str]]:
+    """Words of the infos of every environment that are codes, from the names of its opponents."""
+    crash = codes(Crash)
+    names = {-1: "none", **dict(enumerate(opponents))}
+    return {"crash": crash, "opponent_crash": crash, "result": codes(Result), "opponent": names}
+
+
 def of_players(values: NDArray[Any], players: int) -> NDArray[Any]:
     """Copy what belongs to the players, shape (B * players, ...), out of an array of both cars, shape (B, 2, ...)."""
     return np.array(values[:, :players]).reshape(-1, *values.shape[2:])
@@ -85,6 +92,7 @@ def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
 
 def race_results(winner: NDArray[np.int8], crashed: NDArray[np.bool_], players: int) -> NDArray[np.int64]:
     """How races that are over ended for each player: :class:`Result`, shape (B, players)."""
+    # Without a winner it was a tie, or a crash that the rules give to nobody.
     nobody = np.where(crashed, Result.CRASH, Result.TIE)
     cars = np.arange(players)
     won = np.where(winner[:, None] == cars, Result.WIN, Result.LOSS)
@@ -95,6 +103,7 @@ def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
     """Return the same of one car in one race, as plain numbers: in a tenth of the time that arrays of one take."""
     other = 1 - car
     progress = races.progress.item(race, car)
+    # The first crossing of the line begins a lap and ends none.
     laps = max(int(races.laps.item(race, car, MOST_CROSSINGS)) - 1, 0)
     return {
         "time": races.tick.item(race) * DT,

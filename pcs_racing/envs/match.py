@@ -8,18 +8,16 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.envs.arguments import Declared
-from pcs_racing.envs.duel import HeadToHeadEnv
-from pcs_racing.envs.filmed import FilmedEnv
+from pcs_racing.envs.duel import AXES, DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.envs.match_batch import MatchBatch, MatchOptions
-from pcs_racing.envs.opponents import Opponent
-from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.game.config import GameConfig
+from pcs_racing.envs.over_batch import with_table
 from pcs_racing.game.match import MatchGame
-from pcs_racing.game.rules import RaceGame
+from pcs_racing.game.match_observation import match_elements
+from pcs_racing.game.observation import observation_table
 
 
-class MatchEnv(FilmedEnv):
+@with_table(observation_table(match_elements(AXES, MatchOptions().races)))
+class MatchEnv(DuelEnv):
     """Play a match: several races against the same opponent, with a policy to choose before each of them.
 
     ## Description
@@ -42,25 +40,13 @@ class MatchEnv(FilmedEnv):
     ## Observation Space
 
     ``Box(float32)`` with ``races (2 G + 3) + 2`` elements for G characteristics, 23 by default;
-    ``env.unwrapped.elements`` holds name, unit, bounds and meaning of each. Race ``r`` counts from 0. "Range" means
-    that 0 is the archive's smallest and 1 its largest value. Of races to come all numbers are 0.
+    ``env.unwrapped.elements`` holds name, unit, bounds and meaning of each. Races count from 0. "Range" means that 0 is
+    the archive's smallest and 1 its largest value. Of races to come all numbers are 0.
 
-    | Index | Element | Unit | Low | High |
-    |---|---|---|---|---|
-    | 7r | race_r_own_aggressiveness | range | -1 | 2 |
-    | 7r + 1 | race_r_own_restraint | range | -1 | 2 |
-    | 7r + 2 | race_r_opponent_aggressiveness | range | -1 | 2 |
-    | 7r + 3 | race_r_opponent_restraint | range | -1 | 2 |
-    | 7r + 4 | race_r_lead | 20 m | -5 | 5 |
-    | 7r + 5 | race_r_score | 1 | 0 | 1 |
-    | 7r + 6 | race_r_driven | 1 | 0 | 1 |
-    | 21 | races_left | 1 | 0 | 1 |
-    | 22 | front | 1 | 0 | 1 |
+    {observation_table}
 
-    The opponent's coordinates are measured over the whole race. ``race_r_driven`` is the share of its duration that a
-    race lasted, below 1 after a crash. ``front`` is 1 if the own car starts the next race on the left or in front. With
-    ``race_moves`` there follow ``racing``, 1 while a race goes on, and the observation of
-    :class:`pcs_racing.envs.duel.DuelEnv` in that race, 0 between races.
+    After a crash a race lasted less than its duration. With ``race_moves`` there follow ``racing``, 1 while a race goes
+    on, and the observation of :class:`pcs_racing.envs.duel.DuelEnv` in that race, 0 between races.
 
     ## Rewards
 
@@ -148,52 +134,18 @@ class MatchEnv(FilmedEnv):
 
     batch_type = MatchBatch
     batch: MatchBatch
-    declared = Declared(MatchOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig)
-
-    @property
-    def game(self) -> RaceGame:
-        """The rules of the races."""
-        return self.batch.game
+    declared = replace(DuelEnv.declared, options=MatchOptions)
 
     @property
     def match(self) -> MatchGame:
-        """The rules."""
+        """The rules; ``game`` holds those of the races."""
         return self.batch.match
 
-    @property
-    def opponents(self) -> list[Opponent]:
-        """The opponents among which each match's is drawn."""
-        return list(self.batch.opponents)
 
-    def action_masks(self) -> NDArray[np.bool_]:
-        """Actions that are asked for, shape (A,), as sb3-contrib's MaskablePPO asks for them."""
-        return self.batch.action_masks()[0]
-
-
-class MatchVectorEnv(BatchVectorEnv):
+class MatchVectorEnv(DuelVectorEnv):
     """Many :class:`MatchEnv` in one, with the same numbers for the same seeds.
 
-    Parameters
-    ----------
-    num_envs : int
-        Number of matches.
-    autoreset_mode : AutoresetMode or str
-        What happens after a match has ended: see :class:`pcs_racing.envs.vector.BatchVectorEnv`.
-    max_episode_steps : int, optional
-        Steps after which a match is truncated.
-    threads : int, optional
-        Threads that share a step, all cores by default; the result does not depend on it.
-    track, archive, opponent, race, races, race_moves, deterministic_opponent, vehicle, randomize, obstacles
-        As for :class:`MatchEnv`.
-    render_mode, view, render_size, **settings
-        As for :class:`MatchEnv`; `render` returns a frame for each environment.
-
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
+    The arguments are those of :class:`MatchEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`.
 
     Examples
     --------
@@ -208,32 +160,16 @@ class MatchVectorEnv(BatchVectorEnv):
     declared = replace(MatchEnv.declared, positional=())
 
     @property
-    def game(self) -> RaceGame:
-        """The rules of the races."""
-        return self.batch.game
-
-    @property
     def match(self) -> MatchGame:
-        """The rules."""
+        """The rules; ``game`` holds those of the races."""
         return self.batch.match
-
-    def action_masks(self) -> NDArray[np.bool_]:
-        """Actions that are asked for, shape (num_envs, A), as sb3-contrib's MaskablePPO asks for them."""
-        return self.batch.action_masks()
 
 
 class SelfPlayMatchVectorEnv(MatchVectorEnv):
     """Matches in which both cars belong to the agent: environment ``2 i`` is car 0 of match ``i``, ``2 i + 1`` car 1.
 
     One policy that acts in all environments plays against itself. Seeds belong to matches: ``reset(seed=...)`` takes
-    one for each match.
-
-    Parameters
-    ----------
-    num_envs : int
-        Twice the number of matches.
-    **arguments
-        As for :class:`MatchVectorEnv`, without ``opponent``.
+    one for each match. The arguments are those of :class:`MatchVectorEnv`, without ``opponent``.
 
     Examples
     --------
@@ -323,11 +259,10 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
         return self.batch.match
 
 
-def parallel_env(**arguments: Any) -> HeadToHeadMatchEnv:
-    """Make a :class:`HeadToHeadMatchEnv` (PettingZoo's parallel interface); the arguments are the class's."""
-    return HeadToHeadMatchEnv(**arguments)
+parallel_env = HeadToHeadMatchEnv
+"""PettingZoo's name for what makes an environment of its parallel interface."""
 
 
 def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], int | None]:
     """Make the same environment in PettingZoo's turn-by-turn interface: both players choose, then a race is driven."""
-    return parallel_to_aec(HeadToHeadMatchEnv(**arguments))
+    return parallel_to_aec(parallel_env(**arguments))

@@ -6,22 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.infos import Result, codes, of_players, one_info
-from pcs_racing.envs.obstacles import obstacles_option
-from pcs_racing.envs.opponents import draw_opponent
-from pcs_racing.envs.reset_options import start_option
 from pcs_racing.game.competitor import Chooser
-from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, put_matches
-from pcs_racing.game.match_choices import ask_choices
-from pcs_racing.game.moves import check_moves
-from pcs_racing.game.observation import ObservationElement
-from pcs_racing.game.starting import check_policies
+from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, ask_choices, put_matches
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.races import start_races
 from pcs_racing.race.start_grid import Starts
@@ -50,44 +42,31 @@ class MatchBatch(GameBatch):
     ----------
     episodes : int
         Number of matches.
-    races, race_moves
-        See :class:`pcs_racing.game.match.MatchConfig`.
     **arguments
-        As for :class:`pcs_racing.envs.game_batch.GameBatch`.
+        As for :class:`pcs_racing.envs.game_batch.GameBatch`, with those of :class:`MatchOptions`.
     """
 
-    reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
+    options_type = MatchOptions
 
-    def __init__(self, episodes: int, *, races: int = 3, race_moves: bool = False, **arguments: Any) -> None:
+    def __init__(self, episodes: int, **arguments: Any) -> None:
         for name in UNUSED:
             if name in arguments:
                 raise InputError(f"{name} does not count in a match, which pays the score of each race; leave it out")
-        config = MatchConfig(races=races, race_moves=race_moves)
         super().__init__(episodes, **arguments)
-        self.match = MatchGame(self.game, config)
-        self.horizon = races * (self.game.config.moves + 1) if race_moves else races
-        low, high = (np.array([getattr(e, end) for e in self.elements], np.float32) for end in ("low", "high"))
-        self.observation_space = spaces.Box(low, high, dtype=np.float32)
-        self.actions = tuple(f"policy {i}" for i in range(len(self.game.archive)))
-        if race_moves:
-            self.actions += self.game.move_names
-        self.action_space = spaces.Discrete(len(self.actions))
         self.codes = {**self.codes, "race_result": codes(Result)}
-        self.seen = np.zeros((self.episodes, 2, len(low)), np.float32)
         self.played: MatchState | None = None  #: None before the first `restart`; ``state`` is its game.
         #: In a batch of one match, what the pieces of driving of the last step began with, and their parameters.
         self.driven: list[tuple[RaceState, NDArray[np.float64]]] = []
 
-    @property
-    def elements(self) -> tuple[ObservationElement, ...]:
-        """Name, unit, bounds and meaning of each number of an observation."""
-        # Asked by the base class before there is a match; its space is replaced then.
-        return self.match.observation_elements if hasattr(self, "match") else self.game.observation_elements
-
-    def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
-        """Return actions as (episodes, players)."""
-        checked = check_moves(actions, self.actions, shape, ("environment",), player="action")
-        return checked.reshape(self.episodes, self.players)
+    def _set_rules(self, options: MatchOptions) -> None:
+        config = MatchConfig(races=options.races, race_moves=options.race_moves)
+        self.match = MatchGame(self.game, config)
+        self.elements = self.match.observation_elements
+        self.actions = tuple(f"policy {i}" for i in range(len(self.game.archive)))
+        self.horizon = config.races
+        if config.race_moves:
+            self.actions += self.game.move_names
+            self.horizon *= self.game.config.moves + 1
 
     def restart(
         self,
@@ -101,17 +80,11 @@ class MatchBatch(GameBatch):
         their players do not choose (-1 draws one); "start", arc length of the line of all races (m) and side of the
         first race; and "obstacles", boxes (x, y, heading, length, width); each for every match or for all.
         """
-        starts = start_option(options, len(rows))
-        boxes = obstacles_option(options, len(rows))
-        policies = check_policies(self.game.archive, options.get("policies"), len(rows))
+        starts, policies, boxes = self._read(options, len(rows))
         self.variety.draw(rows, generators)
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
-        drivers: list[Policy | None] = []
-        drawn = np.zeros(len(rows), np.int64)
-        for i, generator in enumerate(generators):
-            if self.opponents:
-                drawn[i] = draw_opponent(self._edges, generator)
-            drivers.append(self.opponents[drawn[i]].draw_policy(generator) if self.opponents else None)
+        drawn, drivers = self._draw_opponents(generators)
+        # Of all rows, on any circuit, for the shapes; each circuit then writes its own.
         fresh = self.match.begin(keys, opponents=drivers)
         for circuit, some in self.variety.groups(rows):
             own = None if starts is None else starts.take(some)
@@ -135,7 +108,7 @@ class MatchBatch(GameBatch):
 
     def match_on(self, circuit: int) -> MatchGame:
         """Return the rules on a circuit, by its number."""
-        game = self._games.on(circuit)[0]
+        game = self.game_on(circuit)[0]
         return self.match if game is self.match.game else MatchGame(game, self.match.config)
 
     def _forget(self, rows: NDArray[np.int64]) -> None:
@@ -158,6 +131,7 @@ class MatchBatch(GameBatch):
             if len(racing):
                 played = self._move(played, racing, generators, actions)
         else:
+            # Races of a batch end at different times, by crashes; those that go on are driven to their end.
             while (going := np.flatnonzero(played.racing)).size:
                 played = self._move(played, going, generators, None)
         self._follow(played)
@@ -176,14 +150,16 @@ class MatchBatch(GameBatch):
         memory, started = self.match.memory(played)[:, 1], played
         for circuit, some in self.variety.groups(between):
             match, on = self.match_on(circuit), between[some]
-            for k, opponent in enumerate(self._games.on(circuit)[1]):
+            for k, opponent in enumerate(self.game_on(circuit)[1]):
                 rows = on[self.drawn[on] == k]
                 if len(rows) and isinstance(opponent.competitor, Chooser):
                     chosen = ask_choices(opponent.competitor, match, played, 1, rows=rows, memory=memory)
                     choices[rows, 1] = chosen[rows]
             started = match.start(started, choices, on, conditions)
+        # A new race is a new game for an opponent that remembers.
         self._forget(between)
         self.moves[between] = -1
+        # Only single environments make films; a batch would keep copies for nobody.
         if self.episodes == 1:
             race, setup = int(played.race[0]), self.game_of(0).setup
             starts = Starts(played.starts[:, race], played.sides[:, race])
@@ -203,10 +179,12 @@ class MatchBatch(GameBatch):
         moves = np.full((self.episodes, 2), stay, np.int64)
         if actions is not None:
             policies = len(game.archive)
+            # Actions below the number of policies are choices, which nobody asked for while a race goes on.
             moves[:, : self.players] = np.where(actions < policies, stay, actions - policies)
         if self.players == 1:
             seen = game.observation(played.game)
             replies = self._replies(played.game, generators, seen[:, 1], rows)
+            # One that chooses before a race keeps its policy in it, even if it could also move.
             choosing = np.array([isinstance(each.competitor, Chooser) for each in self.opponents])
             moves[:, 1] = np.where(choosing[self.drawn], stay, replies)
         self.moves[rows] = moves[rows]

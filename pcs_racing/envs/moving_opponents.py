@@ -59,11 +59,13 @@ class MovingOpponents:
         generators: Sequence[np.random.Generator],
     ) -> None:
         """Let the opponents move whose step of the game is over, and set their parameters."""
+        # The races are the drive's own; the games only add who moved when.
         games = self._games._replace(race=races)
         due = (games.policy[:, 1] != OUTSIDE) & ~self.game.done(games)
         rows = np.flatnonzero(due & (races.tick >= (games.step + 1) * self.game.config.step_ticks))
         if len(rows) == 0:
             return
+        # Only games whose step is over are measured: the others would be measured over a part of it.
         estimates = np.zeros((len(drawn), 2, len(self.game.characteristics)))
         estimates[rows] = self.game.measure(take(self._before, rows), take(races, rows))
         self.game.record_step(games, rows, estimates)

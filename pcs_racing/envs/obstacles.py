@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import is_number, is_whole
-from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Settings, checked, choice, load_settings, number, setting
+from pcs_racing.base.checks import is_whole
+from pcs_racing.base.settings import Settings, choice, number, setting
+from pcs_racing.envs.randomization import load_drawn, range_rule
+from pcs_racing.envs.reset_options import read_numbers
 from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.obstacles import BOX
 from pcs_racing.track.track import Track
@@ -21,32 +22,17 @@ TRIES = 50  # places that are tried for an obstacle before it is left out
 BEFORE_START, AFTER_START = 3.0, 8.0  # m around the start that stay free
 
 
-def _count(value: Any) -> tuple[int, int]:
-    pair = [value, value] if is_whole(value) else value
-    if not isinstance(pair, list | tuple) or len(pair) != 2 or not all(map(is_whole, pair)):
-        pair = [1, 0]
-    if not 0 <= pair[0] <= pair[1] <= MOST:
-        raise InputError(f"count of obstacles is {value!r}; it must be a whole number or [low, high], from 0 to {MOST}")
-    return int(pair[0]), int(pair[1])
-
-
-def _size(value: Any) -> tuple[float, float]:
-    pair = [value, value] if is_number(value) else value
-    fine = isinstance(pair, list | tuple) and len(pair) == 2 and all(map(is_number, pair))
-    if not fine or not 0.05 <= pair[0] <= pair[1] <= 2.0:
-        raise InputError(f"size of obstacles is {value!r}; it must be [low, high] with 0.05 <= low <= high <= 2")
-    return float(pair[0]), float(pair[1])
-
-
 @dataclass(frozen=True)
 class Obstacles(Settings):
     """Obstacles that stand on the track during an episode; their place, heading and sides are drawn uniformly."""
 
     count: tuple[int, int] = setting(
-        (1, 3), checked(_count, f"from 0 to {MOST}"), "How many there are: a number, or the fewest and the most."
+        (1, 3),
+        range_rule(" of obstacles", 0, MOST, is_whole),
+        "How many there are: a number, or the fewest and the most.",
     )
     size: tuple[float, float] = setting(
-        (0.2, 0.4), checked(_size, "from 0.05 to 2"), "Length of a side, or the shortest and the longest, m."
+        (0.2, 0.4), range_rule(" of obstacles", 0.05, 2.0), "Length of a side, or the shortest and the longest, m."
     )
     shape: str = setting(
         "box", choice(SHAPES), "What they are: boxes, circles (their diameter is drawn as a side is), or either."
@@ -68,12 +54,14 @@ class Obstacles(Settings):
         boxes: list[list[float]] = []
         places: list[float] = []
         for _ in range(int(generator.integers(self.count[0], self.count[1] + 1))):
+            # An episode with fewer obstacles is better than one that hangs on a narrow circuit.
             for _ in range(TRIES):
                 s, across, heading = generator.random(3) * (length, 1.0, np.pi)
                 sides = self.size[0] + (self.size[1] - self.size[0]) * generator.random(2)
                 if self.shape == "circle" or (self.shape == "both" and generator.random() < 0.5):
                     heading, sides[1] = 0.0, 0.0
                 sample = line[int(s / track.arrays.ds) % len(line)]
+                # Whatever its heading, a box stays within half of its diagonal.
                 reach = 0.5 * float(np.hypot(*sides))
                 d = -sample[RIGHT] + across * (sample[LEFT] + sample[RIGHT])
                 free = max(sample[LEFT] - d, sample[RIGHT] + d) - reach
@@ -100,15 +88,12 @@ def load_obstacles(source: Obstacles | Mapping[str, Any] | int | str | Path | No
     >>> load_obstacles(3).count
     (3, 3)
     """
-    if source is None or isinstance(source, Obstacles):
-        return source
+    if source is None:
+        return None
     if is_whole(source):
         return Obstacles(count=source)  # type: ignore[arg-type]
-    if isinstance(source, Mapping):
-        if not all(isinstance(name, str) for name in source):
-            raise ConfigError(f"obstacles are {source!r:.200}; they must be a mapping of settings")
-        return load_settings("obstacles", Obstacles(), None, **source)
-    return load_settings("obstacles", Obstacles(), source)  # type: ignore[arg-type]
+    obstacles: Obstacles = load_drawn("obstacles", Obstacles(), source)
+    return obstacles
 
 
 def obstacles_option(options: Mapping[str, Any], episodes: int) -> Sequence[NDArray[np.float64]] | None:
@@ -117,19 +102,9 @@ def obstacles_option(options: Mapping[str, Any], episodes: int) -> Sequence[NDAr
     A width of 0 makes one a circle (:data:`pcs_racing.track.obstacles.BOX`).
     """
     given = options.get("obstacles")
-    if given is None:
-        return None
-    try:
-        boxes = np.asarray(given, np.float64)
-    except (TypeError, ValueError):
-        boxes = np.full(1, np.nan)
-    if boxes.size == 0:
-        boxes = np.empty((0, len(BOX)))
-    if boxes.ndim == 2:
-        boxes = np.broadcast_to(boxes, (episodes, *boxes.shape))
-    if boxes.ndim != 3 or boxes.shape[::2] != (episodes, len(BOX)) or not np.isfinite(boxes).all():
-        raise InputError(
-            f"reset option 'obstacles' is {given!r:.80}; it must be boxes ({', '.join(BOX)}), finite numbers of shape "
-            f"(K, {len(BOX)}) or ({episodes}, K, {len(BOX)})"
-        )
-    return list(boxes)
+    if isinstance(given, list | tuple) and len(given) == 0:  # which has no second axis
+        return [np.empty((0, len(BOX)))] * episodes
+    shapes = ((None, len(BOX)), (episodes, None, len(BOX)))
+    meaning = f"boxes ({', '.join(BOX)}) of shape (K, {len(BOX)}) or ({episodes}, K, {len(BOX)})"
+    boxes = read_numbers(options, "obstacles", shapes, meaning)
+    return None if boxes is None else list(np.broadcast_to(boxes, (episodes, *boxes.shape[-2:])))

@@ -76,6 +76,7 @@ def draw_opponent(edges: NDArray[np.float64], generator: np.random.Generator) ->
 def drive_opponents(given: Any, make_game: Callable[[], RaceGame]) -> list[Opponent]:
     """Read the argument ``opponent`` of Drive; the game is made only where an opponent is no policy."""
     entries = given if isinstance(given, list | tuple) else [given]
+    # Policies need no game, which an archive would be loaded for.
     policies = [parse_policy(one) if _is_policy_text(one) else one for one in entries]
     if policies and all(isinstance(policy, Policy) for policy in policies):
         return [Opponent(policy.name, 1.0, policy, (policy,)) for policy in policies]
@@ -97,6 +98,7 @@ def shared_planner(opponents: list[Opponent], game: RaceGame | None) -> Planner:
     planners = [opponent.planner or game.archive.family() for opponent in opponents]  # type: ignore[union-attr]
     if not planners:
         return game.archive.family()  # type: ignore[union-attr]
+    # The kernel is handed one planner for each car; a mixture only changes its parameters.
     for opponent, planner in zip(opponents, planners, strict=True):
         if planner is not planners[0]:
             raise InputError(

@@ -1,15 +1,18 @@
-"""What Gymnasium's environments of one and of many episodes have in common: both are views of a batch."""
+"""What all environments have in common: they are views of a batch, made from arguments that are declared once."""
 
 import copy
-from inspect import Signature
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from functools import cached_property
+from inspect import Parameter, Signature, signature
+from typing import Any, ClassVar, Self, TypeVar
 
 from gymnasium.envs.registration import EnvSpec
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.envs.arguments import Declared
+from pcs_racing.base.checks import check_choice
+from pcs_racing.base.errors import InputError, UnknownNameError, choices, unknown_argument
 from pcs_racing.envs.batch import Batch
-from pcs_racing.race.rendering import Renderer
+from pcs_racing.race.rendering import MODES, VIEWS, Renderer
 from pcs_racing.track.track import Track
 
 FILM = "rgb_array_list"
@@ -21,19 +24,86 @@ WINDOW_TICKS = 16
 REBUILDING = ("track", "opponent")
 """Options of a reset that stand for arguments of the environment."""
 
+_Class = TypeVar("_Class")
+_BY_PLACE, _BY_NAME = Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY
+
+
+@dataclass(frozen=True)
+class Declared:
+    """Arguments that a class of environments takes for its batch."""
+
+    options: type[Any]  #: Dataclass of the batch's arguments; the environment's have the same defaults, unless changed.
+    positional: tuple[str, ...] = ()  #: Those that may be given by position, in order.
+    more: type[Any] | None = None  #: Dataclass of which every field may be given, too.
+    changed: Mapping[str, Any] = field(default_factory=dict)  #: Other defaults, by name.
+
+    @cached_property
+    def defaults(self) -> dict[str, Any]:
+        """Value of each argument that is not given."""
+        declared = {
+            one.name: one.default if one.default_factory is MISSING else one.default_factory()
+            for one in fields(self.options)
+        }
+        return declared | dict(self.changed)
+
+    def signature(self, begin: Callable[..., Any], players: int) -> Signature:
+        """Signature of a class: the batch's arguments, and those of its method ``begin`` except ``arguments``."""
+        own = [one for name, one in signature(begin).parameters.items() if name not in ("self", "arguments")]
+        listed = [name for name in self.defaults if name not in self.positional]
+        kinds = {one.name: one.type for one in fields(self.options)}
+        # Python wants arguments by place first: the number of environments, the circuit, the opponent.
+        parameters = [one.replace(kind=_BY_PLACE, default=players) for one in own if one.name == "num_envs"]
+        for names, way in ((self.positional, _BY_PLACE), (listed, _BY_NAME)):
+            parameters += [Parameter(name, way, default=self.defaults[name], annotation=kinds[name]) for name in names]
+        parameters += [one.replace(kind=_BY_NAME) for one in own if one.name != "num_envs"]
+        if self.more is not None:
+            parameters.append(Parameter("settings", Parameter.VAR_KEYWORD, annotation=Any))
+        return Signature(parameters)
+
+    def sort(
+        self, kind: type[Any], given: tuple[Any, ...], named: dict[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return the arguments of the batch, those that are not given included, and those of the environment itself."""
+        own = kind.__signature__.parameters.keys() - self.defaults.keys() - {"settings"}
+        more = () if self.more is None else (one.name for one in fields(self.more))
+        known = dict.fromkeys([*kind.__signature__.parameters, *self.defaults, *more])
+        known.pop("settings", None)
+        # Before Python binds them: its own error would not say which name was meant.
+        for name in named:
+            if name not in known:
+                raise unknown_argument(kind.__name__, name, known)
+        bound = kind.__signature__.bind(*given, **named).arguments
+        bound |= bound.pop("settings", {})
+        return (
+            {**self.defaults, **{name: value for name, value in bound.items() if name not in own}},
+            {name: value for name, value in bound.items() if name in own},
+        )
+
+
+def with_table(table: str) -> Callable[[type[_Class]], type[_Class]]:
+    """Put the table of an observation, made of its elements, into the docstring of a class."""
+
+    def described(kind: type[_Class]) -> type[_Class]:
+        if kind.__doc__ is not None:  # as with ``python -OO``
+            kind.__doc__ = kind.__doc__.replace("{observation_table}", table.replace("\n", "\n    "))
+        return kind
+
+    return described
+
 
 class OverBatch:
-    """What an environment over a batch knows of it, how it was made, and its frames."""
+    """What an environment over a batch knows of it, how it was made and is copied, and its frames."""
 
     batch_type: ClassVar[type[Any]]
     declared: ClassVar[Declared]  #: Arguments of the batch.
     __signature__: ClassVar[Signature]  #: What Python shows as the class's arguments.
     players: ClassVar[int] = 1  #: Environments that belong to the same episode: 2 for both cars of a race.
     batch: Batch
-    metadata: dict[str, Any]
+    metadata: dict[str, Any] = {"render_modes": list(MODES), "render_fps": 1}  # noqa: RUF012
     render_mode: str | None
     view: str
     render_size: tuple[int, int]  #: Width and height of a frame in pixels.
+    _arguments: dict[str, Any]  # of the batch
     _spec: EnvSpec | None = None
     _renderer: Renderer | None = None
 
@@ -47,8 +117,25 @@ class OverBatch:
         self._begin(arguments=arguments, **own)
 
     def _begin(self, *args: Any, **kwargs: Any) -> None:
-        """Make the batch with its ``arguments``, and the environment over it with the other ones."""
+        """Make the batch with its ``arguments``, and the environment over it with the others.
+
+        Each of the others is kept as an attribute of its name: a copy is made with them.
+        """
         raise NotImplementedError
+
+    def _make_batch(self, arguments: dict[str, Any]) -> Batch:
+        raise NotImplementedError
+
+    def _use(self, batch: Batch, arguments: dict[str, Any]) -> None:
+        self.batch, self._arguments = batch, arguments
+        own = {"render_fps": self._frames_per_second(), "codes": batch.codes}
+        self.metadata = {**type(self).metadata, **own}
+
+    def _set_looks(self, render_mode: str | None, view: str, render_size: tuple[int, int]) -> None:
+        check_choice("view", view, VIEWS)
+        if render_mode is not None:
+            check_choice("render_mode", render_mode, self.metadata["render_modes"])
+        self.render_mode, self.view, self.render_size = render_mode, view, render_size
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -76,9 +163,56 @@ class OverBatch:
         track: Track = self.batch.track
         return track
 
+    # Resets
+
+    def _options(self, options: Any, *more: str) -> dict[str, Any]:
+        """Return the options of a reset, those that are None left out; ``more`` are known beside the batch's."""
+        if options is None:
+            return {}
+        if not isinstance(options, Mapping):
+            raise InputError(f"options are {options!r}; they must be None or a mapping")
+        known = (*more, *REBUILDING, *self.batch.reset_options)
+        for name in options:
+            if name not in known:
+                raise UnknownNameError(f"reset option {name!r} is unknown; {choices(str(name), known)}")
+        return {name: value for name, value in options.items() if value is not None}
+
+    def _batch_for(self, options: dict[str, Any]) -> tuple[Batch, dict[str, Any]]:
+        """Return the batch of a reset and its arguments, some of which its options, taken out here, may replace."""
+        changes = {name: options.pop(name) for name in REBUILDING if name in options}
+        arguments = {**self._arguments, **changes}
+        return (self._make_batch(arguments) if changes else self.batch), arguments
+
+    def _change_to(self, batch: Batch, arguments: dict[str, Any]) -> None:
+        """Use another batch from now on, when its first episode has begun: an error before leaves all as it was."""
+        if batch is not self.batch:
+            self._close_renderer()  # which knows the former circuit
+            self._use(batch, arguments)
+
     def _check_started(self) -> None:
         """Raise an :class:`InputError` before the first reset."""
         raise NotImplementedError
+
+    # Copies are made anew from the arguments: they share the track, and neither compiled code nor a window.
+
+    def get_state(self) -> Any:
+        """Return all that the rest of the episodes, and all later ones, depend on."""
+        raise NotImplementedError
+
+    def set_state(self, state: Any) -> Any:
+        """Continue from what `get_state` returned, here or in an environment with equal arguments."""
+        raise NotImplementedError
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        own = {name: getattr(self, name) for name in signature(self._begin).parameters if name != "arguments"}
+        return _rebuild, (type(self), {**self._arguments, **own}, self.get_state(), self._spec)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        function, arguments = self.__reduce__()
+        copied: Self = function(*arguments)
+        return copied
+
+    # Frames
 
     def _open_renderer(self) -> Renderer:
         """Return what draws the frames; made when the first one is asked for."""
@@ -94,6 +228,7 @@ class OverBatch:
     def _show_step(self) -> None:
         """Show the first environment's last step in the window."""
         renderer = self._open_renderer()
+        # A window shows what is drawn; a step too short for a film is a single frame.
         frames = 0
         for _ in self.batch.film(renderer, 0, WINDOW_TICKS):
             frames += 1
@@ -110,3 +245,10 @@ class OverBatch:
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+
+def _rebuild(kind: type[Any], arguments: dict[str, Any], state: Any, spec: EnvSpec | None) -> Any:
+    made = kind(**arguments)
+    made.set_state(state)
+    made.spec = spec
+    return made

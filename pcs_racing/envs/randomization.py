@@ -1,6 +1,6 @@
 """Domain randomisation: ranges from which each episode draws its friction, mass, steering and sensor noise."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -14,39 +14,53 @@ from pcs_racing.base.settings import Rule, Settings, load_settings, setting
 from pcs_racing.car.vehicle import COMMAND_PERIOD, MOST_DELAYED, VehicleParams
 
 
-def _range(least: float, most: float) -> Rule:
+def range_rule(what: str, least: float, most: float, is_kind: Callable[[Any], bool] = is_number) -> Rule:
     """Two numbers within limits, the second one not below the first; a single number stands for both."""
 
-    def check(name: str, value: Any) -> tuple[float, float]:
-        pair = [value, value] if is_number(value) else value
-        fine = isinstance(pair, list | tuple) and len(pair) == 2 and all(map(is_number, pair))
+    def check(name: str, value: Any) -> tuple[Any, Any]:
+        pair = [value, value] if is_kind(value) else value
+        fine = isinstance(pair, list | tuple) and len(pair) == 2 and all(map(is_kind, pair))
         if not fine or not least <= pair[0] <= pair[1] <= most:
-            raise ConfigError(f"{name} is {value!r}; it must be [low, high] with {least:g} <= low <= high <= {most:g}")
-        return float(pair[0]), float(pair[1])
+            raise ConfigError(
+                f"{name}{what} is {value!r}; it must be [low, high] with {least:g} <= low <= high <= {most:g}"
+            )
+        kind = float if is_kind is is_number else int
+        return kind(pair[0]), kind(pair[1])
 
     return Rule(check, f"[low, high] from {least:g} to {most:g}")
+
+
+def load_drawn(noun: str, default: Any, source: Any) -> Any:
+    """Return settings of what each episode draws: themselves, or those of a mapping or of a YAML file."""
+    if isinstance(source, type(default)):
+        return source
+    if isinstance(source, Mapping):
+        if not all(isinstance(name, str) for name in source):
+            raise ConfigError(f"settings of {noun} are {source!r:.200}; their names must be texts")
+        return load_settings(noun, default, None, **source)
+    return load_settings(noun, default, source)
 
 
 @dataclass(frozen=True)
 class Randomization(Settings):
     """What each episode draws, uniformly, for both cars; None leaves it as it is."""
 
-    friction: tuple[float, float] | None = setting(None, _range(0.05, 5.0), "Friction coefficient.")
+    friction: tuple[float, float] | None = setting(None, range_rule("", 0.05, 5.0), "Friction coefficient.")
     mass: tuple[float, float] | None = setting(
-        None, _range(0.1, 1000.0), "Mass, kg; the yaw inertia changes in the same proportion."
+        None, range_rule("", 0.1, 1000.0), "Mass, kg; the yaw inertia changes in the same proportion."
     )
     steering_delay: tuple[float, float] | None = setting(
         None,
-        _range(0.0, MOST_DELAYED * COMMAND_PERIOD),
+        range_rule("", 0.0, MOST_DELAYED * COMMAND_PERIOD),
         "Time by which steering commands are late, s; of its multiples of 0.02 s each is as likely.",
     )
     steering_noise: tuple[float, float] | None = setting(
         None,
-        _range(0.0, 0.4),
+        range_rule("", 0.0, 0.4),
         "Standard deviation of the disturbance of every steering command, in place of that of the rules, rad.",
     )
     lidar_noise: tuple[float, float] | None = setting(
-        None, _range(0.0, 10.0), "Standard deviation of the lidar's ranges, m; only where there is a lidar."
+        None, range_rule("", 0.0, 10.0), "Standard deviation of the lidar's ranges, m; only where there is a lidar."
     )
 
     @property
@@ -62,6 +76,7 @@ class Randomization(Settings):
     @property
     def _delays(self) -> NDArray[np.int64]:
         low, high = self.steering_delay or (0.0, 0.0)
+        # Multiples of 0.02 s are hardly ever exact in floating point; 1e-9 is no other delay.
         first, last = np.ceil(low / COMMAND_PERIOD - 1e-9), np.floor(high / COMMAND_PERIOD + 1e-9)
         return np.arange(int(first), int(last) + 1)
 
@@ -107,10 +122,5 @@ def load_randomization(source: Randomization | Mapping[str, Any] | str | Path | 
     >>> load_randomization({"friction": [0.8, 1.1]}).names
     ('friction',)
     """
-    if source is None:
-        return Randomization()
-    if isinstance(source, Mapping):
-        if not all(isinstance(name, str) for name in source):
-            raise ConfigError(f"randomize is {source!r:.200}; it must be a mapping of names to ranges")
-        return load_settings("randomization", Randomization(), None, **source)
-    return load_settings("randomization", Randomization(), source)
+    drawn: Randomization = Randomization() if source is None else load_drawn("randomization", Randomization(), source)
+    return drawn

@@ -1,6 +1,6 @@
 """Where cars start, as the options of a reset say it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,15 +15,19 @@ from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import X, Y
 
 
-def _numbers(options: Mapping[str, Any], name: str, shapes: tuple[tuple[int, ...], ...], meaning: str) -> Any:
-    """An option as finite numbers of one of some shapes; None if it is not given."""
+def read_numbers(options: Mapping[str, Any], name: str, shapes: Sequence[tuple[int | None, ...]], meaning: str) -> Any:
+    """An option as finite numbers of one of some shapes, in which None stands for any size; None if it is not given."""
     if options.get(name) is None:
         return None
     try:
         values = np.asarray(options[name], np.float64)
     except (TypeError, ValueError):
-        values = np.full(0, np.nan)
-    if values.shape not in shapes or not np.isfinite(values).all():
+        values = np.full((), np.nan)
+    fits = any(
+        len(shape) == values.ndim and all(want in (None, size) for want, size in zip(shape, values.shape, strict=True))
+        for shape in shapes
+    )
+    if not fits or not np.isfinite(values).all():
         raise InputError(f"reset option {name!r} is {options[name]!r:.80}; it must be {meaning}, finite numbers")
     return values
 
@@ -31,7 +35,7 @@ def _numbers(options: Mapping[str, Any], name: str, shapes: tuple[tuple[int, ...
 def start_option(options: Mapping[str, Any], episodes: int) -> Starts | None:
     """Read the option "start": arc length of the start line (m) and side (0 or 1), of each episode or for all."""
     meaning = f"(arc length in m, side 0 or 1), for all episodes or for each of the {episodes}"
-    values = _numbers(options, "start", ((2,), (episodes, 2)), meaning)
+    values = read_numbers(options, "start", ((2,), (episodes, 2)), meaning)
     if values is None:
         return None
     s, side = np.broadcast_to(values, (episodes, 2)).T
@@ -44,7 +48,7 @@ def poses_option(options: Mapping[str, Any], episodes: int) -> NDArray[np.float6
     """Read the option "poses": x, y (m), heading (rad) and optionally speed (m/s) of both cars, shape (B, 2, 4)."""
     shapes = ((2, 3), (2, 4), (episodes, 2, 3), (episodes, 2, 4))
     meaning = f"x, y, heading and, if not 0, speed of both cars, shape (2, 3), (2, 4) or with {episodes} rows of these"
-    values = _numbers(options, "poses", shapes, meaning)
+    values = read_numbers(options, "poses", shapes, meaning)
     if values is None:
         return None
     poses = np.zeros((episodes, 2, 4))

@@ -118,12 +118,14 @@ class SB3VecEnv(VecEnv):
         observations = []
         self.reset_infos = []
         for k, group in enumerate(self.groups):
+            # Stable-Baselines3 has a seed for each environment, self-play one for each pair.
             own: Any = self._seeds[self._edges[k] : self._edges[k + 1] : group.players]
             if self._group_seeds is not None:
                 own = self._group_seeds[k]
             seen, info = group.reset(seed=own)
             observations.append(seen)
             self.reset_infos += _infos(info, range(group.num_envs))
+        # As its own vector environments: seeds and options hold for one reset.
         self._reset_seeds()
         self._reset_options()
         self._returns[:] = 0.0

@@ -71,6 +71,7 @@ class Variety:
         """
         if given is None and self.obstacles is None and not self._blocked:
             return
+        # Those of the last episode go, even where none are put.
         for i, row in enumerate(rows):
             self._tracks[row], self.boxes[row] = None, np.empty((0, len(BOX)))
             if given is None and self.obstacles is None:
@@ -102,6 +103,7 @@ class Variety:
     def conditions(self, rows: NDArray[np.int64]) -> RaceConditions:
         """Cars and tracks of some episodes, for a batch that holds these alone."""
         vehicles = np.ascontiguousarray(self.vehicles[rows]) if self.drawn else None
+        # None where nothing differs from the setup: the kernels then drive all races in one call.
         tracks = None
         if self._blocked and any(self._tracks[row] is not None for row in rows):
             tracks = tuple(self.track(row) for row in rows)
@@ -123,10 +125,7 @@ class Variety:
 
     def info(self, episode: int) -> dict[str, Any]:
         """What was drawn for one episode, as numbers."""
-        info = {"track": int(self.circuits.number[episode])} if self.circuits.several else {}
-        if self.obstacles is not None:
-            info["obstacles"] = len(self.boxes[episode])
-        return {**info, **{name: float(values[episode]) for name, values in self.drawn.items()}}
+        return {name: values[episode].item() for name, values in self.infos().items()}
 
     def get_state(self) -> tuple[Any, ...]:
         """Return copies of all that changes."""

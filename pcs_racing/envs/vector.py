@@ -4,18 +4,16 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import as_array, check_whole, is_whole
+from pcs_racing.base.checks import as_array, check_seed, check_whole, is_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.batch import Batch, check_options, check_rendering, check_reset_seed
+from pcs_racing.envs.batch import Batch
 from pcs_racing.envs.infos import words
-from pcs_racing.envs.over_batch import REBUILDING, OverBatch
-from pcs_racing.race.rendering import MODES
+from pcs_racing.envs.over_batch import OverBatch
 
 Step = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
@@ -39,13 +37,28 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
     - ``SAME_STEP``: a new one begins at once; the step returns its first observation, and ``info["final_obs"]`` and
       ``info["final_info"]`` hold what the old one ended with;
     - ``DISABLED``: nothing, until ``reset(options={"reset_mask": mask})`` begins new ones where the mask is true.
+
+    Parameters
+    ----------
+    num_envs : int
+        Number of environments; in self-play two for each episode.
+    autoreset_mode : AutoresetMode or str
+    max_episode_steps : int, optional
+        Steps after which an episode is truncated, in addition to its own end.
+    threads : int, optional
+        Threads that may share a step, all cores by default; the result does not depend on it.
+    render_mode, view, render_size, **arguments
+        As for the environment of one episode; `render` returns a frame for each environment.
+
+    Raises
+    ------
+    InputError
+        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
+    UnknownArgumentError
+        A TypeError, if there is no such argument.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012
-        "render_modes": list(MODES),
-        "render_fps": 1,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }
+    metadata: dict[str, Any] = {**OverBatch.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
 
     def _begin(
         self,
@@ -59,18 +72,15 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         view: str = "both",
         render_size: tuple[int, int] = (960, 640),
     ) -> None:
-        check_rendering(render_mode, view)
+        self._set_looks(render_mode, view, render_size)
         num_envs, players = self.players if num_envs is None else num_envs, self.players
         if max_episode_steps is not None:
             check_whole("max_episode_steps", max_episode_steps, 1)
-        episodes, rest = divmod(num_envs, players) if is_whole(num_envs) else (num_envs, 0)
-        if rest:
+        if is_whole(num_envs) and num_envs % players:
             raise InputError(f"num_envs is {num_envs}; it must be even: two environments belong to each game")
         self.autoreset_mode = check_autoreset_mode(autoreset_mode)
-        self.max_episode_steps = max_episode_steps
-        self.render_mode, self.view, self.render_size = render_mode, view, render_size
-        self._arguments, self._threads = arguments, threads
-        self._use(self._make_batch(arguments, episodes))
+        self.max_episode_steps, self.threads, self.num_envs = max_episode_steps, threads, num_envs
+        self._use(self._make_batch(arguments), arguments)
         self.num_envs = self.batch.episodes * players
         self.single_observation_space = self.batch.observation_space
         self.single_action_space = self.batch.action_space
@@ -80,14 +90,15 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         self._over = np.zeros(self.batch.episodes, np.bool_)
         self._steps = np.zeros(self.batch.episodes, np.int64)
 
-    def _make_batch(self, arguments: dict[str, Any], episodes: int) -> Batch:
-        batch: Batch = self.batch_type(episodes, threads=self._threads, players=self.players, **arguments)
+    def _make_batch(self, arguments: dict[str, Any]) -> Batch:
+        # What is no whole number goes on as it is, so that the batch's own check names it.
+        episodes = self.num_envs // self.players if is_whole(self.num_envs) else self.num_envs
+        batch: Batch = self.batch_type(episodes, threads=self.threads, players=self.players, **arguments)
         return batch
 
-    def _use(self, batch: Batch) -> None:
-        self.batch = batch
-        own = {"render_fps": self._frames_per_second(), "codes": batch.codes, "autoreset_mode": self.autoreset_mode}
-        self.metadata = {**type(self).metadata, **own}
+    def _use(self, batch: Batch, arguments: dict[str, Any]) -> None:
+        super()._use(batch, arguments)
+        self.metadata["autoreset_mode"] = self.autoreset_mode
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: Mapping[str, Any] | None = None
@@ -103,21 +114,16 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             "reset_mask" (bool, shape (num_envs,)) begins new episodes only where it is true; "track" and "opponent"
             replace the environment's arguments from now on; the class lists the others.
         """
-        given = check_options(options, ("reset_mask", *REBUILDING, *self.batch.reset_options))
+        given = self._options(options, "reset_mask")
         rows = self._masked(given.pop("reset_mask", None))
-        changes = {name: given.pop(name) for name in REBUILDING if name in given}
-        batch = self.batch
-        if changes:
-            if len(rows) < batch.episodes:
-                raise InputError("all environments share track and opponent; they can't be changed with a reset_mask")
-            batch = self._make_batch({**self._arguments, **changes}, batch.episodes)
+        batch, arguments = self._batch_for(given)
+        if batch is not self.batch and len(rows) < batch.episodes:
+            raise InputError("all environments share track and opponent; they can't be changed with a reset_mask")
+        # Kept only when all episodes have begun: after a refused reset the former seeds are in force.
         generators, seeds = self._renewed_generators(seed)
         batch.forget(np.flatnonzero([one is not None for one in seeds]))
         batch.restart(rows, [generators[i] for i in rows], given)
-        if batch is not self.batch:
-            self.close_extras()
-            self._arguments = {**self._arguments, **changes}
-            self._use(batch)
+        self._change_to(batch, arguments)
         self._generators = generators
         self._over[rows], self._steps[rows] = False, 0
         if self.render_mode == "human":
@@ -125,19 +131,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         return self._observations(), self._infos()
 
     def step(self, actions: NDArray[Any]) -> Step:
-        """Make a step in every environment.
-
-        Parameters
-        ----------
-        actions : array_like, shape (num_envs, ...)
-
-        Returns
-        -------
-        observations : ndarray of float32, shape (num_envs, D)
-        rewards : ndarray of float64, shape (num_envs,)
-        terminations, truncations : ndarray of bool, shape (num_envs,)
-        info : dict
-        """
+        """Make a step in every environment; the class for one agent describes its actions."""
         checked = self.batch.check_actions(actions, (self.num_envs,))
         self._check_started()
         again = np.flatnonzero(self._over)
@@ -153,14 +147,17 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         self._steps += 1
         if self.max_episode_steps is not None:
             truncated |= np.repeat(self._steps >= self.max_episode_steps, self.players) & ~terminated
+        # NEXT_STEP: the step that ended an episode is followed by one that only begins the next.
         if len(again):
             self._restart(again, observations)
             begun = np.repeat(self._over, self.players)
             rewards[begun], terminated[begun], truncated[begun] = 0.0, False, False
         over = terminated | truncated
+        # Both cars of an episode end with it.
         self._over = over[:: self.players].copy()
         final: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
+            # Before the restart: it writes the first observations over the last ones.
             final = self._final(observations, over)
             self._restart(np.flatnonzero(self._over), observations)
             self._over[:] = False
@@ -193,13 +190,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         return VectorState(self.batch.get_state(), generators, self._over.copy(), self._steps.copy())
 
     def set_state(self, state: VectorState) -> NDArray[np.float32]:
-        """Continue from what `get_state` returned, here or in an environment with equal arguments.
-
-        Returns
-        -------
-        ndarray of float32, shape (num_envs, D)
-            The observations at that moment.
-        """
+        """Continue from what `get_state` returned, and return the observations at that moment, shape (num_envs, D)."""
         if not isinstance(state, VectorState):
             raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
         self.batch.set_state(state.batch)
@@ -258,30 +249,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         final_info = _with_masks(self.batch.infos(), over)
         return {"final_obs": last, "_final_obs": over.copy(), "final_info": final_info, "_final_info": over.copy()}
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        own = {
-            "autoreset_mode": self.autoreset_mode,
-            "max_episode_steps": self.max_episode_steps,
-            "threads": self._threads,
-            "render_mode": self.render_mode,
-            "view": self.view,
-            "render_size": self.render_size,
-        }
-        return _rebuild, (type(self), self.num_envs, {**self._arguments, **own}, self.get_state(), self._spec)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "BatchVectorEnv":
-        function, arguments = self.__reduce__()
-        return function(*arguments)
-
-
-def _rebuild(
-    kind: type[Any], num_envs: int, arguments: dict[str, Any], state: VectorState, spec: EnvSpec | None
-) -> BatchVectorEnv:
-    env = kind(num_envs, **arguments)
-    env.set_state(state)
-    env.spec = spec
-    return env
-
 
 def _with_masks(infos: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, Any]:
     """Add to each array of an info the mask under ``_name`` that says which environments it speaks of."""
@@ -306,7 +273,7 @@ def _split_seeds(seed: Any, episodes: int) -> list[int | None]:
     if seed is None:
         return [None] * episodes
     if is_whole(seed):
-        first = check_reset_seed(seed) or 0
+        first = check_seed(seed)
         return [first + i for i in range(episodes)]
     try:
         seeds = list(seed)
@@ -314,4 +281,4 @@ def _split_seeds(seed: Any, episodes: int) -> list[int | None]:
         raise InputError(f"seed is {seed!r}; it must be a whole number, a list of them, or None") from None
     if len(seeds) != episodes:
         raise InputError(f"there are {len(seeds)} seeds for {episodes} environments; give one for each")
-    return [check_reset_seed(one, f"the seed of environment {i}") for i, one in enumerate(seeds)]
+    return [None if one is None else check_seed(one, f"the seed of environment {i}") for i, one in enumerate(seeds)]

@@ -88,41 +88,39 @@ class PolicyArchive:
         if self.learned is not None:
             if not isinstance(self.learned, LearnedCharacteristics):
                 raise InputError(f"{where}: learned is {self.learned!r:.80}; it must be LearnedCharacteristics")
+            # Before its axes are looked up by name.
             register_learned(self.learned)
         get_characteristics(self.characteristics)
         object.__setattr__(self, "settings", check_facts(f"{where}: settings", self.settings))
         theta, axes = len(self.parameter_names), len(self.characteristics)
-        self._set_array(where, "parameters", (None, theta))
-        if len(self.parameters) == 0:
+        self._set_array("parameters", (None, theta))
+        if len(self) == 0:
             raise InputError(f"{where} holds no policy; it must hold at least one")
-        self._set_array(where, "coordinates", (len(self.parameters), axes))
-        for key, default in (
-            ("ideal", self.coordinates.max(axis=0)),
-            ("nadir", self.coordinates.min(axis=0)),
-            ("explored_parameters", np.zeros((0, theta))),
-            ("explored_coordinates", np.zeros((0, axes))),
-        ):
-            if getattr(self, key) is None:
-                object.__setattr__(self, key, default)
-        self._set_array(where, "ideal", (axes,))
-        self._set_array(where, "nadir", (axes,))
-        self._set_array(where, "explored_parameters", (None, theta))
-        self._set_array(where, "explored_coordinates", (len(self.explored_parameters), axes))
+        self._set_array("coordinates", (len(self), axes))
+        # By default each axis is scaled to what the archive reaches on it.
+        self._set_array("ideal", (axes,), self.coordinates.max(axis=0))
+        self._set_array("nadir", (axes,), self.coordinates.min(axis=0))
+        self._set_array("explored_parameters", (None, theta), np.zeros((0, theta)))
+        explored = len(self.explored_parameters)
+        self._set_array("explored_coordinates", (explored, axes), np.zeros((0, axes)))
         for key, shape in (
-            ("spread", (len(self.parameters), axes)),
-            ("own_crash", (len(self.parameters),)),
-            ("explored_own_crash", (len(self.explored_parameters),)),
+            ("spread", (len(self), axes)),
+            ("own_crash", (len(self),)),
+            ("explored_own_crash", (explored,)),
         ):
             if getattr(self, key) is not None:
-                self._set_array(where, key, shape, least=0.0)
+                self._set_array(key, shape, least=0.0)
         for axis, low, high in zip(self.characteristics, self.nadir, self.ideal, strict=True):
             if not low < high:
                 raise InputError(
                     f"{where}: {axis} reaches from {low:g} (nadir) to {high:g} (ideal); the ideal must be the larger"
                 )
 
-    def _set_array(self, where: str, key: str, shape: tuple[int | None, ...], least: float | None = None) -> None:
-        array = check_array(f"{where}: {key}", getattr(self, key), shape, least=least)
+    def _set_array(
+        self, key: str, shape: tuple[int | None, ...], default: Floats | None = None, least: float | None = None
+    ) -> None:
+        given: Any = default if getattr(self, key) is None else getattr(self, key)
+        array = check_array(f"archive {self.name!r}: {key}", given, shape, least=least)
         array.setflags(write=False)
         object.__setattr__(self, key, array)
 
@@ -146,6 +144,7 @@ class PolicyArchive:
     def content_hash(self) -> str:
         """SHA-256 of the policies and their coordinates; the name is not part of it."""
         digest = hashlib.sha256()
+        # With lengths before texts and shapes before arrays, no two archives have the same bytes.
         for text in (self.planner, *self.parameter_names, *self.characteristics):
             digest.update(f"{len(text)} {text};".encode())
         for key in ("parameters", "coordinates", "ideal", "nadir"):
@@ -169,6 +168,7 @@ class PolicyArchive:
         At -1 or 1 the two axes are one, and half of the moves are the other half. It is NaN where all policies have the
         same value on an axis.
         """
+        # Written out: numpy's corrcoef warns where an axis has no spread, and may leave -1 to 1 by a bit.
         pairs = list(combinations(range(len(self.characteristics)), 2))
         away = self.coordinates - self.coordinates.mean(axis=0)
         extent = np.sqrt((away**2).sum(axis=0))
@@ -187,11 +187,6 @@ class PolicyArchive:
         """Index of the policy nearest to each normalised point, shape (...) for points (..., G).
 
         Distances are Euclidean; of policies at the same distance the one with the lowest index is taken.
-
-        Raises
-        ------
-        InputError
-            If the points are not finite or have another number of axes.
         """
         points = np.asarray(points, np.float64)
         axes = len(self.characteristics)
@@ -202,6 +197,7 @@ class PolicyArchive:
         flat = points.reshape(-1, axes)
         nearest = np.empty(len(flat), np.int64)
         for first in range(0, len(flat), 4096):  # bounded memory however many points there are
+            # Differences, not a matrix product: equal distances stay equal, and the lowest index wins everywhere.
             offsets = flat[first : first + 4096, None, :] - self.normalised
             nearest[first : first + 4096] = np.argmin(np.sum(offsets * offsets, axis=-1), axis=1)
         return nearest.reshape(points.shape[:-1])
@@ -209,15 +205,7 @@ class PolicyArchive:
     # Policies
 
     def family(self) -> Planner:
-        """Return the planner of the archive's policies.
-
-        Raises
-        ------
-        UnknownNameError
-            If no planner of that name is registered.
-        InputError
-            If the archive holds a parameter that it has not, or a policy lies outside its bounds.
-        """
+        """Return the planner of the archive's policies; an error says why it can't drive them."""
         planner = get_planner(self.planner)
         unknown = [name for name in self.parameter_names if name not in planner.parameter_names]
         if unknown:
@@ -230,17 +218,9 @@ class PolicyArchive:
         return planner
 
     def complete(self, parameters: ArrayLike) -> Floats:
-        """Parameter vectors as the planner takes them, from rows of the archive's parameters.
+        """Parameter vectors as the planner takes them, from rows of the archive's parameters, shape (K, P).
 
-        Parameters
-        ----------
-        parameters : array_like, shape (K, P)
-            Such as :attr:`parameters` or :attr:`explored_parameters`.
-
-        Returns
-        -------
-        ndarray, shape (K, P')
-            With the planner's defaults of the parameters that the archive does not hold.
+        Parameters that the archive does not hold have the planner's defaults.
         """
         return get_planner(self.planner).complete(self.parameter_names, parameters)
 
@@ -261,25 +241,13 @@ class PolicyArchive:
         return Explored(self.explored_parameters, self.explored_coordinates, self.explored_own_crash)
 
     def select(self, by: str = "middle") -> int:
-        """Index of a policy that stands out: the one with the most of a characteristic, or the one in the ``"middle"``.
-
-        Raises
-        ------
-        UnknownNameError
-            If ``by`` is neither ``"middle"`` nor one of the archive's characteristics.
-        """
+        """Index of the policy with the most of a characteristic, or of the one in the ``"middle"``."""
         if by == "middle":
             return int(self.nearest(np.median(self.normalised, axis=0)))
         return int(np.argmax(self.coordinates[:, self._axis(by)]))
 
     def project(self, characteristics: Sequence[str]) -> "PolicyArchive":
-        """Return the archive seen along some of its axes only, in the order asked for.
-
-        Raises
-        ------
-        UnknownNameError
-            If the archive has no such axis.
-        """
+        """Return the archive seen along some of its axes only, in the order asked for."""
         axes = [self._axis(name) for name in characteristics]
         values: dict[str, Any] = {key: getattr(self, key) for key in self.__dataclass_fields__}
         values["characteristics"] = tuple(characteristics)
@@ -290,17 +258,8 @@ class PolicyArchive:
     def to_dataframe(self, explored: bool = False) -> "pandas.DataFrame":
         """Return a table with a row for each policy: parameters, coordinates, and what else is known of it.
 
-        Standard errors stand in columns like ``"restraint_error"``.
-
-        Parameters
-        ----------
-        explored : bool
-            Whether the rows are all policies that were evaluated on the way instead.
-
-        Raises
-        ------
-        ModuleNotFoundError
-            If pandas is not installed: ``pip install "pcs-racing[tables]"``.
+        Standard errors stand in columns like ``"restraint_error"``. With ``explored`` the rows are all policies that
+        were evaluated on the way instead. Needs pandas: ``pip install "pcs-racing[tables]"``.
         """
         try:
             import pandas

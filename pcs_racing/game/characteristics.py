@@ -107,11 +107,6 @@ for _characteristic in (AGGRESSIVENESS, PACE, RESTRAINT, SMOOTHNESS, BLOCKING_SH
     register_characteristic(_characteristic)
 
 
-def characteristic_names() -> list[str]:
-    """Names of all registered characteristics."""
-    return list(_registered)
-
-
 def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:
     """Return characteristics by name."""
     texts = not isinstance(names, str) and all(isinstance(name, str) for name in names)

@@ -127,6 +127,7 @@ def check_competitor(game: RaceGame, competitor: Any) -> None:
         )
     if hasattr(competitor, "check_fits"):
         competitor.check_fits(game)
+    # An agent around a model of Stable-Baselines3 has no spaces of its own.
     model = getattr(competitor, "model", competitor)
     size, moves = len(game.observation_elements), game.competitor_moves
     shape = getattr(getattr(model, "observation_space", None), "shape", None)
@@ -157,9 +158,11 @@ def ask_moves(
 ) -> NDArray[np.int64]:
     """Ask a competitor for the moves of one car in a batch of B games.
 
+    Returns indices in :attr:`RaceGame.competitor_moves`, shape (B,); 0 for a driver and in games that it is not asked
+    about.
+
     Parameters
     ----------
-    competitor : Competitor
     rows : ndarray of int, optional
         Games to ask about, all by default; those that are over are left out.
     observation : ndarray, shape (B, D), optional
@@ -171,11 +174,6 @@ def ask_moves(
         Of each game, for functions and :class:`RandomMoves`.
     deterministic : bool
         Whether predictors take their best move or draw one, by a generator of their own.
-
-    Returns
-    -------
-    ndarray of int, shape (B,)
-        Indices in :attr:`RaceGame.competitor_moves`; 0 for a driver and in games that it is not asked about.
     """
     names = game.competitor_moves
     moves = np.zeros(state.games, np.int64)
@@ -192,6 +190,7 @@ def ask_moves(
         answer = np.array(drawn)
     elif isinstance(competitor, Decider):
         answer = competitor.decide(game, take_games(state, rows), car)
+    # One that only chooses keeps its policy; one that can also predict is asked below.
     elif isinstance(competitor, Chooser) and not isinstance(competitor, Predictor):
         answer = np.full(len(rows), len(names) - 1)  # to stay
     else:
@@ -210,6 +209,7 @@ def _predicted(
 ) -> Any:
     """Moves of a predictor; one that keeps a state is asked game by game, because games begin at different times."""
     kept = [None] * len(rows) if memories is None else [memories[row] for row in rows]
+    # One call for all games, unless the answer shows that the predictor keeps a state.
     if all(memory is None for memory in kept):
         moves, memory = _answer(competitor, seen, None, np.ones(len(rows), np.bool_), deterministic)
         if memory is None or memories is None:

@@ -69,6 +69,7 @@ def make_competitor(text: str, game: RaceGame) -> Competitor:
     name = text.partition(":")[0].strip()
     if name in planner_names():
         return parse_policy(text)
+    # Last: what other packages bring is only imported for names that are not ours.
     for collection in _collections():
         if name in collection.names(game.archive, game.config):
             made: Competitor = collection.make(text, game.archive, game.config)

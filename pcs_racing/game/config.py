@@ -85,6 +85,7 @@ class GameConfig(Settings):
         super().__post_init__()
         if (self.moves + 1) * self.step_seconds > 3600.0:
             raise ConfigError(f"{self.moves} moves of {self.step_seconds:g} s make a race of over 3600 s; take fewer")
+        # What the preset decides is written down, so that equal rules are equal values.
         if self.stay is None:
             object.__setattr__(self, "stay", self.race.stay_move)
         if self.utility is None:

@@ -67,6 +67,7 @@ def check_same_game(own: GameIdentity, other: GameIdentity, owner: str, other_ow
         raise InputError(f"{owner} was made for games of {own.decisions} moves; {other_owner} has {other.decisions}")
     if own.elements and own.elements != other.elements:
         raise InputError(f"{owner} {_difference(own.elements, other.elements, 'sees', other_owner)}")
+    # To stay can always be offered: who never does so plays the same game.
     if own.moves and other.moves not in (own.moves, (*own.moves, STAY)):
         raise InputError(f"{owner} {_difference(own.moves, other.moves, 'values moves', other_owner)}")
     if own.epsilon != other.epsilon:

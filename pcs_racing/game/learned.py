@@ -6,15 +6,18 @@ races); an axis only has to be computable from a :class:`~pcs_racing.game.charac
 
 import hashlib
 import json
+import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.artifacts import ManifestFormat
 from pcs_racing.base.checks import check_facts, check_names, check_number, check_text, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.characteristics import (
@@ -33,6 +36,11 @@ TIMES = " * "
 """Between the factors of a term."""
 MOST_FACTORS = 3
 _LARGEST = 1e6
+
+LEARNED_FORMAT = ManifestFormat(
+    "set of characteristics", ("name", "inputs", "axes", "training", "sha256"), "save_learned"
+)
+"""Of a file: a YAML manifest of names, scales and weights, readable by people."""
 
 
 @dataclass(frozen=True)
@@ -176,6 +184,28 @@ def register_learned(learned: LearnedCharacteristics) -> None:
         register_characteristic(characteristic)
 
 
+def save_learned(learned: LearnedCharacteristics, path: str | os.PathLike[str]) -> Path:
+    """Write learned characteristics as YAML; the file appears whole or not at all."""
+    LEARNED_FORMAT.write(Path(path), learned.to_plain())
+    return Path(path)
+
+
+def load_learned(source: str | os.PathLike[str] | LearnedCharacteristics) -> LearnedCharacteristics:
+    """Return learned characteristics from their file, or as they are, and register them."""
+    if isinstance(source, LearnedCharacteristics):
+        register_learned(source)
+        return source
+    if not isinstance(source, str | os.PathLike):
+        raise InputError(f"learned characteristics {source!r:.80} must be the path of a file")
+    fields = LEARNED_FORMAT.read(source)
+    try:
+        learned = LearnedCharacteristics.from_plain(fields)
+        register_learned(learned)
+    except InputError as error:
+        raise type(error)(f"{source}: {error}") from None
+    return learned
+
+
 def term_factors(term: str, inputs: tuple[str, ...]) -> tuple[str, ...]:
     """Return the inputs that a term is the product of."""
     factors = tuple(term.split(TIMES))
@@ -206,14 +236,8 @@ def _weighted(axis: LearnedAxis, known: Mapping[str, Floats]) -> Floats:
 
 
 def _content(learned: LearnedCharacteristics) -> dict[str, Any]:
-    return {
-        "name": learned.name,
-        "inputs": [{"name": item.name, "mean": item.mean, "scale": item.scale} for item in learned.inputs],
-        "axes": [
-            {"name": axis.name, "meaning": axis.meaning, "intercept": axis.intercept, "weights": dict(axis.weights)}
-            for axis in learned.axes
-        ],
-    }
+    axes = [{**asdict(axis), "weights": dict(axis.weights)} for axis in learned.axes]
+    return {"name": learned.name, "inputs": [asdict(item) for item in learned.inputs], "axes": axes}
 
 
 def _mapping(what: str, value: Any, keys: tuple[str, ...]) -> dict[str, Any]:

@@ -40,11 +40,6 @@ def make_game(
         See :class:`RaceGame`.
     **settings
         Fields of :class:`GameConfig` to change.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown or a value impossible.
     """
     rules = load_game_config(race, **settings)
     planners = opponent_planner, threads, ego_planner

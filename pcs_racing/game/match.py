@@ -22,11 +22,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import as_array
+from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import Settings, flag, setting, whole
+from pcs_racing.game.competitor import Chooser, competitor_name
 from pcs_racing.game.match_observation import encode_match, match_elements
 from pcs_racing.game.observation import ObservationElement
 from pcs_racing.game.rules import OUTSIDE, RaceGame
-from pcs_racing.game.starting import DRAW, check_policies, driver_parameters, random_bits
+from pcs_racing.game.starting import DRAW, check_policies, random_bits
 from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.conditions import RaceConditions
@@ -130,27 +133,22 @@ class MatchGame:
         policies : array of int, shape (B, 2) or (2,), optional
             Policies of cars whose players do not choose; -1 draws one, uniformly from the archive.
         lines : array, shape (B, R) or (B, 1), optional
-            Arc length of the start line of each race, or of all races of a match, m; by default each race draws one out
-            of :attr:`RaceGame.start_lines`.
+            Arc length of the start line of each race, or of all races of a match, m; drawn by default.
         sides : array of int, shape (B,), optional
-            0 where car 0 starts the first race of a match on the left or in front, 1 where car 1 does; drawn by
-            default.
+            0 where car 0 starts the first race on the left or in front, 1 where car 1 does; drawn by default.
         opponents, egos : Policy or sequence of B (Policy or None), optional
             Drivers of car 1 and of car 0 from outside the archive, as in :meth:`RaceGame.reset`.
         """
         game, races, count = self.game, self.config.races, len(keys)
         first = check_policies(game.archive, policies, count)
-        drivers = [
-            driver_parameters(game.archive, game.setup.planners[car], car, given, count, game.setup.theta_size)
-            for car, given in enumerate((egos, opponents))
-        ]
-        outside, theta = (np.stack(pair, axis=1) for pair in zip(*drivers, strict=True))
+        outside, theta = game.outside_drivers((egos, opponents), count)
         bits = np.stack([random_bits(keys, race) for race in range(races)], axis=1)
         drawn = (bits[:, 0, 2:4] % np.uint64(len(game.archive))).astype(np.int64)
         policy = np.where(outside, OUTSIDE, np.where(first == DRAW, drawn, first))
         drawn_lines = game.start_lines[(bits[:, :, 0] % np.uint64(len(game.start_lines))).astype(np.int64)]
         places = np.array(np.broadcast_to(drawn_lines if lines is None else np.asarray(lines), (count, races)))
         side = (bits[:, 0, 1] % np.uint64(2)).astype(np.int64) if sides is None else np.asarray(sides, np.int64)
+        # Places swap from race to race, so that neither side of the grid decides a match.
         turns = (side[:, None] + np.arange(races)) % 2
         axes = len(game.characteristics)
         grid = game.empty_state(start_races(game.setup, Starts(places[:, 0], turns[:, 0]), bits[:, 0, 4]))
@@ -184,19 +182,13 @@ class MatchGame:
         rows: Indices | None = None,
         conditions: RaceConditions = AS_THE_SETUP,
     ) -> MatchState:
-        """Start the next race of every match that is between two races, and drive its first step.
+        """Start the next race of every match that is between two races, or of some, and drive its first step.
 
         Parameters
         ----------
-        state : MatchState
-            Stays as it is.
         choices : array of int, shape (B, 2)
             Policy of the archive that each car starts with, or :data:`KEEP`. That of a driver from outside the archive
             does nothing.
-        rows : ndarray of int, optional
-            Matches to start a race in, all by default.
-        conditions : RaceConditions
-            Cars and tracks of single matches.
         """
         new = state.copy()
         between = np.flatnonzero(~state.racing & ~self.done(state))
@@ -222,18 +214,9 @@ class MatchGame:
         rows: Indices | None = None,
         conditions: RaceConditions = AS_THE_SETUP,
     ) -> MatchState:
-        """Let both players move in the races that go on, and drive a step.
+        """Let both players move in the races that go on, or in some, and drive a step.
 
-        Parameters
-        ----------
-        state : MatchState
-            Stays as it is.
-        moves : array of int, shape (B, 2)
-            Indices in :attr:`RaceGame.competitor_moves`.
-        rows : ndarray of int, optional
-            Matches to play in, all by default.
-        conditions : RaceConditions
-            Those of :meth:`start`.
+        Moves, shape (B, 2), are indices in :attr:`RaceGame.competitor_moves`, conditions those of :meth:`start`.
         """
         new = state.copy()
         going = np.flatnonzero(state.racing)
@@ -278,6 +261,7 @@ class MatchGame:
     def memory(self, state: MatchState) -> NDArray[np.float32]:
         """What each player observes between two races, shape (B, 2, D): all that it knows of the match."""
         between = ~state.racing & ~self.done(state)
+        # After the last race there is no next side; the index stays inside the array and is masked.
         side = state.sides[np.arange(state.matches), np.minimum(state.race, self.config.races - 1)]
         front = np.stack([side == 0, side == 1], axis=1) & between[:, None]
         return encode_match(state.own, state.measured, state.leads, state.scores, state.driven, state.race, front)
@@ -291,6 +275,49 @@ class MatchGame:
         seen = np.where(racing, self.game.observation(state.game), np.float32(0.0))
         flags = np.broadcast_to(racing, (state.matches, 2, 1)).astype(np.float32)
         return np.concatenate([match, flags, seen], axis=2)
+
+
+def ask_choices(
+    competitor: Any,
+    match: MatchGame,
+    state: MatchState,
+    car: int,
+    *,
+    rows: NDArray[np.int64] | None = None,
+    memory: NDArray[np.float32] | None = None,
+) -> NDArray[np.int64]:
+    """Ask a competitor for the policy of one car in the next race of each match that is between two races.
+
+    Returns policies of the archive, shape (B,); :data:`KEEP` where nobody is asked, and for a competitor that does not
+    choose.
+
+    Parameters
+    ----------
+    rows : ndarray of int, optional
+        Matches to ask about, all by default.
+    memory : ndarray, shape (B, D), optional
+        What the car observes between races (:meth:`MatchGame.memory`), where it is known already.
+    """
+    choices = np.full(state.matches, KEEP, np.int64)
+    between = np.flatnonzero(~state.racing & ~match.done(state))
+    rows = between if rows is None else np.intersect1d(rows, between)
+    if not isinstance(competitor, Chooser) or len(rows) == 0:
+        return choices
+    seen = match.memory(state)[:, car] if memory is None else memory
+    answer = as_array(competitor.choose(seen[rows]))
+    count, name = len(match.game.archive), f"competitor {competitor_name(competitor)!r}"
+    if answer.shape != rows.shape or answer.dtype.kind not in "iu":
+        raise InputError(
+            f"{name}: choose returned shape {answer.shape} and type {answer.dtype}; it must return whole numbers of "
+            f"shape {rows.shape}, policies from 0 to {count - 1}"
+        )
+    wrong = np.flatnonzero((answer < 0) | (answer >= count))
+    if len(wrong):
+        raise InputError(
+            f"{name}, match {rows[wrong[0]]}: it chose policy {answer[wrong[0]]}; there are policies 0 to {count - 1}"
+        )
+    choices[rows] = answer
+    return choices
 
 
 def _take(conditions: RaceConditions, rows: Indices) -> RaceConditions:

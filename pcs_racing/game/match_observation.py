@@ -59,22 +59,15 @@ def encode_match(
     race: NDArray[np.int64],
     front: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """Put what the players saw of earlier races in the order of :func:`match_elements`.
+    """Put what the players saw of earlier races in the order of :func:`match_elements`, shape (B, 2, D).
 
-    Parameters
-    ----------
-    own, measured, leads, scores, driven, race
-        See :class:`pcs_racing.game.match.MatchState`.
-    front : ndarray of bool, shape (B, 2)
-        Whether each car starts the next race on the left or in front; false where there is no next race.
-
-    Returns
-    -------
-    ndarray, shape (B, 2, D), float32
+    The arrays are those of :class:`pcs_racing.game.match.MatchState`; ``front``, of shape (B, 2), says whether each car
+    starts the next race on the left or in front, and is false where there is no next race.
     """
     matches, races = leads.shape
     lead = np.clip(leads / LEAD_SCALE, -LEAD_BOUND, LEAD_BOUND)
     shared = np.broadcast_to(driven[:, None, :, None], (matches, 2, races, 1))
+    # 0.0 - lead, not -lead: a lead of 0 must not become -0.0, whose bits differ.
     leads_of_cars = np.stack([lead, 0.0 - lead], axis=1)[..., None]
     parts = np.concatenate([own, measured[:, ::-1], leads_of_cars, scores[..., None], shared], axis=-1)
     left = np.broadcast_to(((races - race) / races)[:, None, None], (matches, 2, 1))

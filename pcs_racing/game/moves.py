@@ -28,16 +28,8 @@ MOST_NAMES = 24  # moves that an error lists by name
 def move(archive: PolicyArchive, index: ArrayLike, axis: ArrayLike, sign: ArrayLike, epsilon: ArrayLike) -> Indices:
     """Return the index of the policy that a move leads to; the arguments broadcast against each other.
 
-    Parameters
-    ----------
-    index : int
-        Policy in use.
-    axis : int
-        Characteristic to change.
-    sign : {1, -1}
-        More or less of it.
-    epsilon : float
-        By how much, in normalised units.
+    The move starts from policy ``index`` and asks for more (``sign`` 1) or less (-1) of the characteristic ``axis``, by
+    ``epsilon`` in normalised units.
     """
     arrays = np.broadcast_arrays(index, axis, sign, epsilon)
     policies = check_whole_array("index", arrays[0], least=0, most=len(archive) - 1)
@@ -120,22 +112,10 @@ def check_moves(
     rows: Indices | None = None,
     player: str = "",
 ) -> Indices:
-    """Return moves as whole numbers: the one check that every move passes on its way into a game.
+    """Return moves, indices in ``names``, as whole numbers: the one check that every move passes into a game.
 
-    Parameters
-    ----------
-    moves : array_like of int
-        Indices in ``names``.
-    names : sequence of str
-        The moves that there are.
-    shape : tuple of int
-        That the moves must have.
-    axes : tuple of str
-        What the axes of the shape count, for errors: ``("game", "car")``.
-    rows : ndarray of int, optional
-        Number of the game that each entry of the first axis belongs to, for errors.
-    player : str
-        Who made the moves, for errors.
+    Errors say which move is wrong by what the axes of its shape count, such as ``("game", "car")``, by the game that
+    each entry of the first axis belongs to (``rows``), and by the player.
     """
     given = as_array(moves)
     if isinstance(moves, list | tuple) and any(is_flag(move) for move in moves):

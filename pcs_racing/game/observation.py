@@ -61,25 +61,14 @@ def observation_table(elements: Sequence[ObservationElement], moves: int | None 
 
 
 def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indices) -> NDArray[np.float32]:
-    """Put what the players saw in the order of :func:`observation_elements`.
+    """Put what the players saw in the order of :func:`observation_elements`, shape (B, 2, D).
 
-    Parameters
-    ----------
-    own : ndarray, shape (B, 2, N, G)
-        Normalised coordinates of each car's own policy in each of the ``N = moves + 1`` steps.
-    estimates : ndarray, shape (B, 2, N, G)
-        Normalised coordinates of each car as measured in each step.
-    leads : ndarray, shape (B, N)
-        Lead of car 0 at the end of each step, m.
-    step : ndarray, shape (B,)
-        Moves made so far; of later steps nothing is shown, whatever the arrays hold.
-
-    Returns
-    -------
-    ndarray, shape (B, 2, D), float32
+    The arrays are those of :class:`pcs_racing.game.state.GameState`, for ``N = moves + 1`` steps of which ``step`` are
+    over; of later steps nothing is shown, whatever the arrays hold.
     """
     games, steps = leads.shape
     axes = own.shape[-1]
+    # np.clip takes three times as long.
     lead = np.minimum(np.maximum(leads / LEAD_SCALE, -LEAD_BOUND), LEAD_BOUND)
     size = steps * (2 * axes + 2)
     observation = np.empty((games, 2, size + 1), np.float32)

@@ -14,16 +14,9 @@ from pcs_racing.race.state import RaceState
 
 
 def reward(config: GameConfig, races: RaceState, moves: ArrayLike) -> NDArray[np.float64]:
-    """Reward of car 0 for games that ended like this, shape (B,); car 1 gets the negative of it.
+    """Reward of car 0 for games that ended like this after so many moves, shape (B,); car 1 gets the negative of it.
 
-    Parameters
-    ----------
-    config : GameConfig
-        Which utility is paid, the penalty of a crash by own fault, and the discount.
-    races : RaceState
-        Only progress, crashes and faults count.
-    moves : array of int, shape (B,) or ()
-        Moves made until the end.
+    Of the races only progress, crashes and faults count.
     """
     if config.utility == "win":
         winner = winners(config.race, races)
@@ -45,14 +38,7 @@ def reward(config: GameConfig, races: RaceState, moves: ArrayLike) -> NDArray[np
 def step_reward(own, opponent, fault, weights):  # type: ignore[no-untyped-def]
     """Reward of one step of driving: progress, less a share of the opponent's, less a penalty for a crash by own fault.
 
-    Parameters
-    ----------
-    own, opponent : float
-        Progress in this step, m.
-    fault : int
-        1 if the car is to blame for a crash.
-    weights : tuple of float
-        Reward for a metre, share of the opponent's progress that is taken off, penalty.
+    The weights are the reward for a metre, the share of the opponent's progress that is taken off, and the penalty.
     """
     per_metre, rivalry, penalty = weights
     return per_metre * (own - rivalry * opponent) - (penalty if fault == 1 else 0.0)
@@ -62,18 +48,7 @@ def step_reward(own, opponent, fault, weights):  # type: ignore[no-untyped-def]
 def win_sign(lead, crashed, fault, opponent_fault, fault_loses):  # type: ignore[no-untyped-def]
     """1.0 for a race that was won, -1.0 for one that was lost, else 0.0.
 
-    The rule of :func:`pcs_racing.race.races.winners`, compiled.
-
-    Parameters
-    ----------
-    lead : float
-        Of the own car at the end, m.
-    crashed : bool
-        Whether there was a crash.
-    fault, opponent_fault : int
-        1 if the car is to blame for it.
-    fault_loses : bool
-        Whether the car to blame loses; else a crash pays nobody.
+    The rule of :func:`pcs_racing.race.races.winners`, compiled. Without ``fault_loses`` a crash pays nobody.
     """
     if crashed:
         return float(opponent_fault) - float(fault) if fault_loses else 0.0

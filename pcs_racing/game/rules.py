@@ -16,7 +16,7 @@ through :class:`RaceGame`: functions from one :class:`GameState` to the next, fo
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -106,16 +106,7 @@ class RaceGame:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what the game was made of, not what was derived from it."""
-        return RaceGame, (
-            self.track,
-            self.archive,
-            self.config,
-            self.opponent_planner,
-            self.threads,
-            self.ego_planner,
-            self.vehicles,
-            self.most_delay,
-        )
+        return RaceGame, tuple(getattr(self, one.name) for one in fields(self))
 
     def __copy__(self) -> "RaceGame":
         """Return the game itself: it never changes."""
@@ -222,11 +213,7 @@ class RaceGame:
         keys = game_keys(seeds, games, seed)
         count = len(keys)
         first = check_policies(self.archive, policies, count)
-        drivers = [
-            driver_parameters(self.archive, self.setup.planners[car], car, given, count, self.setup.theta_size)
-            for car, given in enumerate((egos, opponents))
-        ]
-        outside, theta = (np.stack(pair, axis=1) for pair in zip(*drivers, strict=True))
+        outside, theta = self.outside_drivers((egos, opponents), count)
         if starts is not None and len(starts) != count:
             raise InputError(f"there are {count} games but {len(starts)} starts; give one start for each game")
         drawn = (first == DRAW) & ~outside
@@ -241,6 +228,7 @@ class RaceGame:
             return self.start(policy, grid, bits[:, 4], theta[rows], outside[rows], own)
 
         state = begin(np.arange(count), 0)
+        # Drawn again the same way, a game that is fixed would crash again.
         free = drawn.any(axis=1) | (starts is None)
         for attempt in range(1, REDRAWS + 1):
             again = np.flatnonzero(state.race.crashed & free)
@@ -248,6 +236,15 @@ class RaceGame:
                 break
             put_games(state, again, begin(again, attempt))
         return state
+
+    def outside_drivers(self, given: Sequence[Any], games: int) -> tuple[NDArray[np.bool_], Floats]:
+        """Which cars have drivers from outside the archive, shape (games, 2), and their parameters, (games, 2, P)."""
+        drivers = [
+            driver_parameters(self.archive, self.setup.planners[car], car, drivers, games, self.setup.theta_size)
+            for car, drivers in enumerate(given)
+        ]
+        outside, theta = (np.stack(pair, axis=1) for pair in zip(*drivers, strict=True))
+        return outside, theta
 
     def start(
         self,
@@ -260,18 +257,8 @@ class RaceGame:
     ) -> GameState:
         """Put the cars of B games on the grid, and drive the step in which the players only watch.
 
-        Parameters
-        ----------
-        policy : ndarray of int, shape (B, 2)
-            Policy of the archive that each car starts with; -1 for a driver from outside.
-        noise : ndarray of uint64, shape (B,)
-            Keys of the steering noise.
-        theta : ndarray, shape (B, 2, P)
-            Parameters of the drivers from outside.
-        outside : ndarray of bool, shape (B, 2)
-            Whose driver is from outside the archive.
-        conditions : RaceConditions
-            Cars and tracks of single games.
+        Policies are those of the archive that each car starts with, shape (B, 2); where its driver is from ``outside``,
+        it is -1, and ``theta``, of shape (B, 2, P), holds its parameters.
         """
         state = self.empty_state(start_races(self.setup, starts, noise, conditions))
         state.policy[:] = policy
@@ -292,16 +279,10 @@ class RaceGame:
         starts: Starts | None = None,
         conditions: RaceConditions = AS_THE_SETUP,
     ) -> RaceState:
-        """Return the race on the grid from which :meth:`reset` drove the first step of a game.
+        """Return the race on the grid from which :meth:`reset` drove the first step of the game with this key.
 
-        Parameters
-        ----------
-        key : ndarray of uint64, shape (1,)
-            Key of the game.
-        noise : ndarray of uint64, shape (1,)
-            Key of the noise of its race, which says how often the game was drawn again.
-        starts, conditions
-            Those of :meth:`reset`.
+        The key of its race's noise says how often the game was drawn again; starts and conditions are those of
+        :meth:`reset`.
         """
         attempts = [random_bits(key, attempt) for attempt in range(REDRAWS + 1)]
         bits = next(bits for bits in attempts if bits[0, 4] == noise[0])
@@ -406,12 +387,7 @@ class RaceGame:
     def record_step(self, state: GameState, rows: Indices, estimates: Floats) -> None:
         """Write, in place, what can be observed of the step that some of the games have just driven.
 
-        Parameters
-        ----------
-        rows : ndarray of int
-            Games that drove it.
-        estimates : ndarray, shape (B, 2, G)
-            Normalised coordinates of each car as measured in this step (:meth:`measure`).
+        The estimates, of shape (B, 2, G), are what :meth:`measure` says of it.
         """
         now = state.step[rows]
         estimates = estimates[rows]
@@ -436,18 +412,7 @@ class RaceGame:
         """Drive a step of the game in place, with policies of the archive: what :meth:`step` does between two moves.
 
         For those who keep no :class:`GameState`, such as builders of game trees. Races that are over stand still.
-
-        Parameters
-        ----------
-        races : RaceState
-            Overwritten.
-        policies : array of int, shape (B, 2)
-            Index of the policy that drives each car.
-
-        Returns
-        -------
-        ndarray, shape (B, 2, G)
-            Normalised coordinates of each car as measured in this step: what :attr:`GameState.estimates` would hold.
+        Returns what :attr:`GameState.estimates` would hold of this step, shape (B, 2, G).
         """
         return self._advance(races, self.theta(policies))
 

@@ -52,22 +52,9 @@ def driver_parameters(
     games: int,
     size: int,
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Parameters of the policies from outside the archive that drive a car.
+    """Whether a car's driver is from outside the archive, shape (games,), and its parameters, shape (games, size).
 
-    Parameters
-    ----------
-    planner : Planner
-        The car's planner.
-    drivers : Policy or sequence of (Policy or None), optional
-        One for all games or for each; None where a policy of the archive drives.
-    size : int
-        Numbers in a row of parameters.
-
-    Returns
-    -------
-    outside : ndarray of bool, shape (games,)
-        Whether the driver is from outside the archive.
-    theta : ndarray, shape (games, size)
+    Drivers are given for all games or for each, as policies of the car's planner; None where the archive's drive.
     """
     role = ("ego", "opponent")[car]
     given = [drivers] * games if drivers is None or isinstance(drivers, Policy) else list(drivers)
@@ -97,6 +84,7 @@ def random_bits(keys: NDArray[np.uint64], attempt: int) -> NDArray[np.uint64]:
 
     A hash of the key and not a stream: a game is the same in a batch of any size.
     """
+    # Every attempt has numbers of its own, none of which another attempt reads.
     counters = np.arange(5, dtype=np.uint64) + np.uint64(5 * attempt + 1)
     return _mix(_mix(keys)[:, None] + counters * np.uint64(0x9E3779B97F4A7C15))
 

@@ -92,6 +92,7 @@ def load_game(path: str | Path) -> GameState:
         arrays = unpack_arrays(read_limited(path, MAX_BYTES, "a game state"))
     except (OSError, InputError) as error:
         raise InputError(f"{path} is not a saved game state: {error}") from None
+    # Names first: what a file from elsewhere lacks must be said before it is missed.
     expected = set(_flatten(empty_game(0, 0, 0, 0, 0)))
     if set(arrays) != expected:
         raise InputError(f"{path} holds {sorted(arrays)}; a game state holds {sorted(expected)}")

@@ -3,7 +3,7 @@
 Ten times a second the planner lays a lattice of goals around the race line ahead (two distances, eight positions across
 the track). A move is a cubic in the distance from the race line, as in [1]_ and [2]_: it begins where the last plan is
 by now and ends at a goal, along the line. So a plan goes on where the last one was, and does not follow every stray of
-the car: half of a stray is forgiven at each plan, and the car is led back from the rest within a few metres. Each move
+the car: a third of a stray is forgiven at each plan, and the car is led back from the rest within a few metres. Each move
 is considered at four speeds, 64 candidates in all: an attack, faster than the profile on straights, while a car is to
 be passed; the profile; a slower one; and the speed that keeps a distance behind the other car. A candidate that comes
 too close to a wall, asks for more grip than there is, or meets the predicted opponent within two seconds is rejected;
@@ -54,7 +54,7 @@ REJECTED = 1e6  # costs from here on mean that a candidate was rejected
 LATER = 30.0  # cost of a later overlap, per m of its depth
 
 NEAR, NEAR_TIME, FAR = 1.2, 0.4, 1.7  # m, s: the near goals are so far away, the far ones so many times as far
-HALF_FORGOTTEN = 0.5  # share of a stray from the plan that the next plan starts from
+LED_BACK = 0.7  # share of a stray from the plan that the car is led back from; the next plan forgives the rest
 LOST = 0.4  # m from the plan, beyond which a new one begins where the car is
 
 BODY_AIR = 0.25  # m to keep from a wall at a goal, unless it lies on the race line
@@ -67,13 +67,13 @@ GRIP = 5.3  # m/s^2 that a move may ask for at speed scales up to 1, and with th
 STRAIN = 0.5  # cost per m/s^2 beyond the grip
 SPIN_BEYOND = 1.0  # m/s^2 beyond the grip, from where on a move is rejected
 BRAKING = 4.5  # m/s^2 with which a car comes down to the speed of a bend
-OWN_BRAKING, OPPONENT_BRAKING, ACCELERATION = 5.5, 5.0, 5.0  # m/s^2 at most in predictions
+OWN_BRAKING, OPPONENT_BRAKING, ACCELERATION = 4.4, 4.4, 5.0  # m/s^2 at most in predictions
 
 SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
 BUMPER_AIR = 0.3  # m to keep in front of an opponent that was passed, and behind one
 MOVE_TIME = 0.4  # s for which an opponent goes on moving sideways
-FOLLOW_GAP, FOLLOW_GAIN, YIELD_GAIN = 1.3, 1.2, 3.0  # m between the middles of the cars; 1/s, closing speed per m
+FOLLOW_GAP = 0.8  # m between the middles of the cars
 LEVEL = 1.0  # m of lead from wholly ahead to wholly behind
 
 ATTACKS, FOLLOWS = 0, SPEEDS - 1  # candidates' speeds: an attack (the profile if there is nobody to pass) is the first
@@ -121,17 +121,17 @@ PACE, ATTACK, SIDE_MARGIN, PACE_BEHIND = range(len(_WEIGHTS), len(_WEIGHTS) + 4)
 PARAMETERS = (
     *(Parameter(name, low, high, default, f"log10 weight of {what}") for name, low, high, default, what in _WEIGHTS),
     Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
-    Parameter("attack", 0.0, 0.2, 0.05, "share by which a car that wants to pass tops the profile on straights"),
+    Parameter("attack", 0.0, 0.3, 0.2, "share by which a car that wants to pass tops the profile on straights"),
     Parameter("side_margin", 0.2, 0.45, 0.32, "air to keep beside the opponent, m"),
     Parameter(
-        "pace_behind", -0.5, 0.5, 0.0, "what is added to the pace while the opponent leads; the sum stays in [0, 1]"
+        "pace_behind", -0.5, 0.5, 0.15, "what is added to the pace while the opponent leads; the sum stays in [0, 1]"
     ),
 )
 
 # Memory: the chosen move. Whether there is one, where it began (m of arc length), how long it is (m), where it ends (m
-# from the race line), and two coefficients of its cubic, see `_lateral`.
-_M_VALID, _M_S, _M_LENGTH, _M_GOAL, _M_A, _M_B = range(6)
-MEMORY = 6
+# from the race line), and two coefficients of its cubic, see `_lateral`; and whether the car attacks.
+_M_VALID, _M_S, _M_LENGTH, _M_GOAL, _M_A, _M_B, _M_ATTACKS = range(7)
+MEMORY = 7
 
 # Rows of the scratch, each GOALS wide: where a move ends, its length and coefficients; its curvature, the largest one,
 # the mean, and the largest change along it; the lateral acceleration that it asks for; how much longer it is than the
@@ -151,14 +151,17 @@ MEMORY = 6
     _STRETCH,
     _SLOWED,
     _LINE_AIR,
+    _MOVE_AIR,
     _WALL_COST,
     _MIN_AIR,
     _BASE,
     _TROUBLE,
     _DEEPEST,
+    _ALONG,
+    _SIDE,
     _PROXIMITY,
     _COSTS,
-) = (GOALS * k for k in range(19))
+) = (GOALS * k for k in range(22))
 _POINT_X = _COSTS + SPEEDS * GOALS
 _POINT_Y = _POINT_X + SEGMENTS * GOALS
 _AIR = _POINT_Y + SEGMENTS * GOALS
@@ -274,11 +277,18 @@ def _pace_now(pace, pace_behind, gap):  # type: ignore[no-untyped-def]
     return min(max(pace + behind * pace_behind, 0.0), 1.0)
 
 
-@inner_kernel(forceinline=True)
-def _closing(gap):  # type: ignore[no-untyped-def]
-    """Speed above the opponent's at which a car follows it at a gap, m/s; one that is too near falls back faster."""
-    beyond = gap - FOLLOW_GAP
-    return beyond * (FOLLOW_GAIN if beyond > 0.0 else YIELD_GAIN)
+@inner_kernel
+def _following_speed(scratch, s, first):  # type: ignore[no-untyped-def]
+    """Speed at ``s`` from which even braking keeps `FOLLOW_GAP` behind the predicted opponent, from step ``first`` on.
+
+    So a car begins to fall back before the one ahead brakes: at half of the speed the same time between two cars is
+    half of the distance.
+    """
+    speed = 1e9
+    for k in range(first, HORIZON_STEPS):
+        room = scratch[_OPP_S + k] - FOLLOW_GAP - s
+        speed = min(speed, 2.0 * room / ((k + 1 - first) * HORIZON_STEP) - scratch[_OPP_V + k])
+    return max(speed, 0.0)
 
 
 @inner_kernel
@@ -335,6 +345,7 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
             scratch[_STRETCH + g] = 0.0
             scratch[_SLOWED + g] = 0.0
             scratch[_LINE_AIR + g] = WALL_AIR
+            scratch[_MOVE_AIR + g] = WALL_AIR
         for j in range(SEGMENTS):
             u = (j + 1) / SEGMENTS
             driven = u * length
@@ -350,7 +361,8 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
             fastest = scale * line[i, _frenet.SPEED]
             square = min(fastest * fastest, v * v + 8.0 * driven)
             back = _fade_out(driven * per_return, aside, aside_slope)
-            line_air = min(line[i, _frenet.RIGHT], line[i, _frenet.LEFT]) - 0.5 * width
+            right = line[i, _frenet.RIGHT] - 0.5 * width
+            left = line[i, _frenet.LEFT] - 0.5 * width
             for g in range(first, first + ACROSS):
                 a = scratch[_A + g]
                 b = scratch[_B + g]
@@ -359,7 +371,8 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
                 bent = kappa / stretch + _lateral_bend(u, a, b) * per_length * per_length
                 scratch[_STRETCH + g] += stretch * (1.0 / SEGMENTS)
                 scratch[_SLOWED + g] += min(np.sqrt(grip / max(abs(bent) * square, 1e-3)), 1.0) * (1.0 / SEGMENTS)
-                scratch[_LINE_AIR + g] = min(scratch[_LINE_AIR + g], line_air)
+                scratch[_LINE_AIR + g] = min(scratch[_LINE_AIR + g], right, left)
+                scratch[_MOVE_AIR + g] = min(scratch[_MOVE_AIR + g], right + at_d + back, left - at_d - back)
                 scratch[_POINT_X + j * GOALS + g] = x - (at_d + back) * sine
                 scratch[_POINT_Y + j * GOALS + g] = y + (at_d + back) * cosine
                 scratch[_MAX_KAPPA + g] = max(scratch[_MAX_KAPPA + g], abs(bent))
@@ -417,8 +430,7 @@ def _predict(line, per_ds, s, v, attack, follows, keep, steps, scratch):  # type
             else:
                 target = scratch[_SCALE + f] * _speed_at(line, per_ds, own_s)
             if f == FOLLOWS and follows:
-                gap = scratch[_OPP_S + k] - HORIZON_STEP * scratch[_OPP_V + k] - own_s  # both before this step
-                target = min(target, scratch[_OPP_V + k] + _closing(gap))
+                target = min(target, _following_speed(scratch, own_s, k))
             own_v += min(max(max(target, 0.0) - own_v, -OWN_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
             own_s += own_v * HORIZON_STEP
             i = _sample_at(line, per_ds, own_s)
@@ -458,9 +470,14 @@ def _predict_opponent(line, per_ds, view, s, scale, gives_way, beside, scratch):
 
 
 @inner_kernel
-def _meet_opponent(scratch, f, s0, reach, side_reach, body, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
-    """Trouble (overlaps ahead) and proximity of all moves at one speed with the predicted opponent."""
+def _meet_opponent(scratch, f, s0, gap, side, reach, side_reach, body, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
+    """Trouble (overlaps ahead) and proximity of all moves at one speed with the predicted opponent.
+
+    ``gap`` and ``side`` are the distances at present, along and across the track.
+    """
     for g in range(GOALS):
+        scratch[_ALONG + g] = -gap
+        scratch[_SIDE + g] = side
         scratch[_TROUBLE + g] = 0.0
         scratch[_DEEPEST + g] = 0.0
         scratch[_PROXIMITY + g] = 0.0
@@ -482,15 +499,29 @@ def _meet_opponent(scratch, f, s0, reach, side_reach, body, reject_steps, wrong,
             for g in range(first, first + ACROSS):
                 length = scratch[_LENGTH + g]
                 own = driven + (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(driven, length)
-                gap = abs(own - ahead)
+                along = own - ahead
+                before = scratch[_ALONG + g]
+                gap = abs(along)
                 long_air = max(gap - reach, 0.0)
                 long_square = long_air * long_air + 0.3
                 u = own * per_length
                 d = _lateral(u, scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g])
-                across = abs(min(max(d, low), high) - opp_d)
+                side = min(max(d, low), high) - opp_d
+                across = abs(side)
+                meets = gap < reach
+                if along * before < 0.0:
+                    # One passes the other between two steps: what counts is where both are then.
+                    aside = scratch[_SIDE + g] + (side - scratch[_SIDE + g]) * before / (before - along)
+                    across = min(across, abs(aside)) if meets else abs(aside)
+                    meets = True
+                elif side * scratch[_SIDE + g] < 0.0 and abs(before) < reach:
+                    across, meets = 0.0, True  # it changes sides beside the other car
+                scratch[_ALONG + g] = along
+                scratch[_SIDE + g] = side
                 # A move cannot lead through the other car: what overlapped once is no better on the other side.
-                deep = max(scratch[_DEEPEST + g], side_reach - across if gap < reach else 0.0)
+                deep = max(scratch[_DEEPEST + g], side_reach - across if meets else 0.0)
                 scratch[_DEEPEST + g] = deep
+                across = abs(side)
                 scratch[_TROUBLE + g] += hard * deep * (1.0 + deep)
                 side_air = max(across - body, 0.0)
                 near = soft / (long_square + side_air * side_air)
@@ -519,7 +550,7 @@ def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
             change = goal - before
             middle_change = middle - middle_before
             tight = max(TOUCH - scratch[_MIN_AIR + g], 0.0)
-            close = max(scratch[_LINE_AIR + g] - scratch[_MIN_AIR + g], 0.0)
+            close = max(scratch[_LINE_AIR + g] - scratch[_MOVE_AIR + g], 0.0)
             scratch[_BASE + g] = (
                 w_length / length
                 + w_max * scratch[_MAX_KAPPA + g]
@@ -537,6 +568,7 @@ def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
 def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack, aside, aside_slope, path):  # type: ignore[no-untyped-def]
     """Write the beginning of the chosen move, and the way back onto it, with a speed that its bends allow."""
     per_ds = 1.0 / ds
+    braking = min(BRAKING * grip / GRIP, 5.5)  # as the profile brakes at this scale, if the car can
     s0 = view[_view.OWN_S]
     v = view[_view.OWN_V]
     goal, a, b = scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g]
@@ -551,8 +583,8 @@ def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack,
         u = driven * per_length
         d = _lateral(u, goal, a, b)
         bent = kappa / max(1.0 - kappa * d, 0.25) + _lateral_bend(u, a, b) * per_length * per_length
-        square = min(square + 2.0 * BRAKING * step, grip / max(abs(bent), 1e-6))
-    square += 2.0 * BRAKING * step
+        square = min(square + 2.0 * braking * step, grip / max(abs(bent), 1e-6))
+    square += 2.0 * braking * step
     step = reach / (PATH_POINTS - 1)
     for i in range(PATH_POINTS):
         j = PATH_POINTS - 1 - i
@@ -574,7 +606,7 @@ def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack,
             speed = at_scale * _speed_at(line, per_ds, at)
         path[j, _view.PATH_SPEED] = min(speed, np.sqrt(square), cap)
         path[j, _view.PATH_KAPPA] = bent + back
-        square += 2.0 * BRAKING * step
+        square += 2.0 * braking * step
 
 
 @inner_kernel
@@ -599,8 +631,8 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
     grip = GRIP * max(scale * scale, 1.0)
 
     d, slope, bend, since, remembered = _plan_by_now(memory, s0, track.length, d0, slope0)
-    aside = HALF_FORGOTTEN * (d0 - d)
-    aside_slope = HALF_FORGOTTEN * (slope0 - slope) * _return_length(v)
+    aside = LED_BACK * (d0 - d)
+    aside_slope = LED_BACK * (slope0 - slope) * _return_length(v)
     _lay_moves(line, track.ds, s0, v, scale, grip, view[_view.OWN_WIDTH], d, slope, bend, aside, aside_slope, scratch)
     _measure_track(track, scratch, 0.5 * view[_view.OWN_WIDTH])
 
@@ -623,11 +655,15 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
         _predict_opponent(line, per_ds, view, s0 + gap, scale, gives_way, beside, scratch)
         if gap > 0.0 or (gives_way and gap > -long_reach):
             follow = 1.0
-            cap = max(view[_view.OPP_V] + _closing(gap), 0.0)
+            cap = _following_speed(scratch, s0, 0)
     for f in range(SPEEDS):
         scratch[_SCALE + f] = scale * (_SPEED_FACTORS[f] if f < FOLLOWS else follow)
     steps = HORIZON_STEPS if meets else ALONE_STEPS
-    attack = theta[ATTACK] if meets and gap > 0.0 else 0.0
+    # An attack begins wholly behind and ends wholly ahead. If who is passed answered it when level, and who passes
+    # stopped there, both would stay side by side into the next bend.
+    attacks = meets and (gap > LEVEL or memory[_M_ATTACKS] > 0.5)
+    memory[_M_ATTACKS] = 1.0 if attacks else 0.0
+    attack = theta[ATTACK] if attacks else 0.0
     _predict(line, per_ds, s0, v, attack, cap < np.inf, 0.5 * view[_view.OWN_WIDTH] + BODY_AIR, steps, scratch)
     # Who has the right of way goes on, and only keeps out of what is about to happen: if both held back, they would
     # stay side by side into the next bend.
@@ -682,7 +718,17 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
             # In a pinch one falls back and the other goes on.
             wrong = WRONG_WAY if gives_way != (f == FOLLOWS) else 1.0
             _meet_opponent(
-                scratch, f, s0, long_reach, body + margin, body, reject_steps, wrong, later if f != FOLLOWS else 0.0
+                scratch,
+                f,
+                s0,
+                gap,
+                d - view[_view.OPP_D],
+                long_reach,
+                body + margin,
+                body,
+                reject_steps,
+                wrong,
+                later if f != FOLLOWS else 0.0,
             )
             for g in range(GOALS):
                 scratch[costs + g] += w_proximity * scratch[_PROXIMITY + g] + scratch[_TROUBLE + g]

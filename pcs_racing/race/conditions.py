@@ -49,6 +49,10 @@ class RaceConditions:
         return [(self.tracks[first], first, last) for first, last in runs_of(self.tracks)]
 
 
+AS_THE_SETUP = RaceConditions()
+"""The same cars and the same track in every race."""
+
+
 def runs_of(values: Sequence[object]) -> list[tuple[int, int]]:
     """Where runs of the same object begin and end in a sequence."""
     edges = [0, *(i for i in range(1, len(values)) if values[i] is not values[i - 1]), len(values)]
@@ -57,7 +61,8 @@ def runs_of(values: Sequence[object]) -> list[tuple[int, int]]:
 
 def vehicle_rows(vehicles: tuple[VehicleParams, VehicleParams], races: int) -> NDArray[np.float64]:
     """Parameters of both cars for every race, shape (races, 2, 18)."""
-    rows = np.empty((races, 2, PARAMS_SIZE))  # writeable, or one race would compile the kernels a second time
+    # Writeable, or one race would compile the kernels a second time.
+    rows = np.empty((races, 2, PARAMS_SIZE))
     for car, vehicle in enumerate(vehicles):
         rows[:, car] = vehicle.as_row()
     return rows

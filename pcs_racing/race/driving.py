@@ -14,7 +14,7 @@ from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import VIEW_SIZE
-from pcs_racing.race.conditions import RaceConditions
+from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.kernel import GROUP, WORK_SIZE, KernelSettings, advance_races, fill_view
 from pcs_racing.race.rates import CONTROL_EVERY, DT
@@ -29,9 +29,6 @@ PIECE = 3000  # that a thread drives at a time
 WORTH_A_THREAD = 500  # that are worth handing over
 
 FEW_ROUNDS = 4
-
-AS_THE_SETUP = RaceConditions()
-"""The same cars and the same track in every race."""
 
 
 def default_threads() -> int:
@@ -73,24 +70,7 @@ def drive(
 ) -> None:
     """Drive every race of a batch on by ``ticks`` steps of 0.01 s, in place; finished races stand still.
 
-    The result does not depend on the number of threads, nor on how a race is cut into calls.
-
-    Parameters
-    ----------
-    planners : tuple of two Planner
-        Of car 0 and car 1.
-    vehicles : tuple of two VehicleParams
-        Car 0 and car 1.
-    state : RaceState
-        Overwritten.
-    theta : ndarray, shape (B, 2, P)
-        Parameter vectors of the two policies in each race, padded to the longer planner's.
-    ticks : int
-        An even number: drivers are asked every second step.
-    threads : int, optional
-        Threads to share the races; all cores by default, one where a driver is plain Python.
-    conditions : RaceConditions
-        Cars and tracks of single races.
+    It is :func:`pcs_racing.race.races.advance` for cars, planners and settings of the loop that belong to no setup.
     """
     cars, runs = conditions.rows(vehicles, state.races), conditions.runs(track, state.races)
     if ticks < 0 or ticks % CONTROL_EVERY:
@@ -98,6 +78,7 @@ def drive(
     if planners[0].drive is None and planners[1].drive is None:
         _drive_compiled(runs, settings, planners, cars, state, theta, ticks, threads)
         return
+    # The compiled loop stops before every command, so that Python can give it.
     for _ in range(ticks // CONTROL_EVERY):
         for run in runs:
             _ask_python_drivers(run, settings, planners, cars, state, theta)
@@ -122,16 +103,13 @@ def _drive_compiled(
         )
     size = max(1, *(planner.scratch_size for planner in planners))
 
-    def part(arrays: TrackArrays, first: int, last: int) -> None:  # the pointers are bound below
+    def part(arrays: TrackArrays, first: int, last: int) -> None:  # the drivers are bound below
         advance_races(
             arrays,
             state,
             theta,
             cars,
-            plan0,
-            control0,
-            plan1,
-            control1,
+            drivers,
             settings,
             ticks,
             first,
@@ -141,16 +119,17 @@ def _drive_compiled(
         )
 
     with first_call(advance_races, "the planners and the race kernel", 14) as compiling:
-        plan0, control0 = planners[0].pointers()
-        plan1, control1 = planners[1].pointers()
+        drivers = (*planners[0].pointers(), *planners[1].pointers())
         if compiling and runs:
             part(runs[0][0].arrays, 0, 0)
     workers = min(threads or default_threads(), races, races * ticks // WORTH_A_THREAD)
+    # A pool costs as much as some hundred steps.
     if workers <= 1:
         for track, first, last in runs:
             part(track.arrays, first, last)
         return
-    part(runs[0][0].arrays, 0, 0)  # other types of arguments compile here, before several threads would
+    # Other types of arguments compile here, before several threads would.
+    part(runs[0][0].arrays, 0, 0)
     pieces = _pieces(runs, races, ticks, workers)
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(part, *zip(*pieces, strict=True)))
@@ -190,6 +169,7 @@ def _ask_python_drivers(
                 continue
             fill_view(track.arrays, state, race, car, cars[race], settings, view)
             memory = state.memory[race, car]
+            # The first numbers hold the command until the next one; the driver's own memory follows.
             own = memory[COMMAND_SLOTS : COMMAND_SLOTS + planner.memory_size]
             answer = planner.drive(track, theta[race, car, : len(planner.parameters)], view.copy(), own)
             command = np.asarray(answer, dtype=np.float64)

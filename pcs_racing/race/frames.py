@@ -20,22 +20,16 @@ _TRAIL = 2.0  # s
 def replay_frames(
     replay: Replay, renderer: Renderer | None = None, *, fps: float = 20.0, speed: float = 1.0, candidates: bool = False
 ) -> Iterator[np.ndarray]:
-    """Frames of a recorded race, one after the other, for any video writer.
+    """Yield frames of a recorded race, (height, width, 3) of uint8, one after the other, for any video writer.
 
     Parameters
     ----------
     renderer : Renderer, optional
         In mode ``"rgb_array"``; one of the whole track if left out.
-    fps : float
-        Frames per second of the video.
-    speed : float
-        Race seconds per video second.
+    fps, speed : float
+        Frames per second of the video, and race seconds per video second.
     candidates : bool
         Whether to draw the paths considered, where they were kept.
-
-    Yields
-    ------
-    ndarray of uint8, shape (height, width, 3)
     """
     check_number("fps", fps, most=1000.0, above=0.0)
     check_number("speed", speed, most=1000.0, above=0.0)
@@ -48,6 +42,7 @@ def replay_frames(
 def _frames(replay: Replay, renderer: Renderer, step: float, candidates: bool) -> Iterator[np.ndarray]:
     lead = replay.lead
     for k in range(int(replay.duration / step + 1e-9) + 1):
+        # A multiple, not a sum of steps: rounding errors would move the last frames.
         time = k * step
         i = min(round(time / replay.frame_dt), len(replay.cars) - 1)
         since = max(0, i - round(_TRAIL / replay.frame_dt))
@@ -80,20 +75,10 @@ def write_gif(
     speed: float = 2.0,
     candidates: bool = False,
 ) -> Path:
-    """Write a recorded race as an animated GIF.
+    """Write a recorded race as an animated GIF; an existing file is replaced in one step.
 
-    Parameters
-    ----------
-    path : path
-        Ends in ``.gif``; an existing file is replaced in one step.
-    renderer : Renderer, optional
-        One of the whole track, 640 x 420 pixels, if left out.
-    fps : float
-        Frames per second, up to 50 (a GIF counts in hundredths of a second).
-    speed : float
-        Race seconds per second.
-    candidates : bool
-        Whether to draw the paths considered.
+    As for :func:`replay_frames`, but the renderer is one of 640 x 420 pixels if left out, and 50 frames per second are
+    the most (a GIF counts in hundredths of a second).
     """
     path = Path(path)
     if path.suffix != ".gif":

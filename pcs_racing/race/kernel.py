@@ -19,16 +19,14 @@ from pcs_racing.race.contacts import collide
 from pcs_racing.race.progress import update_progress
 from pcs_racing.race.rates import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
 from pcs_racing.race.steering import delayed, steering_noise, steering_sd
-from pcs_racing.track.frenet import COS, SIN, SPEED
-
-__all__ = ["GROUP", "WORK_SIZE", "KernelSettings", "advance_races", "fill_view", "measure_ittc"]
+from pcs_racing.track.frenet import COS, SIN, SPEED, WALLS_BEGIN, WALLS_END, WallArrays
 
 BLOCKING_REACH = 3.0  # m
 
 GROUP = LANES // 2
 """Races that are driven in lockstep."""
 
-# What the loop scribbles on: the cars in their lanes; whether each is slow, and its steering angle before a control
+# The loop's scratch memory: the cars in their lanes; whether each is slow, and its steering angle before a control
 # period; the steps that each race has left; and the view of each car.
 _SLOW = LANES_SIZE
 _STEERING_BEFORE = _SLOW + LANES
@@ -118,6 +116,7 @@ def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignor
 @inner_kernel
 def _count_overtakes(progress, leader, overtakes, race, length):  # type: ignore[no-untyped-def]
     """Count a pass once the car that was behind leads by more than a car's length."""
+    # By more than a length, so that two cars side by side don't pass each other at every step.
     lead = progress[race, 0] - progress[race, 1]
     if abs(lead) > length:
         ahead = 0 if lead > 0.0 else 1
@@ -127,9 +126,7 @@ def _count_overtakes(progress, leader, overtakes, race, length):  # type: ignore
 
 
 @kernel(forceinline=True)
-def measure_ittc(  # type: ignore[no-untyped-def]
-    walls, seen_start, seen, seen_distance, seen_middle, seen_stretch, cars, frenet, sums, race, vehicles, horizon
-):
+def measure_ittc(near, cars, frenet, sums, race, vehicles, horizon):  # type: ignore[no-untyped-def]
     """Sample the minimum time to collision of both cars."""
     sine0, cosine0 = sine_cosine(cars[race, 0, _vehicle.PSI] + cars[race, 0, _vehicle.BETA])
     sine1, cosine1 = sine_cosine(cars[race, 1, _vehicle.PSI] + cars[race, 1, _vehicle.BETA])
@@ -137,14 +134,15 @@ def measure_ittc(  # type: ignore[no-untyped-def]
     v0y = cars[race, 0, _vehicle.V] * sine0
     v1x = cars[race, 1, _vehicle.V] * cosine1
     v1y = cars[race, 1, _vehicle.V] * sine1
+    # The velocities of both are worked out once, before the loop: each car needs that of the other, too.
     for car in range(2):
         other = 1 - car
         x = cars[race, car, _vehicle.X]
         y = cars[race, car, _vehicle.Y]
         vx = v0x if car == 0 else v1x
         vy = v0y if car == 0 else v1y
-        stretch = _part_at(frenet[race, car, 0], seen_stretch, seen_middle.shape[0])
-        time = walls_ittc(walls, seen_start, seen, seen_distance, seen_middle, stretch, x, y, vx, vy, horizon)
+        stretch = _part_at(frenet[race, car, 0], near.seen_stretch, near.seen_middle.shape[0])
+        time = walls_ittc(near, stretch, x, y, vx, vy, horizon)
         time = rectangle_ittc(
             cars[race, other, _vehicle.X] - x,
             cars[race, other, _vehicle.Y] - y,
@@ -187,44 +185,28 @@ def _measure_driving(cars, frenet, progress, sums, race, vehicles, before0, befo
 
 @kernel
 def advance_races(  # type: ignore[no-untyped-def]
-    track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, first, last, scratch, work
+    track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work
 ):
     """Advance races ``first`` to ``last - 1`` of a batch by ``ticks`` steps each, in place.
 
     A race that crashed or reached ``settings.end_tick`` stands still. Races are driven in groups whose cars share the
     processor's vectors; no race depends on the others in its group.
 
-    Parameters
-    ----------
-    track : TrackArrays
-    state : RaceState
-        Overwritten.
-    theta : ndarray, shape (B, 2, P)
-        Parameters of the two policies of each race.
-    vehicles : ndarray, shape (B, 2, 18)
-        Parameter rows of the two cars of each race.
-    plan0, control0, plan1, control1 : int
-        Addresses of the planners of car 0 and car 1 (:meth:`pcs_racing.planners.planner.Planner.pointers`).
-    settings : KernelSettings
-    ticks : int
-        Steps to drive.
-    first, last : int
-        The part of the batch to advance.
-    scratch : ndarray
-        At least as large as the larger of the two planners' scratch.
-    work : ndarray, shape (WORK_SIZE,)
-        Scribbled on.
+    ``theta``, shape (B, 2, P), are parameters of the two policies of each race, and ``vehicles``, shape (B, 2, 18), its
+    cars' parameter rows. ``drivers`` are the addresses of plan and control of car 0 and of car 1
+    (:meth:`pcs_racing.planners.planner.Planner.pointers`). ``scratch``, as large as that of either planner, and
+    ``work``, of ``WORK_SIZE``, hold nothing afterwards.
     """
+    plan0, control0, plan1, control1 = drivers
     # Arrays are taken out of their tuples once: handing whole tuples to functions costs more than many of these do.
-    distance, origin_x, origin_y, cell = track.distance, track.origin_x, track.origin_y, track.cell
-    walls, seen_start, seen = track.walls, track.seen_start, track.seen
-    seen_distance, seen_middle, seen_stretch = track.seen_distance, track.seen_middle, track.seen_stretch
+    near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
     line, ds, length = track.line, track.ds, track.length
     cars, frenet, progress, sums = state.cars, state.frenet, state.progress, state.sums
     crash, fault, leader, overtakes, laps = state.crash, state.fault, state.leader, state.overtakes, state.laps
     commands, disturbances, paths, memories = state.command, state.disturbance, state.path, state.memory
     noise_share = np.sqrt(1.0 - settings.noise_keep * settings.noise_keep)
-    work[:LANES_SIZE] = 0.0  # numbers left over from elsewhere may be so small that arithmetic with them is slow
+    # Numbers left over from elsewhere may be so small that arithmetic with them is slow.
+    work[:LANES_SIZE] = 0.0
     for start in range(first, last, GROUP):
         stop = min(start + GROUP, last)
         lanes = 2 * (stop - start)
@@ -236,6 +218,7 @@ def advance_races(  # type: ignore[no-untyped-def]
                 load_car(work, lane, cars[race, car], vehicles[race, car])
                 view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
                 _fill_fixed(vehicles[race, car], vehicles[race, 1 - car], settings, view)
+        # One turn is one step of all races of the group that still drive.
         driving = True
         while driving:
             driving = False
@@ -258,6 +241,7 @@ def advance_races(  # type: ignore[no-untyped-def]
                             if tick % PLAN_EVERY == 0:
                                 call_plan(plan1, track, theta[race, 1], view, memory, scratch, path)
                             call_control(control1, track, theta[race, 1], view, memory, scratch, path, command)
+                        # First the disturbance, then the delay: the car gets late what was disturbed when it was sent.
                         noise_sd = steering_sd(settings, vehicles[race, car])
                         if noise_sd > 0.0:
                             draw = noise_sd * noise_share * steering_noise(state.seed[race], car, tick)
@@ -268,6 +252,7 @@ def advance_races(  # type: ignore[no-untyped-def]
                             command[0] = delayed(memory, delay, tick, command[0])
                         set_target(work, lane, command[0], command[1])
                         work[_STEERING_BEFORE + lane] = cars[race, car, _vehicle.DELTA]
+                # Slow cars are driven alone; their lanes are computed as well, and overwritten below.
                 for car in range(2):
                     lane = 2 * (race - start) + car
                     slow = step_slow_car(work, lane, cars[race, car], vehicles[race, car], DT)
@@ -286,44 +271,15 @@ def advance_races(  # type: ignore[no-untyped-def]
                         store_car(work, lane, cars[race, car])
                 tick = state.tick[race] + 1
                 state.tick[race] = tick
+                # Measured before contacts are looked for: a race that ends now has driven this period.
                 if tick % CONTROL_EVERY == 0:
                     before = _STEERING_BEFORE + 2 * (race - start)
                     progress0, progress1 = progress[race, 0], progress[race, 1]
                     update_progress(line, ds, length, cars, frenet, progress, laps, tick, race)
                     _measure_speed(line, ds, settings.speed_high, frenet, progress, sums, race, progress0, progress1)
                     _measure_driving(cars, frenet, progress, sums, race, params, work[before], work[before + 1])
-                    if collide(
-                        distance,
-                        origin_x,
-                        origin_y,
-                        cell,
-                        walls,
-                        seen_start,
-                        seen,
-                        seen_distance,
-                        seen_middle,
-                        seen_stretch,
-                        cars,
-                        frenet,
-                        crash,
-                        fault,
-                        race,
-                        params,
-                    ):
+                    if collide(near, cars, frenet, crash, fault, race, params):
                         work[_LEFT + race - start] = 0.0
                     _count_overtakes(progress, leader, overtakes, race, params[0, _vehicle.LENGTH])
                 if tick % ITTC_EVERY == 0 and settings.ittc_horizon > 0.0:
-                    measure_ittc(
-                        walls,
-                        seen_start,
-                        seen,
-                        seen_distance,
-                        seen_middle,
-                        seen_stretch,
-                        cars,
-                        frenet,
-                        sums,
-                        race,
-                        params,
-                        settings.ittc_horizon,
-                    )
+                    measure_ittc(near, cars, frenet, sums, race, params, settings.ittc_horizon)

@@ -154,6 +154,7 @@ def paint_car(
         # On a whole track an arrow larger than the car: small, but never lost.
         pen.polygon(place(_ARROW, _ARROW_SIZE * FINER / (half_length * camera.scale)), fill=colour)
         return
+    # The true rectangle lies under the car, pale: contacts are its, not those of the drawn body.
     pen.polygon(place(_AHEAD), fill=colour)
     box = ((1, 1), (-1, 1), (-1, -1), (1, -1))
     pen.polygon(place(box), fill=(*colour, 50), outline=(*colour, 160), width=FINER)

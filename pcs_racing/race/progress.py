@@ -38,6 +38,7 @@ def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race):
 
     Takes single arrays: handing whole named tuples to small functions costs more than their work, in reference counts.
     """
+    # Nobody drives half a lap in a control period: a larger change of s is a crossing of the start line.
     half = 0.5 * length
     for car in range(2):
         before = frenet[race, car, 0]

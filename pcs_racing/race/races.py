@@ -13,9 +13,9 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import COMMAND_PERIOD, F1TENTH, VehicleParams
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
-from pcs_racing.race.conditions import RaceConditions
+from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import PAPER, RaceConfig
-from pcs_racing.race.driving import AS_THE_SETUP, drive, kernel_settings, pad_parameters
+from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.rates import DT
 from pcs_racing.race.start_grid import Starts, place_on_grid
@@ -69,18 +69,10 @@ class RaceSetup:
 def start_lines(
     track: Track, config: RaceConfig, seed: int | np.random.SeedSequence, *, split: str = "test"
 ) -> NDArray[np.float64]:
-    """Arc lengths of ``config.start_lines`` random start lines at places of the circuit that are fit for it, m.
+    """Arc lengths (m) of ``config.start_lines`` start lines at places of the circuit fit for it, in random order.
 
-    Parameters
-    ----------
-    split : {"train", "test"}
-        Games of training start from other places than races of tables
-        (:func:`pcs_racing.race.start_places.split_places`).
-
-    Returns
-    -------
-    ndarray, shape (config.start_lines,)
-        In random order. Lines repeat where the circuit has fewer places.
+    Games of training start from other places than races of tables (:func:`pcs_racing.race.start_places.split_places`).
+    Lines repeat where the circuit has fewer places.
     """
     rng = np.random.default_rng(seed)
     known = starts_for(track, config)
@@ -300,6 +292,7 @@ def run_races(
     if len(starts) != races:
         raise InputError(f"there are {races} races but {len(starts)} starts; give one start for each race")
     seeds = race_seeds(seed, races)
+    # The loop is given the same two planners for all races of a call, so races are grouped by them.
     groups: dict[tuple[int, int], list[int]] = {}
     for i, (ego, opponent) in enumerate(zip(egos, opponents, strict=True)):
         groups.setdefault((id(ego.planner), id(opponent.planner)), []).append(i)
@@ -316,6 +309,7 @@ def run_races(
         )
         advance(setup, state, theta, config.ticks, threads=threads)
         parts.append((members, state))
+    # States are joined only in one width: planners that remember less leave the rest 0.
     widest = max((state.memory.shape[2] for _, state in parts), default=0)
     joined = concatenate([_widen_memory(state, widest) for _, state in parts]) if parts else empty_state(0, 0)
     order = np.argsort(np.concatenate([members for members, _ in parts])) if parts else np.array([], np.intp)

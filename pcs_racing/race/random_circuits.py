@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, MapError
 from pcs_racing.base.settings import Settings, choice, number, setting, whole
 from pcs_racing.race.config import PRESETS, RaceConfig
-from pcs_racing.race.start_places import PLACE_EVERY
+from pcs_racing.race.start_places import PLACE_EVERY, stretches_of
 from pcs_racing.track.frenet import KAPPA
 from pcs_racing.track.mapping.circuits import generate_circuit
 from pcs_racing.track.mapping.shapes import STYLES
@@ -57,6 +56,7 @@ def random_circuit(settings: RandomCircuits, index: int) -> Track:
     refusal: MapError | None = None
     for attempt in range(TRIES):
         rng = np.random.default_rng(np.random.SeedSequence(index, spawn_key=(attempt,)))
+        # A new seed for each attempt: the generator has already tried many drafts of the last one.
         style = settings.style or list(STYLES)[rng.integers(len(STYLES))]
         direction = ("counterclockwise", "clockwise")[rng.integers(2)]
         try:
@@ -88,25 +88,14 @@ def _calibration(track: Track, preset: RaceConfig) -> Calibration:
     fit = bend < BENDS
     if not fit.any():
         raise MapError(f"track {track.name!r} has no straight to start from")
-    return Calibration(SPEED_RANGES[preset.name], preset.start_spacing, {"front": _stretches(places, fit)})
-
-
-def _stretches(places: NDArray[np.float64], fit: NDArray[np.bool_]) -> tuple[tuple[float, float], ...]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], fit.astype(np.int8), [0]])))
-    return tuple(
-        (float(places[first]), float(places[last - 1])) for first, last in zip(edges[::2], edges[1::2], strict=True)
-    )
+    return Calibration(SPEED_RANGES[preset.name], preset.start_spacing, {"front": stretches_of(fit)})
 
 
 class CircuitBuilder:
     """Circuits by number: built once, ahead of their use in threads, and kept while there is room.
 
-    What a number stands for depends on the settings alone, not on when it is asked for.
-
-    Parameters
-    ----------
-    room : int
-        Circuits in use at the same time.
+    What a number stands for depends on the settings alone, not on when it is asked for. ``room`` is the number of
+    circuits in use at the same time.
     """
 
     def __init__(self, settings: RandomCircuits, room: int = 1) -> None:
@@ -128,6 +117,7 @@ class CircuitBuilder:
                     self._pool = ThreadPoolExecutor(THREADS, "pcs-racing-circuits")
                 found = self._made[index] = self._pool.submit(random_circuit, self.settings, index)
             self._made.move_to_end(index)
+            # Circuits in use, as many that are built ahead of them, and some to come back to.
             while len(self._made) > 2 * self._room + KEPT:
                 _, oldest = self._made.popitem(last=False)
                 oldest.cancel()

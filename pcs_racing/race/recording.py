@@ -104,8 +104,6 @@ def record_drive(
         What the replay calls the cars; two equal names get the number of the car (:func:`tell_apart`).
     step_ticks : int, optional
         Length of a step in ticks of 0.01 s; a multiple of 10, as plans are made. Not needed for a single step.
-    candidates : bool
-        Whether to keep the paths that each planner chose from (if it can tell).
     """
     if len(start) != 1:
         raise InputError(f"there are {len(start)} starts; a recording is of one race")
@@ -172,6 +170,7 @@ def _drive(setup: RaceSetup, state: RaceState, steps: Floats, step_ticks: int, c
         if plans and candidates:
             # Asked before the step: afterwards the planner's memory already holds this plan.
             log.choices.append([_choices(setup, state, theta, car) for car in range(2)])
+        # Running sums and counts: what this period added is their difference.
         sums, overtakes = state.sums[0].copy(), state.overtakes[0].copy()
         advance(setup, state, theta, CONTROL_EVERY, threads=1)
         if plans:

@@ -61,11 +61,6 @@ class Renderer:
         Half length and half width of each car in m; a replay brings its own.
     fps : float
         Frames per second at most in a window.
-
-    Raises
-    ------
-    ImportError
-        If ``mode="human"`` and pygame-ce is not installed.
     """
 
     def __init__(
@@ -149,9 +144,11 @@ class Renderer:
                 paint_candidates(pen, camera, self._colours, np.asarray(paths), np.asarray(prices))
         for car, plan in enumerate(plans if plans is not None else ()):
             paint_plan(pen, camera, self._colours[f"car{car}"], plan)
+        # Car 0 comes last: where the two overlap, the one that is watched is on top.
         for car in reversed(range(len(cars))):
             half_size = self._half_sizes[min(car, len(self._half_sizes) - 1)]
             paint_car(pen, camera, self._colours[f"car{car}"], self._colours["tyre"], cars[car], half_size)
+        # Names are written after the reduction, which would blur them.
         image = image.reduce(FINER)
         if names:
             top = _TEXT_HEIGHT if text else 0.0

@@ -112,6 +112,7 @@ class Replay:
             array = np.array(getattr(self, name), dtype=np.float64, order="C")
         except (TypeError, ValueError, OverflowError):
             raise InputError(f"{name} must be an array of numbers") from None
+        # The first array with a letter decides its size; all later ones must agree.
         wanted = tuple(sizes.get(size, size) if isinstance(size, str) else size for size in shape)
         if array.ndim != len(wanted) or any(
             isinstance(w, int) and w != n for w, n in zip(wanted, array.shape, strict=True)

@@ -41,14 +41,9 @@ _DATA = re.compile(r'<script type="application/json" id="replay">(.*?)</script>'
 
 
 def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
-    """Write a race as a page (``.html``) or as bare JSON (``.json``); `read_replay` reads both.
+    """Write a race as a page (``.html``) or as bare JSON (``.json``), in one step; `read_replay` reads both.
 
     Numbers are rounded: to 1 mm, 1 mm/s, 1 mrad and 1 ms for cars, plans and line, to 1 cm for candidates and walls.
-
-    Parameters
-    ----------
-    path : path
-        Where to write; an existing file is replaced in one step.
 
     Raises
     ------
@@ -65,15 +60,10 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
 
 
 def write_html(replay: Replay, path: str | os.PathLike[str]) -> Path:
-    """Write the page that plays a race: one file, no network, opens from a disk.
+    """Write the page that plays a race: one file, no network, opens from a disk; it is replaced in one step.
 
     A link may name a moment: ``race.html#t=12.5&follow=1&candidates=1`` (``follow``: ``0``, ``1``, ``both`` or
     ``track``; also ``play=1``, ``speed=0.5``, ``plans=0``, ``zoom=2``, ``theme=dark``).
-
-    Parameters
-    ----------
-    path : path
-        Where to write; an existing file is replaced in one step.
     """
     path = Path(path)
     page = replay_page(replay)
@@ -90,12 +80,7 @@ def replay_page(replay: Replay) -> str:
 
 
 def read_replay(path: str | os.PathLike[str]) -> Replay:
-    """Read a race back from a page or from JSON. Nothing in the file is run, and all of it is checked.
-
-    Parameters
-    ----------
-    path : path
-        A file that `save_replay` wrote.
+    """Read a race back from what `save_replay` wrote. Nothing in the file is run, and all of it is checked.
 
     Raises
     ------
@@ -104,9 +89,7 @@ def read_replay(path: str | os.PathLike[str]) -> Replay:
     """
     path = Path(path)
     try:
-        text = read_limited(path, _LARGEST_FILE, "a replay").decode("utf-8")
-    except OSError as error:
-        raise InputError(f"can't read the replay {path}: {error.strerror}") from None
+        text = read_limited(path, _LARGEST_FILE, "a replay", InputError).decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path} is not a replay: it is not UTF-8 text") from None
     if path.suffix != ".json":

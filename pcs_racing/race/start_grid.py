@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import VehicleParams
-from pcs_racing.race.conditions import RaceConditions
+from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.contacts import place_cars
 from pcs_racing.race.state import RaceState, empty_state
@@ -41,25 +41,13 @@ def place_on_grid(
     vehicles: tuple[VehicleParams, VehicleParams],
     starts: Starts,
     memory_size: int,
-    conditions: RaceConditions | None = None,
+    conditions: RaceConditions = AS_THE_SETUP,
 ) -> RaceState:
     """Both cars of every race at their start; a race whose cars do not fit there is marked as crashed.
 
     Side by side, the two cars are centred between the walls; staggered and rolling, the rear car stands ``start_gap``
-    behind and both are ``spacing`` apart across the track. Progress is counted from the front car's line.
-
-    Parameters
-    ----------
-    config : RaceConfig
-        Kind of start, gap and speed.
-    spacing : float
-        Distance between the cars' centres across the track, m.
-    slowest : float
-        Speed scale of pace 0: no car starts faster than the race line at that scale.
-    memory_size : int
-        Numbers of memory for each driver.
-    conditions : RaceConditions, optional
-        Cars and tracks of single races.
+    behind and both are ``spacing`` (m) apart across the track. Progress is counted from the front car's line. No car
+    starts faster than the race line at the speed scale ``slowest``, that of pace 0.
     """
     arrays = track.arrays
     outside = ~((starts.s >= 0.0) & (starts.s < arrays.length))
@@ -82,6 +70,7 @@ def place_on_grid(
     middle = 0.5 * (sample[..., LEFT] - sample[..., RIGHT])
     d = middle + np.array([0.5, -0.5]) * spacing
     pose = track.to_cartesian(np.stack([s, d], axis=-1))
+    # No start faster than the slowest policy may drive there: it would begin with a crash that nobody chose.
     profile = slowest * sample[..., SPEED]
     state.cars[race, car, X] = pose[..., 0]
     state.cars[race, car, Y] = pose[..., 1]
@@ -98,10 +87,9 @@ def settle(
     track: Track,
     vehicles: tuple[VehicleParams, VehicleParams],
     state: RaceState,
-    conditions: RaceConditions | None = None,
+    conditions: RaceConditions = AS_THE_SETUP,
 ) -> None:
     """Set the Frenet coordinates of freshly placed cars, and mark those that stand in a wall or in the other one."""
-    conditions = conditions or RaceConditions()
     cars = conditions.rows(vehicles, state.races)
     for on, first, last in conditions.runs(track, state.races):
         part = RaceState._make(array[first:last] for array in state)

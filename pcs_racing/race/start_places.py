@@ -26,8 +26,6 @@ from pcs_racing.race.start_grid import Starts, place_on_grid
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track
 
-__all__ = ["PLACE_EVERY", "drive_away", "fit_places", "places_of", "seconds_driven", "split_places"]
-
 Floats = NDArray[np.float64]
 Stretches = tuple[tuple[float, float], ...]
 Places = dict[str, Stretches]
@@ -71,6 +69,7 @@ def _race_from(
 
     The keys of the races' noise are ``first_key`` and those after it: any that differ will do.
     """
+    # Every pair from both sides in turn, so that what the pair does well is not taken for a gain of the side.
     starts = Starts(np.repeat(places, 2 * len(pairs)), np.tile(np.arange(2), len(places) * len(pairs)))
     cars = (F1TENTH, F1TENTH)
     state = place_on_grid(track, config, spacing, settings.speed_low, cars, starts, LATTICE.memory_total)
@@ -86,23 +85,12 @@ def drive_away(
 ) -> tuple[Floats, Floats]:
     """Start pairs of drivers at every place of a circuit, on either side, and see how the first seconds go.
 
-    Parameters
-    ----------
-    track : Track
-    config : RaceConfig
-        Kind of start, gap and speed.
-    settings : KernelSettings
-        Speed range and noise of the races.
-    spacing : float
-        Distance between the cars across the track, m.
-    threads : int, optional
-        They do not change the result.
+    The cars are ``spacing`` metres apart across the track; the places are 0, `PLACE_EVERY`, 2 `PLACE_EVERY` ... m.
 
     Returns
     -------
     crashes : ndarray, shape (places,)
-        Share of races over within the first seconds; 1 where the cars do not fit. The places are 0, `PLACE_EVERY`,
-        2 `PLACE_EVERY` ... along the race line, m.
+        Share of races over within the first seconds; 1 where the cars do not fit.
     favour : ndarray, shape (places,)
         Of the races between equals, those in which the car on the left (or in front) then leads, less those in which
         the other one does, as a share: from -1 to 1.
@@ -138,16 +126,7 @@ def fit_places(
     *,
     threads: int | None = None,
 ) -> tuple[float, Places, float]:
-    """Find where a circuit is fit to start from.
-
-    Parameters
-    ----------
-    track, config, settings
-        See :func:`drive_away`.
-    spacings : sequence of float
-        Distances across the track, in the order in which they are tried, m; the first that works is taken.
-    threads : int, optional
-        They do not change the result.
+    """Find where a circuit is fit to start from, with the first of some distances across the track (m) that works.
 
     Returns
     -------
@@ -157,24 +136,20 @@ def fit_places(
         of such places: arc lengths of the first and the last one, m, ascending.
     left_share : float
         Share of start lines to draw from the places that favour the left; 0.5 where cars start one behind the other.
-
-    Raises
-    ------
-    InputError
-        If no spacing works anywhere on the circuit.
     """
     for spacing in spacings:
         crashes, favour = drive_away(track, config, settings, spacing, threads=threads)
         together = np.mean([np.roll(crashes, shift) for shift in range(-NEIGHBOURS, NEIGHBOURS + 1)], axis=0)
         abreast = config.start == "side-by-side"
         sides = {"left": favour > 0.0, "right": favour < 0.0} if abreast else {"front": np.full(len(favour), True)}
+        # As strict as possible: a laxer limit is taken only where the strict one leaves too few places.
         for allowed in ALLOWED:
             fit = (together <= allowed) & (crashes < 1.0)
             found = {name: fit & side for name, side in sides.items()}
             counts = [np.count_nonzero(here) for here in found.values()]
             enough = sum(counts) >= ENOUGH and min(counts) >= ENOUGH_OF_A_SIDE
             if enough or (allowed == ALLOWED[-1] and sum(counts) >= FEWEST):
-                places = {name: _stretches(here) for name, here in found.items() if here.any()}
+                places = {name: stretches_of(here) for name, here in found.items() if here.any()}
                 share = 0.5
                 if len(places) == 2:
                     gains = [
@@ -218,7 +193,7 @@ def _left_share(left: float, right: float) -> float:
     return round(abs(right) / (abs(left) + abs(right)), 2)
 
 
-def _stretches(fit: NDArray[np.bool_]) -> Stretches:
+def stretches_of(fit: NDArray[np.bool_]) -> Stretches:
     """First and last place of every run of fit ones."""
     edges = np.diff(np.concatenate([[False], fit, [False]]).astype(np.int8))
     firsts, lasts = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
@@ -237,11 +212,6 @@ def split_places(places: Floats, split: str) -> Floats:
     """The places that training may use, or those that tests and tables use: every second block of 1 m is for training.
 
     Where the fit places lie in blocks of one kind only, every second place is for training instead.
-
-    Raises
-    ------
-    InputError
-        If ``split`` is neither "train" nor "test".
     """
     if split not in ("train", "test"):
         raise InputError(f"split is {split!r}; it must be 'train' or 'test'")

@@ -159,6 +159,7 @@ def load_state(path: str | Path) -> RaceState:
         raise InputError(f"{path} is not a saved race state: {error}") from None
     if set(arrays) != set(RaceState._fields):
         raise InputError(f"{path} holds {sorted(arrays)}; a race state holds {sorted(RaceState._fields)}")
+    # Everything but two sizes follows from the declaration of an empty state, which the file is compared with.
     memory = arrays["memory"]
     races = len(arrays["tick"]) if arrays["tick"].ndim else 0
     model = empty_state(races, memory.shape[2] if memory.ndim == 3 else 0)

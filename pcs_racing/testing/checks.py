@@ -40,11 +40,6 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
     ----------
     seconds : float
         Length of the races, a multiple of 0.4.
-
-    Raises
-    ------
-    AssertionError
-        If one of this does not hold.
     """
     setup = RaceSetup(track, load_race_config(PAPER, duration=seconds), (planner, planner))
     rng = np.random.default_rng(seed)
@@ -104,16 +99,9 @@ def _check_sight(setup: RaceSetup, state: RaceState, theta: NDArray[np.float64],
 def check_archive(archive: PolicyArchive, track: Track | None = None) -> None:
     """Check that an archive's policies exist, that its moves make sense, and that it can be kept.
 
-    Parameters
-    ----------
-    track : Track, optional
-        Where to play a short game between its first and its last policy.
-
-    Raises
-    ------
-    AssertionError
-        If its planner is unknown or has other parameters, a policy lies outside the bounds, a policy can't be reached
-        from its own coordinates, no move leads anywhere, or it reads back differently from a file.
+    Its planner must be known and have its parameters, with all policies inside the bounds; each policy must be reached
+    from its own coordinates, and some move must lead elsewhere; and it must read back from a file as it is. On a
+    ``track``, a short game is played between its first and its last policy.
     """
     who = f"archive {archive.name!r}"
     try:
@@ -142,11 +130,8 @@ def check_archive(archive: PolicyArchive, track: Track | None = None) -> None:
 def check_characteristic(characteristic: Characteristic, *, seed: int = 0) -> None:
     """Check that a characteristic gives one finite number for each race and car, and treats all of them alike.
 
-    Raises
-    ------
-    AssertionError
-        If the result has another shape, is not finite (pieces of no length included), changes with the other races of
-        the batch, does not follow the cars when they change places, or the segment is written to.
+    Also for pieces of no length. The result may not change with the other races of the batch, must follow the cars when
+    they change places, and the segment may not be written to.
     """
     who = f"characteristic {characteristic.name!r}"
     rng = np.random.default_rng(seed)

@@ -9,13 +9,13 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.code_cache import SIMULATOR, sources_digest
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.reading import read_limited, unpack_arrays
 
@@ -23,49 +23,8 @@ TRACK, CALIBRATION = "track", "calibration"  # kinds of results
 
 MAX_BYTES = 256_000_000
 
-# Files whose code decides what is cached: a change in any of them makes all that is cached out of date.
-_TRACK_CODE = (
-    "base/elementary.py",
-    "track/frenet.py",
-    "track/grid.py",
-    "track/map_files.py",
-    "track/maps.py",
-    "track/building/splines.py",
-    "track/track.py",
-    "track/building/build.py",
-    "track/building/walls.py",
-    "track/building/centerline.py",
-    "track/building/clearance.py",
-    "track/building/curves.py",
-    "track/building/raceline.py",
-    "track/building/speed.py",
-)
-_CODE = {
-    TRACK: _TRACK_CODE,
-    CALIBRATION: (
-        *_TRACK_CODE,
-        "race/calibration.py",
-        "car/collision.py",
-        "race/conditions.py",
-        "race/driving.py",
-        "planners/calling.py",
-        "planners/planner.py",
-        "planners/pursuit.py",
-        "planners/view.py",
-        "planners/lattice.py",
-        "race/config.py",
-        "race/contacts.py",
-        "race/kernel.py",
-        "race/progress.py",
-        "race/rates.py",
-        "race/steering.py",
-        "race/state.py",
-        "base/seeds.py",
-        "race/start_grid.py",
-        "race/start_places.py",
-        "car/vehicle.py",
-    ),
-}
+# Floors whose code decides what is cached: a change in any of their files makes all of it out of date.
+_FLOORS = {TRACK: ("base", "track"), CALIBRATION: SIMULATOR}
 
 
 def cache_folder() -> Path | None:
@@ -79,18 +38,10 @@ def cache_folder() -> Path | None:
         return None
 
 
-@lru_cache
-def _code(kind: str) -> bytes:
-    package = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for name in _CODE[kind]:
-        digest.update((package / name).read_bytes())
-    return digest.digest()
-
-
 def cache_key(parts: Mapping[str, bytes], kind: str) -> str:
     """Return a hash of named inputs and of the code that processes them."""
-    digest = hashlib.sha256(_code(kind))
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256(b"".join(sources_digest(package / floor) for floor in _FLOORS[kind]))
     for name in sorted(parts):
         digest.update(f"{name}\0{len(parts[name])}\0".encode())
         digest.update(parts[name])
@@ -115,6 +66,7 @@ def store(kind: str, key: str, arrays: Mapping[str, Any]) -> None:
         return
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
+        # Another process may read or write the same file: it is filled elsewhere and put in its place as a whole.
         handle, temporary = tempfile.mkstemp(dir=folder, suffix=".part")
         try:
             with os.fdopen(handle, "wb") as file:

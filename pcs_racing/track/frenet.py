@@ -53,6 +53,30 @@ class TrackArrays(NamedTuple):
     lookup_cell: float  #: Side of a cell of ``lookup`` in m; it shares the origin of ``distance``.
 
 
+class WallArrays(NamedTuple):
+    """The successive fields of :class:`TrackArrays` that contacts and times to collision read.
+
+    A tuple of its own, because a kernel hands the whole track on in more time than a test of a contact takes.
+    """
+
+    distance: np.ndarray
+    origin_x: float
+    origin_y: float
+    cell: float
+    walls: np.ndarray
+    seen_start: np.ndarray
+    seen: np.ndarray
+    seen_distance: np.ndarray
+    seen_middle: np.ndarray
+    seen_stretch: float
+
+
+# Kernels take them by ``WallArrays(*track[WALLS_BEGIN:WALLS_END])``. No function can do it for them, because a function
+# without reference counts must not return arrays.
+WALLS_BEGIN = TrackArrays._fields.index(WallArrays._fields[0])
+WALLS_END = WALLS_BEGIN + len(WallArrays._fields)
+
+
 # Functions that many kernels call take the track, but only hand its parts on to another function that does the work: a
 # branch in a function that holds the track's seven arrays costs it their reference counts, five times the arithmetic.
 
@@ -106,6 +130,7 @@ def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
     dy = y - line[i, Y]
     best = dx * dx + dy * dy
     step = 1 if dx * line[i, COS] + dy * line[i, SIN] > 0.0 else -1
+    # At most once around, for a point so far away that all samples are about as near.
     for _ in range(n):
         j = i + step
         if j >= n:
@@ -121,6 +146,7 @@ def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
         i = j
         dx = ex
         dy = ey
+    # The foot lies on the cubic before or behind the nearest sample: on the side to which the point leans.
     ahead = dx * line[i, COS] + dy * line[i, SIN]
     if ahead < 0.0:
         i = i - 1 if i > 0 else n - 1
@@ -135,12 +161,14 @@ def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
     gap = ahead - behind
     u = min(max(ahead / gap, 0.0), 1.0) if gap > 1e-12 else 0.0
     qx, qy, ax, ay, bx, by = _cubic(line, ds, i)
+    # Two steps of Newton's method from so good a guess leave less than 1e-9 m.
     for _ in range(2):
         tx = qx + u * (2.0 * ax + 3.0 * u * bx)
         ty = qy + u * (2.0 * ay + 3.0 * u * by)
         ex = dx - u * (qx + u * (ax + u * bx))
         ey = dy - u * (qy + u * (ay + u * by))
         slope = tx * tx + ty * ty - ex * (2.0 * ax + 6.0 * u * bx) - ey * (2.0 * ay + 6.0 * u * by)
+        # Beyond the centre of curvature there is no nearest point to converge to.
         if slope <= 0.0:
             break
         u = min(max(u + (ex * tx + ey * ty) / slope, 0.0), 1.0)
@@ -154,28 +182,13 @@ def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
 
 @kernel
 def project(track, x, y, hint):  # type: ignore[no-untyped-def]
-    """Frenet coordinates of a point, found by walking along the line from a nearby arc length.
+    """Frenet coordinates (s, d) in m of a point (m), found by walking along the line from the arc length ``hint``.
 
     O(1) while driving: the walk ends at the sample from which the next one is farther away. The foot of the
-    perpendicular on one of the two cubics beside that sample is then found by Newton's method, so s and d are
-    continuous in x and y and `to_cartesian` leads back to the point, wherever the line's centre of curvature is farther
-    away than the line (``1 - kappa * d > 0``). Beyond it no perpendicular foot may be near; the end of a cubic is then
-    taken.
-
-    Parameters
-    ----------
-    track : TrackArrays
-    x, y : float
-        The point in m.
-    hint : float
-        An arc length near the point, in m (any real number; it is wrapped).
-
-    Returns
-    -------
-    s : float
-        Arc length in [0, length), m.
-    d : float
-        Signed distance from the line in m, positive to the left.
+    perpendicular on one of the two cubics beside that sample is then found by Newton's method, so s, in [0, length),
+    and d are continuous in x and y and `to_cartesian` leads back to the point, wherever the line's centre of curvature
+    is farther away than the line (``1 - kappa * d > 0``). Beyond it no perpendicular foot may be near; the end of a
+    cubic is then taken. The hint may be any real number; it is wrapped.
     """
     return foot(track.line, track.ds, track.length, x, y, hint)
 
@@ -200,15 +213,7 @@ def offset(line, ds, length, s, d):  # type: ignore[no-untyped-def]
 
 @kernel
 def to_cartesian(track, s, d):  # type: ignore[no-untyped-def]
-    """Point and heading of the line's offset by ``d`` at arc length ``s``.
-
-    Returns
-    -------
-    x, y : float
-        The point in m.
-    psi : float
-        Heading of the line there, rad.
-    """
+    """Point (x, y) in m of the line's offset by ``d`` at arc length ``s``, and heading (rad) of the line there."""
     return offset(track.line, track.ds, track.length, s, d)
 
 
@@ -216,7 +221,8 @@ def to_cartesian(track, s, d):  # type: ignore[no-untyped-def]
 def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
     """Whether the straight way between two points stays off the walls; in cells from the corner of the grid."""
     rows, cols = distance.shape
-    if not (0.0 <= u0 < cols and 0.0 <= v0 < rows):  # before a number too large for an integer becomes one
+    # Asked before a number that is too large for an integer becomes one.
+    if not (0.0 <= u0 < cols and 0.0 <= v0 < rows):
         return False
     steps = int(2.0 * np.sqrt((u1 - u0) * (u1 - u0) + (v1 - v0) * (v1 - v0))) + 1
     for k in range(steps + 1):
@@ -240,6 +246,7 @@ def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # ty
         i = min(max(row + k // 2, 0), rows - 1)
         j = min(max(col + k % 2, 0), cols - 1)
         s, d = foot(line, ds, length, x, y, lookup[i, j] * ds)
+        # The same foot as before: the way to it has been looked at.
         if best_s >= 0.0 and abs(s - best_s) < ds:
             continue
         fx, fy, _ = offset(line, ds, length, s, 0.0)
@@ -276,6 +283,7 @@ def locate(track, x, y):  # type: ignore[no-untyped-def]
 def interpolate(distance, u, v):  # type: ignore[no-untyped-def]
     """Compute `wall_distance` for a point in cells from the centre of cell [0, 0]."""
     rows, cols = distance.shape
+    # Written so that NaN is outside, too.
     if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
         return 0.0
     i = int(v)

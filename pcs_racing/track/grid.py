@@ -1,7 +1,8 @@
 """Compiled functions for occupancy grids: flood fill, distance to the walls, exact rays, nearest points.
 
-Grids are indexed ``[row, column]`` with row 0 at the bottom, so that cell ``[i, j]`` covers
-``origin + resolution * ([j, j + 1], [i, i + 1])``.
+Grids are indexed ``[row, column]`` with row 0 at the bottom, so that cell ``[i, j]`` covers ``origin + resolution *
+([j, j + 1], [i, i + 1])``. They are bool arrays of shape (H, W); the outermost rows and columns of a ``drivable`` one
+must be False. Points ``x, y`` are in cells from the grid's lower left corner.
 """
 
 import heapq
@@ -15,17 +16,8 @@ from pcs_racing.base.compilation import compiled
 def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]
     """Flood fill: mark the free cells that are connected with the seeds by steps to one of four neighbours.
 
-    Parameters
-    ----------
-    occupied : ndarray of bool, shape (H, W)
-    rows, cols : ndarray of int
-        Seed cells inside the grid; occupied ones are ignored.
-
-    Returns
-    -------
-    reached : ndarray of bool, shape (H, W)
-    box : tuple of int
-        First and last row, first and last column of the reached cells; (H, -1, W, -1) if there are none.
+    The seeds are the cells (rows[k], cols[k]); occupied ones are ignored. Returns a bool array, and the box of the
+    reached cells: first and last row, first and last column; (H, -1, W, -1) if there are none.
     """
     height, width = occupied.shape
     reached = np.zeros((height, width), dtype=np.bool_)
@@ -44,6 +36,7 @@ def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]
             i, j = divmod(stack[top], width)
             bottom_row, top_row = min(bottom_row, i), max(top_row, i)
             left, right = min(left, j), max(right, j)
+            # A cell adds at most its four neighbours.
             if top + 4 > stack.shape[0]:
                 larger = np.empty(2 * stack.shape[0], dtype=np.int64)
                 larger[:top] = stack[:top]
@@ -71,21 +64,9 @@ def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]
 def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
     """Return the exact distance from the centre of each drivable cell to the nearest cell that is not drivable.
 
-    The distance is measured to the nearest point of that cell's square, so its minimum is half a cell; it is 0 on all
-    other cells. Two passes after Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled
+    In m for cells with the side ``cell``, float32; to the nearest point of that cell's square, so its minimum is half a
+    cell; 0 on all other cells. Two passes after Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled
     Functions" (2012), with the parabolas rooted at cell faces instead of cell centres.
-
-    Parameters
-    ----------
-    drivable : ndarray of bool, shape (H, W)
-        Its outermost rows and columns must be False.
-    cell : float
-        Side of a cell in m.
-
-    Returns
-    -------
-    ndarray, shape (H, W), float32
-        Distance in m.
     """
     height, width = drivable.shape
     out = np.zeros((height, width), dtype=np.float32)
@@ -111,6 +92,7 @@ def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
             low = min(column[j], column[j + 1])
             q = j + 0.5
             value = low * low + q * q
+            # A parabola that the new one undercuts before its own stretch begins is never the lowest.
             while top >= 0:
                 cross = (value - squared[top] - root[top] * root[top]) / (2.0 * (q - root[top]))
                 if cross > begin[top]:
@@ -135,25 +117,9 @@ def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
 def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
     """Follow a ray cell by cell to the first face of a cell that is not drivable (Amanatides and Woo, 1987).
 
-    Parameters
-    ----------
-    drivable : ndarray of bool, shape (H, W)
-        Its outermost rows and columns must be False.
-    x, y : float
-        Start, in cells from the grid's lower left corner.
-    cos, sin : float
-        Direction.
-    reach : float
-        Maximum distance, in cells.
-
-    Returns
-    -------
-    distance : float
-        Distance to the wall in cells, or ``reach``.
-    row, col : int
-        The last drivable cell (the start's cell if that is not drivable).
-    side : int
-        Side through which the ray left that cell: 0 bottom, 1 right, 2 top, 3 left; -1 if it met no wall.
+    Returns the distance in cells, at most ``reach``; row and column of the last drivable cell (the start's cell if that
+    is not drivable); and the side through which the ray left it: 0 bottom, 1 right, 2 top, 3 left, -1 if it met no
+    wall.
     """
     height, width = drivable.shape
     i = int(np.floor(y))
@@ -166,6 +132,7 @@ def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
     step_y = 1.0 / abs(sin) if sin != 0.0 else np.inf
     next_x = (j + 1 - x if dj > 0 else x - j) * step_x if cos != 0.0 else np.inf
     next_y = (i + 1 - y if di > 0 else y - i) * step_y if sin != 0.0 else np.inf
+    # It ends at the latest in the outermost cells, which are never drivable.
     while True:
         if next_x < next_y:
             if next_x >= reach:
@@ -197,21 +164,14 @@ def _push_neighbours(queue, mask, label, x, y, i, j):  # type: ignore[no-untyped
 
 @compiled
 def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
-    """Label every cell of a region with the number of a near point, starting from the labelled cells.
+    """Label every cell of the region ``mask`` with the number of a near point, in place, from the labelled cells on.
 
-    A label spreads from a cell to its four neighbours in the region, the nearest point first. So a cell beside a thin
-    wall gets a point on its own side of the wall, even if a point on the other side is nearer.
-
-    Parameters
-    ----------
-    mask : ndarray of bool, shape (H, W)
-        The region.
-    label : ndarray, shape (H, W), int32
-        Number of a point, or -1. Each -1 is replaced in place, except outside the region and where no label reaches.
-    x, y : ndarray, shape (N,)
-        The points, in cells from the grid's lower left corner.
+    A label (int32; -1 is none) spreads from a cell to its four neighbours in the region, the nearest point first. So a
+    cell beside a thin wall gets a point on its own side of the wall, even if a point on the other side is nearer. Where
+    no label reaches, -1 stays.
     """
     height, width = mask.shape
+    # An empty list has no type for numba: it gets one from an element.
     queue = [(0.0, np.int64(0), np.int64(0))]
     queue.pop()
     for i in range(height):
@@ -221,6 +181,7 @@ def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
     while len(queue) > 0:
         _, at, k = heapq.heappop(queue)
         i, j = divmod(at, width)
+        # A cell waits once for each neighbour that reached it; the first out of the queue was the nearest.
         if label[i, j] < 0:
             label[i, j] = k
             _push_neighbours(queue, mask, label, x, y, i, j)
@@ -228,21 +189,10 @@ def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def lookup_grid(drivable, x, y, block):  # type: ignore[no-untyped-def]
-    """Return the nearest point for each block of cells, measured without crossing walls.
+    """Return the number of the nearest point for each block of cells, measured without crossing walls.
 
-    Parameters
-    ----------
-    drivable : ndarray of bool, shape (H, W)
-    x, y : ndarray, shape (N,)
-        The points, in cells from the grid's lower left corner, all on drivable cells.
-    block : int
-        Cells along the side of a block.
-
-    Returns
-    -------
-    ndarray, shape (ceil(H / block), ceil(W / block)), int32
-        Number of a point for each block: that of the drivable cell nearest to its centre. Blocks without a drivable
-        cell get the number of a neighbouring block.
+    The points, all on drivable cells, have numbers from 0; a block has ``block`` cells along its side and gets the
+    point of the drivable cell nearest to its centre. Blocks without such a cell get the number of a neighbouring block.
     """
     height, width = drivable.shape
     label = np.full((height, width), -1, dtype=np.int32)
@@ -269,16 +219,7 @@ def lookup_grid(drivable, x, y, block):  # type: ignore[no-untyped-def]
 def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
     """Return the shortest path over free cells from the seeds to the border of the grid, else to the farthest cell.
 
-    Parameters
-    ----------
-    occupied : ndarray of bool, shape (H, W)
-    rows, cols : ndarray of int, shape (N,)
-        Free cells at which the path may start.
-
-    Returns
-    -------
-    ndarray, shape (K, 2)
-        Rows and columns of the cells of the path, its end first.
+    Seeds are free cells (rows[k], cols[k]); the path is rows and columns of its cells, shape (K, 2), its end first.
     """
     height, width = occupied.shape
     parent = np.full((height, width), -2, dtype=np.int32)
@@ -295,6 +236,7 @@ def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
         cell = np.int64(queue[at])
         at += 1
         i, j = divmod(cell, width)
+        # Breadth first: the first border cell ends a shortest way.
         if i == 0 or j == 0 or i == height - 1 or j == width - 1:
             break
         for side in range(4):

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.elementary import arctangent2
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError
-from pcs_racing.track.building.build import LINE_SPACING, check_centerline, check_grid, check_line
-from pcs_racing.track.building.clearance import wall_clearance
+from pcs_racing.track.building.build import LINE_SPACING, check_centerline, check_line
+from pcs_racing.track.building.clearance import checked_grid, wall_clearance
 from pcs_racing.track.building.splines import sample_closed
 from pcs_racing.track.cache import TRACK, cache_key, load_cached, store
 from pcs_racing.track.frenet import TrackArrays
@@ -65,6 +65,7 @@ def load_track(name_or_path: str | os.PathLike[str]) -> Track:
     files = find_map(_resolve(name_or_path))
     with _lock:
         kept = _loaded.get(files.yaml)
+        # Asked under the lock: two threads that need the same map build it once.
         if kept is None or kept.files != files or kept.stamp != _stamp(kept.paths):
             contents = read_bytes(files)
             paths = tuple(files.folder / name for name in contents)
@@ -88,6 +89,7 @@ def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
     if not isinstance(name_or_path, str | os.PathLike):
         raise InputError(f"track is {name_or_path!r:.80}; it must be the name of a circuit or the path of a map")
     path = Path(name_or_path)
+    # A bare name means a shipped circuit first, even where a folder of that name lies about.
     if isinstance(name_or_path, str) and path.name == name_or_path:
         try:
             return find_shipped(name_or_path)
@@ -140,7 +142,7 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
     from pcs_racing.track.building.centerline import centerline_from_grid
     from pcs_racing.track.building.raceline import minimum_curvature_raceline
 
-    occupied, resolution, origin = check_grid(content.occupied, content.resolution, content.origin, str(files.yaml))
+    occupied, resolution, origin = checked_grid(content.occupied, content.resolution, content.origin, str(files.yaml))
     center = race = None
     reasons = []
     if content.raceline is None:
@@ -148,7 +150,7 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
     else:
         race = check_line(content.raceline[:, 1:3], str(files.raceline))
         points = sample_closed(race, LINE_SPACING).xy
-        air = float(wall_clearance(points, occupied, resolution, np.asarray(origin), 1.0).min())
+        air = float(wall_clearance(points, occupied, resolution, origin, 1.0).min())
         if air == 0.0:
             raise MapError(f"{files.raceline} leads through a wall or off the map: it must stay on the track")
         if air < CLEARANCE - TOLERANCE:
@@ -174,6 +176,7 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
 
 def _flatten(track: Track, note: str) -> dict[str, Any]:
     """Return all data of a track as arrays; the drivable region stands for the distance field."""
+    # The distance field is large and quickly made: a bit for each cell is kept instead.
     values = {name: np.asarray(value) for name, value in track.arrays._asdict().items() if name != "distance"}
     own = {preset: calibration_values(calibration) for preset, calibration in track.calibration.items()}
     return values | {
@@ -194,6 +197,7 @@ def _restore(files: MapFiles, stored: dict[str, NDArray[Any]]) -> tuple[Track, s
         values: dict[str, Any] = {name: stored[name] for name in TrackArrays._fields if name != "distance"}
     except (KeyError, ValueError):
         return None
+    # An array without axes is of another type than a number: kernels would be compiled once more for it.
     for name, value in values.items():
         if value.ndim == 0:
             values[name] = float(value)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from pcs_racing.base import reading
 from pcs_racing.base.checks import check_number, check_whole, is_number
-from pcs_racing.base.errors import InputError, MapError
-from pcs_racing.base.reading import plain_yaml
+from pcs_racing.base.errors import MapError
 
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
@@ -44,10 +44,7 @@ INFO_KEYS = {
 
 def parse_yaml(file: Path, data: bytes) -> dict[Any, Any]:
     """Parse a yaml file that contains a mapping."""
-    try:
-        values = plain_yaml(data)
-    except InputError as error:
-        raise MapError(f"{file} is not valid yaml: {error}") from error
+    values = reading.parse_yaml(file, data, MapError)
     if not isinstance(values, dict):
         raise MapError(f"{file} must hold keys and values, got {type(values).__name__}")
     return values

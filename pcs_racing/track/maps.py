@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pcs_racing.base import artifacts
-from pcs_racing.base.errors import InputError, MapError, UnknownNameError
+from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.base.reading import MAX_YAML, read_limited
 from pcs_racing.track.map_files import (
     CENTERLINE_COLUMNS,
@@ -91,13 +91,7 @@ def find_shipped(name: str) -> Path:
 
 
 def find_map(path: str | os.PathLike[str]) -> MapFiles:
-    """Find the files of a map folder.
-
-    Parameters
-    ----------
-    path : path-like
-        The folder, or the map's yaml file in it.
-    """
+    """Find the files of a map folder, or of the map's yaml file in it."""
     folder = Path(path)
     # The functions of os answer no where those of Path raise errors: for names that no file can have.
     if os.path.isfile(folder) and folder.suffix in (".yaml", ".yml"):
@@ -113,14 +107,9 @@ def find_map(path: str | os.PathLike[str]) -> MapFiles:
 
 
 def read_map(path: str | os.PathLike[str]) -> MapFolder:
-    """Read a map folder and check every value in it.
+    """Read a map folder, or the map's yaml file in it, and check every value.
 
     This does not check that the lines and the grid fit together; `build_track` does.
-
-    Parameters
-    ----------
-    path : path-like
-        The folder, or the map's yaml file in it.
     """
     files = find_map(path)
     return parse_map(files, read_bytes(files))
@@ -157,19 +146,9 @@ def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
 
 
 def write_map(content: MapFolder) -> Path:
-    """Write a map folder.
+    """Write a map folder, which must not exist yet, be empty, or hold a map of the same name; return it.
 
     A new folder appears complete or not at all. In an existing one each file is replaced as a whole.
-
-    Parameters
-    ----------
-    content : MapFolder
-        ``folder`` must not exist yet, be empty, or hold a map of the same ``name``.
-
-    Returns
-    -------
-    Path
-        The folder.
     """
     name, folder = content.name, Path(content.folder)
     if not name.isprintable() or name != name.strip(" .") or not name or set(name) & set('/\\:*?"<>|'):
@@ -183,6 +162,7 @@ def write_map(content: MapFolder) -> Path:
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".map-") as temporary:
             new = Path(temporary) / "map"
             new.mkdir()
+            # All files are written before the first one is put in its place: a full disk changes nothing.
             for file, data in files.items():
                 (new / file).write_bytes(data)
             if folder.exists():
@@ -218,6 +198,7 @@ def _files(content: MapFolder) -> dict[str, bytes]:
             text = io.StringIO()
             np.savetxt(text, rows, fmt="%.9f", delimiter=f"{separator} ", header=f"{separator} ".join(columns))
             files[f"{name}_{kind}.csv"] = text.getvalue().encode()
+            # What is written must be what is read: an impossible value is refused here, not by the next reader.
             parse_csv(Path(f"{name}_{kind}.csv"), files[f"{name}_{kind}.csv"], columns, separator)
     if content.info:
         files[f"{name}_track.yaml"] = _dump(content.info)
@@ -268,9 +249,4 @@ def _label(files: MapFiles, file: Path) -> str:
 
 
 def _bytes(file: Path, limit: int) -> bytes:
-    try:
-        return read_limited(file, limit, "the file of a map")
-    except OSError as error:
-        raise MapError(f"can't read {file}: {error.strerror or error}") from error
-    except InputError as error:
-        raise MapError(str(error)) from None
+    return read_limited(file, limit, "the file of a map", MapError)

@@ -9,7 +9,7 @@ from pcs_racing.base.checks import check_array
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import InputError
-from pcs_racing.track.corners import corners_along
+from pcs_racing.track.building.walls import corners_along
 from pcs_racing.track.track import Track
 
 BOX = ("x", "y", "heading", "length", "width")
@@ -29,17 +29,8 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
     """Return a track on which obstacles stand as walls: the lidar sees them, cars crash into them, planners keep away.
 
     Race line, free widths, calibration and ``content_hash`` stay those of the circuit: obstacles belong to an episode.
-
-    Parameters
-    ----------
-    boxes : array_like, shape (K, 5)
-        Centre x, y (m), heading (rad), length and width (m, from 0.05 to 10) of each box; at most 100. With a width of
-        0 it is a circle of that length as its diameter, of which walls and lidar know a polygon of 16 corners.
-
-    Returns
-    -------
-    Track
-        The track itself if there are no boxes.
+    Each of at most 100 boxes is a row of :data:`BOX`, with sides from 0.05 to 10 m. Walls and lidar know of a circle a
+    polygon of 16 corners. Without boxes it is the track itself.
     """
     given = check_array("obstacles", boxes if np.size(boxes) else np.empty((0, 5)), (None, len(BOX)))
     if len(given) > MOST_BOXES:
@@ -55,6 +46,7 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
         return track
     arrays = track.arrays
     sine, cosine = sines_cosines(given[:, 2])
+    # An obstacle changes no cell that is nearer to a wall than to it, so it reaches no farther than the widest place.
     distance = arrays.distance.copy()
     reach = float(distance.max())
     for (x, y, _, length, width), s, c in zip(given, sine, cosine, strict=True):
@@ -133,6 +125,7 @@ def _list_sides(start, seen, far, middle, sides, first):  # type: ignore[no-unty
             share = min(max(-(ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
             x, y = ax + share * ex, ay + share * ey
             away[k] = np.float32(np.sqrt(x * x + y * y) * (1.0 - 1e-6))  # rounded down, as the walls' distances are
+        # Two sorted lists become one.
         order = np.argsort(away)
         k = 0
         for i in range(start[m], start[m + 1]):

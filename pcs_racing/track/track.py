@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import MapError
 from pcs_racing.track import frenet
-from pcs_racing.track.building.build import build_arrays, check_centerline, check_grid, check_line
+from pcs_racing.track.building.build import build_arrays, check_centerline, check_line
+from pcs_racing.track.building.clearance import checked_grid
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
 
 Floats = NDArray[np.float64]
@@ -163,7 +164,7 @@ def build_track(
         If a value is not allowed, or if the lines and the grid do not fit together.
     """
     label = f"track {name}"
-    grid, resolution, corner = check_grid(occupied, resolution, origin, label)
+    grid, resolution, corner = checked_grid(occupied, resolution, origin, label)
     center = check_centerline(centerline, f"{label}: the centre line")
     arrays, drivable = build_arrays(grid, resolution, corner, check_line(raceline_xy, f"{label}: the race line"), label)
     _check_centre(arrays, center, f"{label}: the centre line")
@@ -174,6 +175,7 @@ def build_track(
                 f"{label}: the calibration of {preset} has a start place at {last:g} m, but the race line is "
                 f"{arrays.length:.2f} m long; calibrate it again"
             )
+    # Of what decides races, not of the files: the same circuit from another picture format is the same circuit.
     digest = hashlib.sha256(np.packbits(drivable).tobytes())
     for array in (np.array([*drivable.shape, resolution, *corner]), arrays.line, center):
         digest.update(array.tobytes())

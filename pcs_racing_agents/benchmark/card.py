@@ -11,7 +11,7 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.base.reading import read_limited
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.benchmark.scoring import CardScore
-from pcs_racing_agents.results.text_table import markdown, with_interval
+from pcs_racing_agents.results.text_table import Column, markdown, table_rows, with_interval
 from pcs_racing_agents.study.report import page_environment
 
 FORMAT = "pcs-racing card 1"
@@ -69,6 +69,7 @@ def read_card(path: Path) -> Card:
     """Read a card from its folder or its ``card.json``."""
     file = path / "card.json" if path.is_dir() else path
     try:
+        # A card may come from anybody: its size is limited, and what it holds is checked by the types that it makes.
         values = json.loads(read_limited(file, LARGEST, "a card"))
     except OSError as error:
         raise InputError(
@@ -87,24 +88,20 @@ def read_card(path: Path) -> Card:
     return card
 
 
+COLUMNS = (
+    Column("part", "opponents"),
+    Column("circuits"),
+    Column("score", format=".3f"),
+    Column("interval", "95 % interval"),
+    Column("own_crash", "own crashes", ".1%"),
+    Column("other_crash", "other crashes", ".1%"),
+    Column("races"),
+)
+
+
 def summary_rows(card: Card) -> list[tuple[str, ...]]:
-    """Return the scores by kind of opponent as text: part, circuits, score, interval, crashes, races."""
-    return [
-        (
-            score.part,
-            score.circuits,
-            f"{score.score:.3f}",
-            f"[{score.low:.3f}, {score.high:.3f}]",
-            f"{score.own_crash:.1%}",
-            f"{score.other_crash:.1%}",
-            str(score.races),
-        )
-        for score in card.scores
-        if score.circuits in ("seen", "unseen", "all")
-    ]
-
-
-COLUMNS = ("opponents", "circuits", "score", "95 % interval", "own crashes", "other crashes", "races")
+    """Return the scores by kind of opponent as a table."""
+    return table_rows(COLUMNS, (score for score in card.scores if score.circuits in ("seen", "unseen", "all")))
 
 
 def fact_lines(card: Card) -> list[str]:
@@ -131,20 +128,17 @@ def fact_lines(card: Card) -> list[str]:
 def card_markdown(card: Card) -> str:
     """Return the card as Markdown."""
     head = f"# {card.agent}: {card.protocol}\n\nProtocol {card.protocol_sha256[:16]}, agent {card.agent_sha256[:16]}.\n"
-    return "\n".join([head, *markdown([COLUMNS, *summary_rows(card)]), "", *fact_lines(card), ""])
+    return "\n".join([head, *markdown(summary_rows(card)), "", *fact_lines(card), ""])
 
 
 def card_page(card: Card, races: Sequence[tuple[str, Replay]] = ()) -> str:
     """Return the card as one page that loads nothing; all text is escaped."""
-    return render("card.html", card=card, columns=COLUMNS, rows=summary_rows(card), facts=fact_lines(card), races=races)
+    return render("card.html", card=card, table=summary_rows(card), facts=fact_lines(card), races=races)
 
 
 def render(name: str, **values: Any) -> str:
     """Return a page from a template of this folder."""
     return page_environment("pcs_racing_agents.benchmark").get_template(name).render(**values)
-
-
-BOARD_COLUMNS = ("agent", "score", "95 % interval", "seen", "unseen", "own crashes", "gain", "best reply", "us")
 
 
 def read_cards(paths: Iterable[Path]) -> list[Card]:
@@ -159,6 +153,7 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
     cards = [read_card(path) for path in files]
     if not cards:
         raise InputError("there are no cards; give at least one folder that 'pcs-racing benchmark' wrote")
+    # Scores of two protocols, or of one with another archive or other opponents, say nothing about each other.
     first, names = cards[0], set()
     for path, card in zip(files, cards, strict=True):
         if card.protocol != first.protocol:
@@ -173,6 +168,7 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
                 f"{path} is a second card of agent {card.agent!r}; give one of each (--name renames an agent)"
             )
         names.add(card.agent)
+    # By name where scores are equal, so that the page does not depend on the order of the folders.
     return sorted(cards, key=lambda card: (-card.score().score, card.agent))
 
 
@@ -183,15 +179,17 @@ def _cards_in(path: Path) -> list[Path]:
 
 
 def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
-    """Return the table as text, a row for each card."""
-    rows: list[tuple[str, ...]] = []
+    """Return the leaderboard as a table, a line for each card."""
+    rows: list[tuple[str, ...]] = [
+        ("agent", "score", "95 % interval", "seen", "unseen", "own crashes", "gain", "best reply", "us")
+    ]
     for card in cards:
         whole, gain, reply = card.score(), card.gains.get("all"), card.best_reply
         rows.append(
             (
                 card.agent,
                 f"{whole.score:.3f}",
-                f"[{whole.low:.3f}, {whole.high:.3f}]",
+                whole.interval,
                 f"{card.score('all', 'seen').score:.3f}",
                 f"{card.score('all', 'unseen').score:.3f}",
                 f"{whole.own_crash:.1%}",
@@ -205,4 +203,4 @@ def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
 
 def board_page(cards: Sequence[Card]) -> str:
     """Return the leaderboard as one page."""
-    return render("leaderboard.html", cards=cards, columns=BOARD_COLUMNS, rows=board_rows(cards))
+    return render("leaderboard.html", cards=cards, table=board_rows(cards))

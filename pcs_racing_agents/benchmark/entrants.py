@@ -53,8 +53,10 @@ def load_entrant(
     if text.endswith(".zip"):
         return as_competitor(load_sb3_policy(Path(text)), name or Path(text).stem)
     here = str(Path.cwd())
-    if here not in sys.path:  # as with "python -m"; at the end, so that a file here hides no installed package
+    if here not in sys.path:
+        # As with "python -m", but at the end, so that a file here hides no installed package.
         sys.path.append(here)
+    # "name:option=value" is an agent of the zoo; a module is only what can be found.
     if weights is not None or (separator and "=" not in function and _is_module(module)):
         return as_competitor(_call(module, function, setting, weights), name or function)
     return as_competitor(parse_agent(text, setting), name)
@@ -123,6 +125,7 @@ def load_sb3_policy(path: Path) -> Sb3Policy:
 
     try:
         with zipfile.ZipFile(path) as file:
+            # Sizes as the archive states them: reading stops there, so a small file can't unpack to a huge one.
             if sum(entry.file_size for entry in file.infolist()) > MAX_BYTES:
                 raise InputError(
                     f"{path} holds more than {MAX_BYTES} bytes; that is no policy of fully connected layers"
@@ -144,6 +147,7 @@ def _policy(path: Path, state: dict[str, Any], settings: str) -> Sb3Policy:
             f"{path} has no actor of fully connected layers; train PPO, A2C or MaskablePPO with MlpPolicy, or write a "
             "function that makes your agent (module:function)"
         )
+    # The settings hold the class by its name in a text; unpickling it would run code from the file.
     found = re.search(r"torch\.nn\.modules\.activation\.(\w+)", settings)
     activation = found.group(1) if found else "Tanh"  # the default of MlpPolicy
     if activation not in ACTIVATIONS:

@@ -97,6 +97,7 @@ class Protocol:
             *(f"circuit {name} {track.content_hash}" for name, track in self.tracks.items()),
             *(f"opponent {name} {competitor_hash(car)}" for name, car in self.opponents.items()),
         ]
+        # Sixteen digits are enough to tell two versions apart, and fit on a line of the protocol's file.
         return tuple(" ".join([*line.split()[:-1], line.split()[-1][:16]]) for line in lines)
 
     @property
@@ -129,6 +130,7 @@ def load_protocol(source: str | ProtocolConfig = "bench_v1", **changes: Any) -> 
         {name: load_track(name) for name in circuits},
         {name: as_competitor(parse_agent(name, setting), name) for name in rivals},
     )
+    # With other fields it is a protocol of one's own, which no hashes were written down for.
     if not changes:
         protocol.check_hashes()
     return protocol

@@ -2,8 +2,7 @@
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import Executor
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +13,12 @@ from pcs_racing.race.replay import Replay
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.agents.describe import measurements
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
-from pcs_racing_agents.tournament.runner import play_pairings
+from pcs_racing_agents.tournament.runner import play_pairings, record_game
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
-from pcs_racing_agents.tournament.watching import record_game
 
 Floats = NDArray[np.float64]
 
@@ -50,14 +47,16 @@ class CardScore(NamedTuple):
     own_crash: float
     other_crash: float
 
+    @property
+    def interval(self) -> str:
+        """Interval of the score as text."""
+        return f"[{self.low:.3f}, {self.high:.3f}]"
+
 
 def play_protocol(
     protocol: Protocol,
     agents: Sequence[Competitor],
-    *,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **run: Unpack[Run],
 ) -> dict[str, list[CellRaces]]:
     """Simulate the races of agents and of the protocol's blind strategies, which all drive the same ones.
 
@@ -80,6 +79,7 @@ def play_protocol(
     cells = [(name, cell) for name in arms for cell in protocol.cells]
     games = {name: protocol.game(name) for name in protocol.tracks}
     config = protocol.config
+    # A driver has few policies or one, and gets more lines instead: as many races as the agents.
     pairings = [
         cross_pairing(
             games[cell.circuit],
@@ -92,10 +92,10 @@ def play_protocol(
         )
         for name, cell in cells
     ]
-    played = play_pairings(pairings, name="benchmark", job=job, executor=executor, progress=progress)
+    played = play_pairings(pairings, name="benchmark", **run)
     results: dict[str, list[CellRaces]] = {name: [] for name in arms}
-    for (name, cell), pairing, games_played in zip(cells, pairings, played, strict=True):
-        results[name].append(CellRaces(cell, pairing, pairing.table(games_played)))
+    for (name, cell), pairing, races in zip(cells, pairings, played, strict=True):
+        results[name].append(CellRaces(cell, pairing, races))
     return results
 
 
@@ -123,6 +123,7 @@ def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]
 
 def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     scores, egos, opponents = _columns(cells)
+    # Labels that are all the same have no spread to measure, and are taken as given.
     clusters = [labels for labels in (egos, opponents) if len(np.unique(labels)) > 1]
     # One policy against one policy: the races differ in their start lines alone.
     estimate = clustered_mean(scores, *(clusters or [np.arange(len(scores))]))
@@ -157,6 +158,7 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None =
     def rows(name: str) -> list[CellRaces]:
         return [played for played in results[name] if seen is None or played.cell.seen == seen]
 
+    # With the agent's own result left out, even if it is blind itself.
     blind = {name: float(_columns(rows(name))[0].mean()) for name in results if name != agent}
     best = max(blind, key=lambda name: blind[name])
     for own, other in zip(rows(agent), rows(best), strict=True):
@@ -190,6 +192,7 @@ def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
     def excess(own: float) -> float:
         return float((1.0 / (1.0 + 10.0 ** ((strengths - own) / 400.0)) - scores).mean())
 
+    # An agent that won (or lost) every race is rated by no finite number.
     return float(brentq(excess, -4000.0, 4000.0)) if excess(-4000.0) < 0.0 < excess(4000.0) else None
 
 
@@ -200,6 +203,7 @@ def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> 
         return None
     game = protocol.game(next(iter(protocol.tracks)))
     observation = game.observation(game.reset(games=1, seed=protocol.config.seed))[0, :1]
+    # The median: whatever the machine does in between only lengthens some of the times.
     times = []
     for _ in range(repeats):
         begun = time.perf_counter()

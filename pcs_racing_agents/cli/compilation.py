@@ -1,6 +1,5 @@
 """``pcs-racing compile``: compile the kernels ahead of the first race."""
 
-import argparse
 import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
@@ -14,25 +13,15 @@ from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.races import draw_starts, run_races
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.cli.options import Commands, add_command
+from pcs_racing_agents.cli.commands import command
 
 TRACK = "Pipkin"
 PLANNERS = ("lattice", "lane-switcher:3", "pure-pursuit", "gap-follower")
 
 
-def add(commands: Commands) -> None:
-    """Add the command."""
-    parser = add_command(
-        commands,
-        "compile",
-        "compile the kernels now, so that nothing waits for them later (they are cached on disk)",
-        "pcs-racing compile",
-    )
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
-    """Compile, and print how long it took."""
+@command("compile", "pcs-racing compile")
+def run() -> None:
+    """Compile the kernels now, so that nothing waits for them later (they are cached on disk)."""
     begin = time.monotonic()
     compile_kernels()
     print(f"compiled in {time.monotonic() - begin:.0f} s; what was in the cache took no time")
@@ -44,6 +33,7 @@ def compile_kernels() -> None:
     The tasks of a row take about as long as each other and share few functions, since what two processes compile at the
     same time is compiled twice. What is in a row may call what is in the rows above.
     """
+    # Spawned, not forked: numba's threads do not survive a fork.
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
         for row in ((_tracks, _planners), (_races, _solvers_and_circuits), (_environments,)):
             for task in [pool.submit(function) for function in row]:
@@ -81,7 +71,8 @@ def _solvers_and_circuits() -> None:
     tree = GameTree.from_payoffs(np.random.default_rng(0).normal(size=(2, 2, 2, 2)))
     solve_exact(tree)
     exploitability(tree, cfr(tree, 2).average)
-    with suppress(ModuleNotFoundError):  # the libraries of the extra mapping may be missing
+    # The libraries of the extra mapping may be missing.
+    with suppress(ModuleNotFoundError):
         generate_circuit(7)
     Lidar(load_track(TRACK), 8).scan(np.zeros((2, 3)))
 

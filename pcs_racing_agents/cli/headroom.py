@@ -1,17 +1,17 @@
 """``pcs-racing headroom``: the value of knowing the opponent's policy, in an archive or a pool of policies."""
 
-import argparse
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.track.loading import as_track, load_track
-from pcs_racing_agents.cli.options import POLICY_HELP, Commands, add_command, add_rules, add_tracks, rules
-from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.cli.commands import Option, command
+from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, Circuits, Rules, Workers
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.csv_files import write_csv
@@ -28,59 +28,36 @@ from below; opponents, pool: standard errors over opponents and over draws of th
 payoffs' variance that ratings explain, noise removed"""
 
 
-def add(commands: Commands) -> None:
-    """Add the command."""
-    parser = add_command(
-        commands,
-        "headroom",
-        "race all pairs of an archive's policies, and print what knowing the opponent is worth",
-        "pcs-racing headroom --archive contest --race contest --out out/headroom",
-        "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --race contest --out out/mine",
-    )
-    add_pool_options(parser)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="folder for headroom.csv and payoffs.csv; a run that was stopped there goes on",
-    )
-    add_executor_options(parser)
-    parser.set_defaults(run=run)
+@dataclass(frozen=True, kw_only=True)
+class PoolOptions:
+    """A pool of policies: where they come from, and the races of all pairs of them."""
 
+    track: Circuits = (DEFAULT_TRACK,)
+    archive: Annotated[str, Option("archive: its name or folder", "A")] = "contest"
+    size: Annotated[
+        int | None,
+        Option(
+            "policies of the pool, evenly spaced in the order of the archive's first axis "
+            f"(default: {MOST}, or all if the archive has fewer)"
+        ),
+    ] = None
+    policies: Annotated[
+        Sequence[str], Option(f"a pool of your own instead of an archive: {POLICY_HELP}", "POLICY")
+    ] = ()
+    rules: Rules
+    races: Annotated[int, Option("races of each pair on each track")] = 64
 
-def add_pool_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that :func:`pool_from` reads."""
-    add_tracks(parser)
-    parser.add_argument("--archive", default="contest", help="archive: its name or folder (default: contest)")
-    parser.add_argument(
-        "--size",
-        type=int,
-        metavar="N",
-        help="policies of the pool, evenly spaced in the order of the archive's first axis "
-        f"(default: {MOST}, or all if the archive has fewer)",
-    )
-    parser.add_argument(
-        "--policies", nargs="+", metavar="POLICY", help=f"a pool of your own instead of an archive: {POLICY_HELP}"
-    )
-    add_rules(parser)
-    parser.add_argument(
-        "--races", type=int, default=64, metavar="N", help="races of each pair on each track (default: 64)"
-    )
+    def pool(self) -> "tuple[list[str], PolicyPool]":
+        """Return the pool that the options ask for, and the names of its policies."""
+        from pcs_racing_agents.payoffs.policy_pool import PolicyPool, spanning_policies
 
-
-def pool_from(arguments: argparse.Namespace) -> "tuple[list[str], PolicyPool]":
-    """Return the pool that the options ask for, and the names of its policies."""
-    from pcs_racing_agents.payoffs.policy_pool import PolicyPool, spanning_policies
-
-    if arguments.policies:
-        names, policies = list(arguments.policies), tuple(parse_policy(text) for text in arguments.policies)
-    else:
-        archive = load_archive(arguments.archive)
-        size = min(MOST, len(archive)) if arguments.size is None else arguments.size
-        names, policies = spanning_policies(archive, size)
-    tracks = tuple(load_track(name) for name in arguments.track)
-    return names, PolicyPool(policies, tracks, rules(arguments), races=arguments.races, seed=arguments.seed)
+        if self.policies:
+            names, policies = list(self.policies), tuple(parse_policy(text) for text in self.policies)
+        else:
+            archive = load_archive(self.archive)
+            names, policies = spanning_policies(archive, min(MOST, len(archive)) if self.size is None else self.size)
+        tracks = tuple(load_track(name) for name in self.track)
+        return names, PolicyPool(policies, tracks, self.rules.config(), races=self.races, seed=self.rules.seed)
 
 
 def pool_settings(pool: "PolicyPool") -> dict[str, Any]:
@@ -95,36 +72,43 @@ def pool_settings(pool: "PolicyPool") -> dict[str, Any]:
     }
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Race all pairs, print the table, and write the files."""
-    from pcs_racing_agents.cli.estimates import announce, cores_of, racing_seconds
+@command(
+    "headroom",
+    "pcs-racing headroom --archive contest --race contest --out out/headroom",
+    "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --race contest --out out/mine",
+)
+def run(
+    *,
+    options: PoolOptions,
+    out: Annotated[
+        Path, Option("folder for headroom.csv and payoffs.csv; a run that was stopped there goes on", "DIR")
+    ],
+    workers: Workers,
+) -> None:
+    """Race all pairs of an archive's policies, and print what knowing the opponent is worth."""
     from pcs_racing_agents.payoffs.headroom import headroom, transitive_share
     from pcs_racing_agents.payoffs.policy_pool import pool_payoffs
 
-    names, pool = pool_from(arguments)
+    names, pool = options.pool()
     tracks = [as_track(track).name for track in pool.tracks]
-    races = len(tracks) * len(pool.pairs) * pool.races
-    with executor_from(arguments) as executor:
-        announce(racing_seconds(races, pool.config.duration), cores_of(arguments))
-        with open_job(arguments.out, "headroom", pool_settings(pool)) as job:
-            payoffs = pool_payoffs(pool, job=job, executor=executor, progress=show_progress("blocks"))
-            found = [headroom(folds) for folds in payoffs]
-            shares = [transitive_share(folds) for folds in payoffs]
-            rows: list[tuple[str, ...]] = [("track", "H", "low", "opponents", "pool", "transitive")]
-            rows += [headroom_row(*line) for line in zip(tracks, found, shares, strict=True)]
-            if len(found) > 1:
-                rows.append(mean_row(found))
-            best = [
-                f"{name}: the best fixed policy is {names[one.best_fixed]}"
-                for name, one in zip(tracks, found, strict=True)
-            ]
-            print("\n".join([*aligned(rows), "", *best, "", NOTE]))
-            lines: list[tuple[object, ...]] = [(*rows[0][:5], "best_fixed")]
-            for name, one in zip(tracks, found, strict=True):
-                numbers = (one.value, one.low, one.opponents_error, one.pool_error)
-                lines.append((name, *(f"{number:.6f}" for number in numbers), names[one.best_fixed]))
-            print(f"written: {write_csv(lines, arguments.out / 'headroom.csv')}")
-            print(f"written: {write_payoffs(tracks, payoffs, names, arguments.out / 'payoffs.csv')}")
+    with workers.start() as executor, open_job(out, "headroom", pool_settings(pool)) as job:
+        payoffs = pool_payoffs(pool, job=job, executor=executor, progress=show_progress("blocks"))
+        found = [headroom(folds) for folds in payoffs]
+        shares = [transitive_share(folds) for folds in payoffs]
+        rows: list[tuple[str, ...]] = [("track", "H", "low", "opponents", "pool", "transitive")]
+        rows += [headroom_row(*line) for line in zip(tracks, found, shares, strict=True)]
+        if len(found) > 1:
+            rows.append(mean_row(found))
+        best = [
+            f"{name}: the best fixed policy is {names[one.best_fixed]}" for name, one in zip(tracks, found, strict=True)
+        ]
+        print("\n".join([*aligned(rows), "", *best, "", NOTE]))
+        lines: list[tuple[object, ...]] = [(*rows[0][:5], "best_fixed")]
+        for name, one in zip(tracks, found, strict=True):
+            numbers = (one.value, one.low, one.opponents_error, one.pool_error)
+            lines.append((name, *(f"{number:.6f}" for number in numbers), names[one.best_fixed]))
+        print(f"written: {write_csv(lines, out / 'headroom.csv')}")
+        print(f"written: {write_payoffs(tracks, payoffs, names, out / 'payoffs.csv')}")
 
 
 def headroom_row(track: str, estimate: "Headroom", share: float) -> tuple[str, ...]:
@@ -143,6 +127,7 @@ def mean_row(estimates: "Sequence[Headroom]") -> tuple[str, ...]:
     """Return the texts of the mean over circuits, whose errors are those of means over the same policies."""
     from pcs_racing_agents.payoffs.headroom import jackknife_error
 
+    # The same policies race on all circuits, so errors are those of the mean of each policy over the circuits.
     gains = np.mean([estimate.gains for estimate in estimates], axis=0)
     error = float(gains.std(ddof=1) / np.sqrt(len(gains)))
     pool = jackknife_error(np.mean([estimate.without for estimate in estimates], axis=0))

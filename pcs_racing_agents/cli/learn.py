@@ -1,19 +1,19 @@
-"""``pcs-racing learn``: train agents in branched races, as answers to opponents or in self-play."""
+"""``pcs-racing learn`` and ``best-reply``: train agents in branched races, and opponents that exploit an agent."""
 
-import argparse
-from collections.abc import Callable
-from concurrent.futures import Executor
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.make import make_game
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.cli.options import Commands, add_command, add_rules, add_tracks, rules
+from pcs_racing_agents.cli.commands import Option, command
+from pcs_racing_agents.cli.options import DEFAULT_TRACK, ArchiveName, Circuits, Rules, Workers
 from pcs_racing_agents.jobs.configuration import shipped_configs
-from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
-from pcs_racing_agents.jobs.jobs import Job, open_job
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 
 if TYPE_CHECKING:
@@ -27,104 +27,102 @@ METHODS = {
     "psro": "a mixture of responses: policy-space response oracles, beginning with the pool",
     "self-play": "an average strategy of counterfactual regret minimisation; it needs no pool",
 }
+
+
+# The settings that a method takes by default stand first.
+CONFIGS = {
+    name: sorted(shipped_configs(name), key=lambda config: config not in ("default", "response")) for name in METHODS
+}
+
+# By default one opponent that keeps a policy of the archive, and one that changes it at random.
+Pool = Annotated[Sequence[str], Option("opponents, by name or name:option=value,...", "AGENT")]
 POOL = ("never-switch", "random-moves")
-"""Opponents of a pool by default: one that keeps a policy of the archive, and one that changes it at random."""
 
 
-def add(commands: Commands) -> None:
-    """Add the command ``learn``."""
-    parser = add_command(
-        commands,
-        "learn",
-        "train an agent in branched races: a response to opponents, a robust one, PSRO, or CFR in self-play",
-        "pcs-racing learn self-play --track Brackwater --archive contest --race contest --out out/self-play",
-        "pcs-racing learn robust --track Brackwater --archive contest --race contest --out out/robust",
-        "pcs-racing learn psro --track Pipkin Saltmere --pool never-switch lane-switcher --out out/psro",
-    )
-    meanings = "; ".join(f"{name}: {meaning}" for name, meaning in METHODS.items())
-    parser.add_argument("method", choices=list(METHODS), help=meanings)
-    add_tracks(parser)
-    parser.add_argument(
-        "--archive", default="default", help="archive whose policies the agents drive (default: default)"
-    )
-    add_pool(parser)
-    add_rules(parser)
-    configs = "; ".join(f"{name}: {', '.join(_configs(name))}" for name in METHODS)
-    parser.add_argument(
-        "--config", metavar="NAME", help=f"settings of the method, the first by default, or a YAML file ({configs})"
-    )
-    parser.add_argument("--name", help="name of the agent's networks (default: the method)")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="folder of the work, with the result in its folder 'agent'; a run that was stopped there goes on",
-    )
-    add_executor_options(parser)
-    parser.set_defaults(run=run)
+@dataclass(frozen=True, kw_only=True)
+class Games:
+    """The games in which an agent learns."""
+
+    track: Circuits = (DEFAULT_TRACK,)
+    archive: ArchiveName = "default"
+    rules: Rules
+
+    def make(self) -> "tuple[Setting, list[RaceGame]]":
+        """Return archive and rules that the options name, and the game on each circuit."""
+        from pcs_racing_agents.agents.setting import make_setting
+        from pcs_racing_agents.tournament.play import game_rules
+
+        config = game_rules(self.rules.config())
+        setting = make_setting(self.archive, config)
+        return setting, [make_game(load_track(name), setting.archive, config) for name in self.track]
+
+    def agents(self, texts: Sequence[str], setting: "Setting") -> "list[Competitor]":
+        """Return the agents of these names."""
+        from pcs_racing_agents.agents.zoo import parse_agent
+
+        return [parse_agent(text, setting, seed=self.rules.seed) for text in texts]
 
 
-def add_pool(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--pool``."""
-    parser.add_argument(
-        "--pool",
-        nargs="+",
-        default=list(POOL),
-        metavar="AGENT",
-        help=f"opponents, by name or name:option=value,... (default: {' '.join(POOL)})",
-    )
+@command(
+    "learn",
+    "pcs-racing learn self-play --track Brackwater --archive contest --race contest --out out/self-play",
+    "pcs-racing learn robust --track Brackwater --archive contest --race contest --out out/robust",
+    "pcs-racing learn psro --track Pipkin Saltmere --pool never-switch lane-switcher --out out/psro",
+)
+def run(
+    method: Annotated[
+        str, Option("; ".join(f"{name}: {meaning}" for name, meaning in METHODS.items()), choices=METHODS)
+    ],
+    *,
+    games: Games,
+    pool: Pool = POOL,
+    config: Annotated[
+        str | None,
+        Option(
+            "settings of the method, the first by default, or a YAML file "
+            f"({'; '.join(f'{name}: ' + ', '.join(configs) for name, configs in CONFIGS.items())})",
+            "NAME",
+        ),
+    ] = None,
+    name: Annotated[str | None, Option("name of the agent's networks (default: the method)")] = None,
+    out: Annotated[
+        Path,
+        Option("folder of the work, with the result in its folder 'agent'; a stopped run resumes there", "DIR"),
+    ],
+    workers: Workers,
+) -> None:
+    """Train an agent in branched races: a response to opponents, a robust one, PSRO, or CFR in self-play."""
+    from pcs_racing_agents.learning import responses, robust, self_play
+    from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
 
-
-def run(arguments: argparse.Namespace) -> None:
-    """Train the agent and write its networks."""
-    from pcs_racing_agents.cli.estimates import announce, cores_of
-    from pcs_racing_agents.networks import NetworkSet, RegretNetwork, save_network, save_network_set
-
-    setting, games = games_of(arguments)
-    name = arguments.name or arguments.method
-    pool = [] if arguments.method == "self-play" else pool_of(arguments, setting)
-    settings, seconds, learn = _method(arguments, setting, games, pool, name)
-    identity = {**run_identity(games, setting, pool), "name": name, "settings": plain_settings(settings)}
-    with executor_from(arguments) as executor:
-        announce(seconds, cores_of(arguments))
-        with open_job(arguments.out, arguments.method, identity) as job:
-            learned = learn(job, executor)
-            folder = arguments.out / "agent"
-            if isinstance(learned, NetworkSet):
-                save_network_set(learned, folder)
-                weights = ", ".join(f"{weight:.3g}" for weight in learned.weights)
-                print(f"{len(learned.networks)} networks, played with probabilities {weights}")
-                option = "networks"
-            else:
-                assert isinstance(learned, RegretNetwork)
-                save_network(learned, folder)
-                print(learned)
-                option = "network"
-    print(f"written: {folder}; race it as {arguments.method}:{option}={folder}")
-
-
-def _configs(method: str) -> list[str]:
-    """Return the shipped settings of a method, those that it takes by default first."""
-    first = "response" if method == "response" else "default"
-    return [first, *(name for name in shipped_configs(method) if name != first)]
-
-
-def games_of(arguments: argparse.Namespace) -> "tuple[Setting, list[RaceGame]]":
-    """Return archive and rules that the options name, and the game on each circuit."""
-    from pcs_racing_agents.agents.setting import make_setting
-    from pcs_racing_agents.tournament.play import game_rules
-
-    config = game_rules(rules(arguments))
-    setting = make_setting(arguments.archive, config)
-    return setting, [make_game(load_track(name), setting.archive, config) for name in arguments.track]
-
-
-def pool_of(arguments: argparse.Namespace, setting: "Setting") -> "list[Competitor]":
-    """Return the opponents that the option ``--pool`` names."""
-    from pcs_racing_agents.agents.zoo import parse_agent
-
-    return [parse_agent(text, setting, seed=arguments.seed) for text in arguments.pool]
+    setting, made = games.make()
+    opponents = [] if method == "self-play" else games.agents(pool, setting)
+    methods: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
+        "response": (responses.load_response_settings, responses.learn_response),
+        "robust": (robust.load_robust_settings, robust.learn_robust),
+        "psro": (robust.load_psro_settings, robust.learn_psro),
+        "self-play": (self_play.load_self_play_settings, self_play.learn_self_play),
+    }
+    load, train = methods[method]
+    settings = load(config or CONFIGS[method][0], seed=games.rules.seed)
+    players: tuple[Any, ...] = (made, opponents, setting)
+    if method == "self-play":
+        players = ([self_play.RaceArena(game, setting, settings.worth) for game in made],)
+    name = name or method
+    identity = {**run_identity(made, setting, opponents), "name": name, "settings": plain_settings(settings)}
+    with workers.start() as executor, open_job(out, method, identity) as job:
+        learned = train(*players, settings, job, executor=executor, name=name, progress=show_progress("tasks"))
+        folder = out / "agent"
+        if isinstance(learned, NetworkSet):
+            save_network_set(learned, folder)
+            weights = ", ".join(f"{weight:.3g}" for weight in learned.weights)
+            print(f"{len(learned.networks)} networks, played with probabilities {weights}")
+            option = "networks"
+        else:
+            save_network(learned, folder)
+            print(learned)
+            option = "network"
+    print(f"written: {folder}; race it as {method}:{option}={folder}")
 
 
 def run_identity(games: "list[RaceGame]", setting: "Setting", competitors: "list[Competitor]") -> dict[str, Any]:
@@ -139,40 +137,53 @@ def run_identity(games: "list[RaceGame]", setting: "Setting", competitors: "list
     }
 
 
-def _method(
-    arguments: argparse.Namespace,
-    setting: "Setting",
-    games: "list[RaceGame]",
-    pool: "list[Competitor]",
-    name: str,
-) -> tuple[Any, float, Callable[[Job, Executor | None], Any]]:
-    """Return the settings of a method, its processor seconds, and the function that learns."""
-    from pcs_racing_agents.cli.estimates import psro_seconds, response_seconds, robust_seconds, self_play_seconds
-    from pcs_racing_agents.learning.responses import learn_response, load_response_settings
-    from pcs_racing_agents.learning.robust import learn_psro, learn_robust, load_psro_settings, load_robust_settings
-    from pcs_racing_agents.learning.self_play import RaceArena, learn_self_play, load_self_play_settings
+@command(
+    "best-reply",
+    "pcs-racing best-reply response --track Pipkin --archive contest --race contest --out out/reply",
+    "pcs-racing best-reply lane-switcher --track Pipkin Saltmere --race contest --starts 512 --out out/quick",
+)
+def run_best_reply(
+    agent: Annotated[str, Option("name of an agent or driver, or name:option=value,... (see 'pcs-racing agents')")],
+    *,
+    games: Games,
+    config: Annotated[
+        str, Option(f"settings of the learner: {', '.join(shipped_configs('response'))} or a YAML file", "NAME")
+    ] = "best-reply",
+    starts: Annotated[int | None, Option("the learner's budget: games branched at every step, on each circuit")] = None,
+    races: Annotated[int, Option("fresh races on all circuits together")] = 4000,
+    out: Annotated[
+        Path,
+        Option(
+            "folder for best_reply.csv, results.csv and the opponent's network; a run that was stopped there goes on",
+            "DIR",
+        ),
+    ],
+    workers: Workers,
+) -> None:
+    """Train an opponent against one agent alone, and print what the agent loses to it in fresh races."""
+    from pcs_racing_agents.agents.agent import competitor_hash
+    from pcs_racing_agents.learning.responses.best_reply import FEWEST, best_reply, reply_text, write_replies
+    from pcs_racing_agents.learning.responses.learner import load_response_settings
+    from pcs_racing_agents.networks.network_files import save_network
+    from pcs_racing_agents.results.race_files import write_results
 
-    source = arguments.config or _configs(arguments.method)[0]
-    changes = {"seed": arguments.seed}
-    config, moves, count = games[0].config, len(games[0].move_names), len(games)
-    options: dict[str, Any] = {"name": name, "progress": show_progress("tasks")}
-    if arguments.method == "response":
-        response = load_response_settings(source, **changes)
-        seconds = response_seconds(response, config, moves, count * len(pool))
-        return (
-            response,
-            seconds,
-            lambda job, on: learn_response(games, pool, setting, response, job, executor=on, **options),
-        )
-    if arguments.method == "robust":
-        robust = load_robust_settings(source, **changes)
-        seconds = robust_seconds(robust, config, moves, count)
-        return robust, seconds, lambda job, on: learn_robust(games, pool, setting, robust, job, executor=on, **options)
-    if arguments.method == "psro":
-        psro = load_psro_settings(source, **changes)
-        seconds = psro_seconds(psro, config, moves, count)
-        return psro, seconds, lambda job, on: learn_psro(games, pool, setting, psro, job, executor=on, **options)
-    play = load_self_play_settings(source, **changes)
-    arenas = [RaceArena(game, setting, play.worth) for game in games]
-    seconds = self_play_seconds(play, config, moves, count)
-    return play, seconds, lambda job, on: learn_self_play(arenas, play, job, executor=on, **options)
+    budget = {} if starts is None else {"starts": starts}
+    settings = load_response_settings(config, seed=games.rules.seed, **budget)
+    setting, made = games.make()
+    (target,) = games.agents([agent], setting)
+    check_whole("races", races, FEWEST * len(made))
+    identity = {
+        "agent": competitor_hash(target),
+        "archive": setting.archive.content_hash,
+        "rules": repr(setting.config),
+        "tracks": [game.track.content_hash for game in made],
+        "races": races,
+        "learner": plain_settings(settings),
+    }
+    with workers.start() as executor, open_job(out, "best reply", identity) as job:
+        progress = show_progress("tasks")
+        reply = best_reply(made, target, setting, settings, job, races=races, executor=executor, progress=progress)
+        print(reply_text({agent: reply}, settings))
+        write_results(reply.races, out / "results.csv")
+        print(f"written: {write_replies({agent: reply}, out / 'best_reply.csv')}")
+        print(f"network: {save_network(reply.network, out / 'reply')}")

@@ -9,6 +9,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 
 from pcs_racing.base.errors import InputError
+from pcs_racing_agents.cli.commands import add_commands
 
 FAILED = 2
 
@@ -22,17 +23,17 @@ FILES = {
     "headroom": "headroom",
     "benchmark": "benchmark",
     "leaderboard": "benchmark",
-    "play": "play",
     "tree": "tree",
     "solve": "solve",
     "export": "solve",
     "train": "train",
     "learn": "learn",
-    "best-reply": "best_reply",
+    "best-reply": "learn",
     "ppo": "ppo",
     "study": "study",
     "explain": "explain",
     "view": "view",
+    "play": "view",
     "compile": "compilation",
 }
 """The file of each command in this folder, in the order of the help. Only what a call needs is imported."""
@@ -75,7 +76,8 @@ def run_parsed(parsed: argparse.Namespace) -> int:
         print("pcs-racing: interrupted", file=sys.stderr)
         return 130
     except Exception as error:
-        from pcs_racing_agents.jobs.executors import is_lost  # takes as long to import as a race to drive
+        # Here, since it takes as long to import as a race to drive.
+        from pcs_racing_agents.jobs.executors import is_lost
 
         if not is_lost(error):
             raise
@@ -98,9 +100,10 @@ def _parser(command: str | None = None) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    # Each file imports what its commands need for their options, which for all of them takes longer than a race.
     wanted = [FILES[command]] if command in FILES else FILES.values()
     for file in dict.fromkeys(wanted):
-        import_module(f"pcs_racing_agents.cli.{file}").add(commands)
+        add_commands(commands, import_module(f"pcs_racing_agents.cli.{file}"))
     return parser
 
 

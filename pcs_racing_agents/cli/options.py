@@ -1,75 +1,67 @@
 """What several commands share: options, checks of the files and folders that they write, pages in a browser."""
 
-import argparse
-import os
 import sys
-import webbrowser
-from http.server import ThreadingHTTPServer
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.config import PRESETS, RaceConfig, load_race_config
+from pcs_racing_agents.cli.commands import Option
 
 DEFAULT_TRACK = "Brackwater"
 """The circuit that commands and environments use by default."""
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
 POLICY_HELP = "planner, planner:variant or planner:parameter=value,... (see 'pcs-racing policies')"
 
+Circuit = Annotated[str, Option(TRACK_HELP, "T")]
+Circuits = Annotated[Sequence[str], Option(TRACK_HELP, "T")]
+ArchiveName = Annotated[str, Option("archive whose policies the agents drive: its name or folder", "A")]
+Race = Annotated[str, Option(f"rules of the race: {', '.join(PRESETS)} or a YAML file")]
+NoOpen = Annotated[bool, Option("do not open the page in a browser")]
 
-class Commands(Protocol):
-    """What ``ArgumentParser.add_subparsers`` returns."""
 
-    def add_parser(self, name: str, **options: Any) -> argparse.ArgumentParser:
-        """Add a command."""
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """The rules of a race, and the seed of its random draws."""
+
+    race: Race = "paper"
+    duration: Annotated[float | None, Option("duration of a race in s (default: that of the preset, 40)", "S")] = None
+    seed: Annotated[int, Option("seed of the starts and of the noise")] = 0
+
+    def config(self) -> RaceConfig:
+        """Return the race configuration that the options ask for."""
+        changes = {} if self.duration is None else {"duration": self.duration}
+        return load_race_config(self.race, **changes)
 
 
-def add_command(commands: Commands, name: str, summary: str, *examples: str) -> argparse.ArgumentParser:
-    """Add a command with one sentence of help and examples of its use."""
-    return commands.add_parser(
-        name,
-        help=summary,
-        description=f"{summary[0].upper()}{summary[1:]}.",
-        epilog="\n  ".join(["examples:" if len(examples) > 1 else "example:", *examples]),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
+@dataclass(frozen=True, kw_only=True)
+class Workers:
+    """Where the tasks of a long command run."""
+
+    executor: Annotated[
+        str,
+        Option(
+            "serial: one task after the other; threads: threads of this process; processes: processes of this machine; "
+            "dask: workers of a dask cluster (--scheduler), else processes",
+            choices=("serial", "threads", "processes", "dask"),
+        ),
+    ] = "threads"
+    workers: Annotated[int | None, Option("number of threads or processes (default: number of cores)")] = None
+    scheduler: Annotated[str | None, Option("address of a running dask scheduler, like tcp://host:8786", "ADDRESS")] = (
+        None
     )
 
+    def start(self) -> AbstractContextManager[Executor | None]:
+        """Return the executor that the options ask for, as a context."""
+        # Imported only now: the command `race`, which has no workers, reads this file, too.
+        from pcs_racing_agents.jobs.executors import make_executor
 
-def add_track(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--track`` for one circuit."""
-    parser.add_argument("--track", default=DEFAULT_TRACK, metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})")
-
-
-def add_tracks(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names one circuit or several."""
-    parser.add_argument(
-        "--track", default=[DEFAULT_TRACK], nargs="+", metavar="T", help=f"{TRACK_HELP} (default: {DEFAULT_TRACK})"
-    )
-
-
-def add_race(parser: argparse.ArgumentParser) -> None:
-    """Add the option ``--race`` for the rules of the race."""
-    presets = ", ".join(PRESETS)
-    parser.add_argument("--race", default="paper", help=f"rules of the race: {presets} or a YAML file (default: paper)")
-
-
-def add_rules(parser: argparse.ArgumentParser, seed: int = 0) -> None:
-    """Add the options that :func:`rules` reads, and the option ``--seed`` with its default."""
-    add_race(parser)
-    parser.add_argument(
-        "--duration", type=float, metavar="S", help="duration of a race in s (default: that of the preset, 40)"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=seed, metavar="N", help=f"seed of the starts and of the noise (default: {seed})"
-    )
-
-
-def rules(arguments: argparse.Namespace) -> RaceConfig:
-    """Return the race configuration that the options ask for."""
-    changes = {} if arguments.duration is None else {"duration": arguments.duration}
-    return load_race_config(arguments.race, **changes)
+        return make_executor(self.executor, self.workers, self.scheduler)
 
 
 def can_draw(picture: str) -> bool:
@@ -98,22 +90,3 @@ def output_folder(path: Path) -> Path:
     except OSError as error:
         raise InputError(f"can't make the folder {path}: {error.strerror}") from None
     return path
-
-
-def open_page(address: str) -> None:
-    """Open a browser if there is a display; without one, Python would start a browser in this terminal."""
-    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
-        return
-    webbrowser.open(address)
-
-
-def serve(server: ThreadingHTTPServer, what: str, *, open_it: bool) -> None:
-    """Serve a page until the command is interrupted; prints what is at which address."""
-    address = f"http://127.0.0.1:{server.server_address[1]}/"
-    print(f"{what} at {address} (Ctrl-C ends it)", flush=True)
-    if open_it:
-        open_page(address)
-    try:
-        server.serve_forever()
-    except KeyboardInterrupt:
-        print("ended", file=sys.stderr)

@@ -1,14 +1,14 @@
 """``pcs-racing solve`` and ``export``: solve the trees of a folder with several methods, or write one for others."""
 
-import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.cli.options import Commands, add_command, output_file
+from pcs_racing_agents.cli.commands import Option, command
+from pcs_racing_agents.cli.options import output_file
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.solvers.compare import METHODS, MethodRow, compare_methods
@@ -29,60 +29,35 @@ class _SolvedTree(NamedTuple):
     rows: list[MethodRow]
 
 
-def add(commands: Commands) -> None:
-    """Add the commands ``solve`` and ``export``."""
-    parser = add_command(
-        commands,
-        "solve",
-        "solve game trees exactly and by regret minimisation, and print value and exploitability of each solution",
-        "pcs-racing solve out/trees",
-        "pcs-racing solve out/trees --iterations 1000 --methods exact alternating+ --out out/solved.csv",
-    )
-    parser.add_argument("trees", type=Path, metavar="DIR", help="folder of game trees, written by 'pcs-racing tree'")
-    parser.add_argument(
-        "--iterations", type=int, default=100, metavar="N", help="number of iterations of CFR (default: 100)"
-    )
-    parser.add_argument(
-        "--methods",
-        nargs="+",
-        default=list(METHODS),
-        choices=METHODS,
-        metavar="M",
-        help=f"one or more of {', '.join(METHODS)} (default: all)",
-    )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="file for the table (.csv)")
-    parser.set_defaults(run=run)
-    parser = add_command(
-        commands,
-        "export",
-        "write a game tree as a file that OpenSpiel and Gambit load",
-        "pcs-racing export out/trees --format efg --out out/tree.efg",
-        "pcs-racing export out/trees --tree 3 --format efg --out out/tree3.efg",
-    )
-    parser.add_argument("trees", type=Path, metavar="DIR", help="folder of game trees, written by 'pcs-racing tree'")
-    parser.add_argument(
-        "--tree", type=int, default=0, metavar="N", help="number of the tree in the folder (default: 0)"
-    )
-    parser.add_argument(
-        "--format", choices=("efg",), default="efg", help="format: efg, the extensive form of Gambit as text (default)"
-    )
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="file to write (.efg)")
-    parser.set_defaults(run=run_export)
+Trees = Annotated[Path, Option("folder of game trees, written by 'pcs-racing tree'", "DIR")]
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Solve all trees, print the table, and write it."""
-    target = output_file(arguments.out, ".csv") if arguments.out else None
-    trees = load_trees(arguments.trees)
+@command(
+    "solve",
+    "pcs-racing solve out/trees",
+    "pcs-racing solve out/trees --iterations 1000 --methods exact alternating+ --out out/solved.csv",
+)
+def run(
+    trees: Trees,
+    *,
+    iterations: Annotated[int, Option("number of iterations of CFR")] = 100,
+    methods: Annotated[
+        Sequence[str], Option(f"one or more of {', '.join(METHODS)} (default: all)", "M", choices=METHODS)
+    ] = (),
+    out: Annotated[Path | None, Option("file for the table (.csv)", "FILE")] = None,
+) -> None:
+    """Solve game trees exactly and by regret minimisation, and print value and exploitability of each solution."""
+    target = output_file(out, ".csv") if out else None
+    stored = load_trees(trees)
     solved = []
-    for number, tree in enumerate(trees):
+    for number, tree in enumerate(stored):
         first, second = (int(policy) for policy in tree.policies)
-        rows = compare_methods(tree.game_tree(), arguments.iterations, arguments.methods)
+        rows = compare_methods(tree.game_tree(), iterations, methods or METHODS)
         solved.append(_SolvedTree(number, (first, second), len(tree.seeds), rows))
-    names = {key: trees.settings[key]["name"] for key in ("archive", "track")}
+    names = {key: stored.settings[key]["name"] for key in ("archive", "track")}
     print(
-        f"{len(trees)} trees of archive {names['archive']} on {names['track']}, preset {trees.settings['preset']}; "
-        f"CFR with {arguments.iterations} iterations"
+        f"{len(stored)} trees of archive {names['archive']} on {names['track']}, preset {stored.settings['preset']}; "
+        f"CFR with {iterations} iterations"
     )
     print(solve_table(solved))
     if target is not None:
@@ -120,16 +95,31 @@ def _csv_rows(solved: Sequence[_SolvedTree]) -> Iterator[tuple[object, ...]]:
             yield (tree.number, *tree.policies, tree.seeds, row.method, *numbers)
 
 
-def run_export(arguments: argparse.Namespace) -> None:
-    """Load the tree and write the file."""
-    target = output_file(arguments.out, ".efg")
-    trees = load_trees(arguments.trees)
-    if not 0 <= arguments.tree < len(trees):
-        raise InputError(f"there is no tree {arguments.tree} in {arguments.trees}; it holds 0 to {len(trees) - 1}")
-    played = trees[arguments.tree]
+@command(
+    "export",
+    "pcs-racing export out/trees --format efg --out out/tree.efg",
+    "pcs-racing export out/trees --tree 3 --format efg --out out/tree3.efg",
+)
+def run_export(
+    trees: Trees,
+    *,
+    tree: Annotated[int, Option("number of the tree in the folder")] = 0,
+    format: Annotated[  # noqa: A002
+        str, Option("format: efg, the extensive form of Gambit as text", choices=("efg",))
+    ] = "efg",
+    out: Annotated[Path, Option("file to write (.efg)", "FILE")],
+) -> None:
+    """Write a game tree as a file that OpenSpiel and Gambit load."""
+    target = output_file(out, ".efg")
+    stored = load_trees(trees)
+    if not 0 <= tree < len(stored):
+        raise InputError(f"there is no tree {tree} in {trees}; it holds 0 to {len(stored) - 1}")
+    played = stored[tree]
     first, second = (int(policy) for policy in played.policies)
-    names = trees.settings["move_names"]
-    tree = played.game_tree()
-    title = f"pcs-racing: {trees.settings['archive']['name']} {first} and {second} on {trees.settings['track']['name']}"
-    write_efg(tree, target, title=title, move_names=[(names, names)] * tree.depth)
-    print(f"written: {target} ({tree.payoffs.size} leaves, {target.stat().st_size / 1e6:.1f} MB)")
+    names = stored.settings["move_names"]
+    game = played.game_tree()
+    title = (
+        f"pcs-racing: {stored.settings['archive']['name']} {first} and {second} on {stored.settings['track']['name']}"
+    )
+    write_efg(game, target, title=title, move_names=[(names, names)] * game.depth)
+    print(f"written: {target} ({game.payoffs.size} leaves, {target.stat().st_size / 1e6:.1f} MB)")

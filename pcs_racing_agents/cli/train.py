@@ -1,22 +1,23 @@
 """``pcs-racing train``: train a network that predicts counterfactual regrets from observations."""
 
-import argparse
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.cli.options import Commands, add_command, output_folder
+from pcs_racing_agents.cli.commands import Option, SettingOptions, command
+from pcs_racing_agents.cli.options import Workers, output_folder
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.folders import hold_folder
+from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.results.csv_files import write_csv
 
 if TYPE_CHECKING:
-    from pcs_racing_agents.networks import RegretNetwork, TrainSettings
+    from pcs_racing_agents.networks import RegretNetwork
     from pcs_racing_agents.networks.training import TrainingResult
 
 
@@ -32,85 +33,57 @@ class _Outcome(NamedTuple):
 _Learn = Callable[[Executor | None], _Outcome]
 
 
-def add(commands: Commands) -> None:
-    """Add the command ``train``."""
-    parser = add_command(
-        commands,
-        "train",
-        "train a network that predicts counterfactual regrets, or another value of each move, from observations",
-        "pcs-racing train out/trees --target regret --out out/networks/regret",
-        "pcs-racing train out/trees-a out/trees-b --config study --target advantage --out out/networks/advantage",
-        "pcs-racing train out/ego --out out/networks/static-q",
-    )
-    parser.add_argument(
-        "trees",
-        nargs="+",
-        type=Path,
-        metavar="DIR",
-        help="folders of game trees or ego trees, written by 'pcs-racing tree'",
-    )
-    parser.add_argument(
-        "--target",
-        help="value to predict: regret (of the paper; the default), normalised, advantage, nash, or static-q "
-        "(the only target for ego trees)",
-    )
-    configs = ", ".join(shipped_configs("train"))
-    parser.add_argument("--config", metavar="NAME", help=f"settings: {configs} or a YAML file")
-    parser.add_argument("--epochs", type=int, metavar="N", help="maximum number of epochs")
-    parser.add_argument("--hidden", type=int, nargs="+", metavar="N", help="number of units of each hidden layer")
-    parser.add_argument(
-        "--seed", type=int, metavar="N", help="seed of the data split, the initial weights and the random draws"
-    )
-    parser.add_argument("--name", help="name of the network (default: that of the folder)")
-    parser.add_argument("--no-tensorboard", action="store_true", help="do not write learning curves for TensorBoard")
-    parser.add_argument("--no-picture", action="store_true", help="do not draw the learning curves")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder for the network and its learning curves"
-    )
-    from pcs_racing_agents.jobs.executors import add_executor_options
-
-    add_executor_options(parser)
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
-    """Train the network, print its scores, and write it."""
-    from pcs_racing_agents.cli.estimates import announce, training_seconds
-    from pcs_racing_agents.jobs.executors import executor_from
+@command(
+    "train",
+    "pcs-racing train out/trees --target regret --out out/networks/regret",
+    "pcs-racing train out/trees-a out/trees-b --config study --target advantage --out out/networks/advantage",
+    "pcs-racing train out/ego --out out/networks/static-q",
+)
+def run(
+    trees: Annotated[Sequence[Path], Option("folders of game trees or ego trees, written by 'pcs-racing tree'", "DIR")],
+    *,
+    config: Annotated[
+        str | None, Option(f"settings: {', '.join(shipped_configs('train'))} or a YAML file", "NAME")
+    ] = None,
+    changes: Annotated[dict[str, Any], SettingOptions(TrainSettings, "target", "epochs", "hidden", "seed")],
+    name: Annotated[str | None, Option("name of the network (default: that of the folder)")] = None,
+    no_tensorboard: Annotated[bool, Option("do not write learning curves for TensorBoard")] = False,
+    no_picture: Annotated[bool, Option("do not draw the learning curves")] = False,
+    out: Annotated[Path, Option("folder for the network and its learning curves", "DIR")],
+    workers: Workers,
+) -> None:
+    """Train a network that predicts counterfactual regrets, or another value of each move, from observations."""
     from pcs_racing_agents.networks.network_files import save_network
     from pcs_racing_agents.networks.settings import load_train_settings
     from pcs_racing_agents.networks.training import epoch_curves, write_epochs
     from pcs_racing_agents.pictures.curves import curves_picture, write_tensorboard
     from pcs_racing_agents.pictures.style import save_picture
 
-    changes = {key: getattr(arguments, key) for key in ("target", "epochs", "seed")}
-    changes["hidden"] = tuple(arguments.hidden) if arguments.hidden else None
-    changes = {key: value for key, value in changes.items() if value is not None}
-    ego = [_holds_ego_trees(folder) for folder in arguments.trees]
+    ego = [_holds_ego_trees(folder) for folder in trees]
     if any(ego):
+        # Against one sequence of moves there are no counterfactual regrets, only values.
         changes.setdefault("target", "static-q")
-    settings = load_train_settings(arguments.config, **changes)
-    name = arguments.name or arguments.out.resolve().name
+    settings = load_train_settings(config, **changes)
+    name = name or out.resolve().name
     if not any(ego):
-        learn = _from_trees(arguments.trees, settings, name)
+        learn = _from_trees(trees, settings, name)
     elif all(ego):
-        learn = _from_ego(arguments.trees, settings, name)
+        learn = _from_ego(trees, settings, name)
     else:
-        raise InputError(f"{arguments.trees[ego.index(True)]} holds ego trees, others do not; give folders of one kind")
-    _check_packages(arguments)
-    with hold_folder(arguments.out), executor_from(arguments) as executor:
-        announce(training_seconds(settings), 1, most=True)  # torch learns on one core
-        folder = output_folder(arguments.out)
+        raise InputError(f"{trees[ego.index(True)]} holds ego trees, others do not; give folders of one kind")
+    _check_packages(tensorboard=not no_tensorboard, matplotlib=not no_picture)
+    with hold_folder(out), workers.start() as executor:
+        folder = output_folder(out)
         network, result, table, scores = learn(executor)
         best = result.epochs[result.best]
         save_network(network, folder)
         write_epochs(result, folder / "learning_curves.csv")
         _write_scores(scores, folder / "scores.csv")
-        if not arguments.no_tensorboard:
+        if not no_tensorboard:
             values = (epoch._asdict() for epoch in result.epochs)
             steps = [(row.pop("epoch"), {key.replace("_", "/", 1): row[key] for key in row}) for row in values]
             write_tensorboard(folder / "tensorboard", {"": steps})
-        if not arguments.no_picture:
+        if not no_picture:
             title = f"{name}: {settings.target}"
             figure = curves_picture(epoch_curves(result), log=("loss",), mark=best.epoch, title=title)
             save_picture(figure, folder / "learning_curves.png")
@@ -120,7 +93,7 @@ def run(arguments: argparse.Namespace) -> None:
     )
 
 
-def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
+def _from_trees(folders: Sequence[Path], settings: TrainSettings, name: str) -> _Learn:
     """Open folders of game trees; return the function that trains on them."""
     from pcs_racing_agents.jobs.progress import show_progress
     from pcs_racing_agents.networks.from_trees import train_on_trees
@@ -155,7 +128,7 @@ def _from_trees(folders: Sequence[Path], settings: "TrainSettings", name: str) -
     return learn
 
 
-def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> _Learn:
+def _from_ego(folders: Sequence[Path], settings: TrainSettings, name: str) -> _Learn:
     """Open folders of ego trees; return the function that trains on them."""
     from pcs_racing_agents.jobs.progress import show_progress
     from pcs_racing_agents.jobs.tasks import in_other_processes, run_task
@@ -171,6 +144,7 @@ def _from_ego(folders: Sequence[Path], settings: "TrainSettings", name: str) -> 
     trees = join_ego([load_ego_trees(folder) for folder in folders])
 
     def learn(executor: Executor | None) -> _Outcome:
+        # torch's random generator belongs to the process: in a thread of this one other work would draw from it.
         elsewhere = in_other_processes(executor)
         train = partial(
             train_on_ego,
@@ -198,7 +172,8 @@ def _holds_ego_trees(folder: Path) -> bool:
     try:
         read_settings(folder, EGO_KIND)
     except InputError:
-        return False  # other content, or none, is reported where the folder is opened
+        # Other content, or none, is reported where the folder is opened.
+        return False
     return True
 
 
@@ -229,12 +204,12 @@ def _about(manifests: Sequence[Mapping[str, Any]]) -> dict[str, str | int | floa
     }
 
 
-def _check_packages(arguments: argparse.Namespace) -> None:
+def _check_packages(*, tensorboard: bool, matplotlib: bool) -> None:
     """Check that the optional libraries are installed, before any long work."""
     from importlib.util import find_spec
 
-    packages = [("torch", "learning", True), ("tensorboard", "learning", not arguments.no_tensorboard)]
-    packages += [("matplotlib", "plots", not arguments.no_picture)]
+    packages = [("torch", "learning", True), ("tensorboard", "learning", tensorboard)]
+    packages += [("matplotlib", "plots", matplotlib)]
     for package, extra, needed in packages:
         if needed and find_spec(package) is None:
             raise ModuleNotFoundError(f'training needs {package}: pip install "pcs-racing[{extra}]"')

@@ -1,12 +1,18 @@
-"""``pcs-racing view``: write or serve a page that lists the races of a tournament and plays them."""
+"""``pcs-racing view`` and ``play``: pages that play the races of a tournament, and on which you race yourself."""
 
-import argparse
+import os
+import sys
+import webbrowser
 from collections.abc import Sequence
+from http.server import ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+from pcs_racing.base.checks import check_seed
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.cli.options import Commands, add_command, open_page, output_file, serve
+from pcs_racing_agents.cli.commands import Option, command
+from pcs_racing_agents.cli.options import DEFAULT_TRACK, ArchiveName, Circuit, NoOpen, Rules, output_file
+from pcs_racing_agents.jobs.progress import show_progress
 
 if TYPE_CHECKING:
     from pcs_racing_agents.results.races import RaceTable
@@ -20,82 +26,81 @@ MOST_REPLAYS = 2000
 LONE_FILE = "there is no job.yaml beside this file that says how its races were driven, so they can't be driven again"
 
 
-def add(commands: Commands) -> None:
-    """Add the command ``view``."""
-    parser = add_command(
-        commands,
-        "view",
-        "write a page that lists the races of a tournament or a study and plays them",
-        "pcs-racing view out/mine",
-        "pcs-racing view out/mine --races 12 40 --out chosen.html",
-        "pcs-racing view out/mine --serve",
-    )
-    parser.add_argument(
-        "results", type=Path, metavar="RESULTS", help="folder of a tournament or a study, or its results.csv"
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="file for the page (default: view.html in the folder of the results)"
-    )
-    parser.add_argument(
-        "--replays",
-        type=int,
-        metavar="N",
-        help=f"number of races to include, selected by a rule (default: {REPLAYS}; with --races or --serve: 0)",
-    )
-    parser.add_argument("--races", type=int, nargs="+", default=[], metavar="K", help="numbers of races to include")
-    parser.add_argument(
-        "--serve",
-        action="store_true",
-        help="write no file; serve the page from this machine, where any race can be watched",
-    )
-    parser.add_argument("--port", type=int, metavar="P", help="with --serve: port of the server (default: a free port)")
-    parser.add_argument("--no-open", action="store_true", help="do not open the page in a browser")
-    parser.set_defaults(run=run)
+Port = Annotated[int | None, Option("port of the page on this machine (default: a free port)", "P")]
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Write the page, or serve it."""
-    from pcs_racing_agents.results.race_files import read_results
+@command(
+    "view",
+    "pcs-racing view out/mine",
+    "pcs-racing view out/mine --races 12 40 --out chosen.html",
+    "pcs-racing view out/mine --serve",
+)
+def run(
+    results: Annotated[Path, Option("folder of a tournament or a study, or its results.csv", "RESULTS")],
+    *,
+    out: Annotated[
+        Path | None, Option("file for the page (default: view.html in the folder of the results)", "FILE")
+    ] = None,
+    replays: Annotated[
+        int | None,
+        Option(f"number of races to include, selected by a rule (default: {REPLAYS}; with --races or --serve: 0)"),
+    ] = None,
+    races: Annotated[Sequence[int], Option("numbers of races to include", "K")] = (),
+    serve: Annotated[
+        bool, Option("write no file; serve the page from this machine, where any race can be watched")
+    ] = False,
+    port: Port = None,
+    no_open: NoOpen = False,
+) -> None:
+    """Write a page that lists the races of a tournament or a study and plays them."""
+    from dataclasses import replace
 
-    target = _check(arguments)
-    results, file = _find(arguments.results)
-    races = results.races if results is not None else read_results(file)
-    picks = _picks(arguments, races, results)
-    if arguments.serve:
-        assert results is not None  # _picks has checked
-        _serve(arguments, races, results, picks)
-        return
     from pcs_racing.base.files import write_atomically
+    from pcs_racing_agents.results.race_files import read_results
+    from pcs_racing_agents.view.race_replays import RaceRepeater
     from pcs_racing_agents.view.view_page import view_page
+    from pcs_racing_agents.view.view_server import RaceService, make_server
 
-    content = _content(arguments, races, results, picks)
+    if serve and out is not None:
+        raise InputError("--out goes without --serve: a page that is served is not written")
+    if port is not None and not serve:
+        raise InputError("--port goes with --serve")
+    if replays is not None and not 0 <= replays <= MOST_REPLAYS:
+        raise InputError(f"--replays is {replays}; it must be from 0 to {MOST_REPLAYS}")
+    if len(races) > MOST_REPLAYS:
+        raise InputError(f"--races names {len(races)} races; a page holds at most {MOST_REPLAYS}")
+    target = _page_file(results, out)
+    folder, file = _find(results)
+    if folder is None and (replays or races or serve):
+        raise InputError(f"can't drive races of {results} again: {LONE_FILE}")
+    table = folder.races if folder is not None else read_results(file)
+    default = 0 if races or serve or folder is None else REPLAYS
+    picks = _picks(table, races, default if replays is None else replays)
+    content = _content(results, table, folder, picks)
+    if serve:
+        assert folder is not None  # refused above
+        service = RaceService(RaceRepeater(folder), len(table))
+        with make_server(view_page(replace(content, serve=True)), service.answer, port or 0) as server:
+            run_server(server, f"{len(table)} races", open_it=not no_open)
+        return
     page = view_page(content).encode()
     write_atomically(target, lambda stream: stream.write(page))
-    print(f"{len(races)} races, {len(picks)} of them to be watched, {len(page) / 1e6:.1f} MB")
-    if results is None:
+    print(f"{len(table)} races, {len(picks)} of them to be watched, {len(page) / 1e6:.1f} MB")
+    if folder is None:
         print(f"{LONE_FILE}; the page lists them")
     print(f"page: {target}")
-    if not arguments.no_open:
+    if not no_open:
         open_page(target.resolve().as_uri())
 
 
-def _check(arguments: argparse.Namespace) -> Path:
-    """Refuse options that can't be combined, before any work; return the path of the page."""
-    if arguments.serve and arguments.out is not None:
-        raise InputError("--out goes without --serve: a page that is served is not written")
-    if arguments.port is not None and not arguments.serve:
-        raise InputError("--port goes with --serve")
-    if arguments.replays is not None and not 0 <= arguments.replays <= MOST_REPLAYS:
-        raise InputError(f"--replays is {arguments.replays}; it must be from 0 to {MOST_REPLAYS}")
-    if len(arguments.races) > MOST_REPLAYS:
-        raise InputError(f"--races names {len(arguments.races)} races; a page holds at most {MOST_REPLAYS}")
-    if not arguments.results.exists():
-        raise InputError(f"there is no {arguments.results}; give the folder of a tournament or a study")
-    path = arguments.results
-    if arguments.out is None and path.is_file():
+def _page_file(path: Path, out: Path | None) -> Path:
+    """Return the path of the page, which can be written."""
+    if not path.exists():
+        raise InputError(f"there is no {path}; give the folder of a tournament or a study")
+    if out is None and path.is_file():
         name = "view.html" if path.name == "results.csv" else f"{path.stem}-view.html"
         return output_file(path.with_name(name), ".html")
-    return output_file(arguments.out or path / "view.html", ".html")
+    return output_file(out or path / "view.html", ".html")
 
 
 def _find(path: Path) -> "tuple[ResultsFolder | None, Path]":
@@ -118,36 +123,30 @@ def _find(path: Path) -> "tuple[ResultsFolder | None, Path]":
     return results, folder.with_suffix(".csv") if ratings else folder / "results.csv"
 
 
-def _picks(arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None") -> "list[SelectedRace]":
-    """Return the races with replays."""
+def _picks(table: "RaceTable", numbers: Sequence[int], count: int) -> "list[SelectedRace]":
+    """Return the races with replays: those that were asked for, then as many that a rule selects."""
     from pcs_racing_agents.view.race_choice import SelectedRace, choose_races
 
-    if results is None:
-        if arguments.replays or arguments.races or arguments.serve:
-            raise InputError(f"can't drive races of {arguments.results} again: {LONE_FILE[:1].lower()}{LONE_FILE[1:]}")
-        return []
-    for number in arguments.races:
-        if not 0 <= number < len(races):
-            raise InputError(f"--races names {number}; there are races 0 to {len(races) - 1}")
-    default = 0 if arguments.races or arguments.serve else REPLAYS
-    count = default if arguments.replays is None else arguments.replays
-    requested = {number: SelectedRace(number, "a race that was asked for") for number in arguments.races}
-    selected = {pick.race: pick for pick in choose_races(races, count)}
+    for number in numbers:
+        if not 0 <= number < len(table):
+            raise InputError(f"--races names {number}; there are races 0 to {len(table) - 1}")
+    requested = {number: SelectedRace(number, "a race that was asked for") for number in numbers}
+    selected = {pick.race: pick for pick in choose_races(table, count)}
+    # The order of the first, the reason of the last: what was asked for stands first and says so.
     return list({**requested, **selected, **requested}.values())
 
 
 def _content(
-    arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder | None", picks: "Sequence[SelectedRace]"
+    path: Path, races: "RaceTable", results: "ResultsFolder | None", picks: "Sequence[SelectedRace]"
 ) -> "ViewContent":
     """Simulate the selected races, and return the content of the page."""
-    from pcs_racing_agents.jobs.progress import show_progress
     from pcs_racing_agents.view.race_replays import RaceRepeater
     from pcs_racing_agents.view.view_page import ViewContent
 
-    title = arguments.results.resolve()
+    title = path.resolve()
     name = title.parent.name if title.name == "results.csv" else title.name
     if results is None:
-        return ViewContent(name, races, str(arguments.results), why_not=f"{LONE_FILE[:1].upper()}{LONE_FILE[1:]}.")
+        return ViewContent(name, races, str(path), why_not=f"{LONE_FILE[:1].upper()}{LONE_FILE[1:]}.")
     driver, progress = RaceRepeater(results), show_progress()
     driven = []
     try:
@@ -159,7 +158,7 @@ def _content(
     return ViewContent(
         name,
         races,
-        str(arguments.results),
+        str(path),
         start=_kind_of_start(results),
         picks=picks,
         driven=driven,
@@ -177,17 +176,55 @@ def _kind_of_start(results: "ResultsFolder") -> str:
     return str(race.get("start", "side-by-side")) if isinstance(race, dict) else "side-by-side"
 
 
-def _serve(
-    arguments: argparse.Namespace, races: "RaceTable", results: "ResultsFolder", picks: "Sequence[SelectedRace]"
+@command(
+    "play",
+    "pcs-racing play",
+    "pcs-racing play --opponent response --archive contest --race contest --track Pipkin",
+    "pcs-racing play --opponent lattice:pace=0.9 --no-open",
+)
+def run_play(
+    *,
+    opponent: Annotated[
+        str, Option("agent, driver or policy in the other car (see 'pcs-racing agents')", "NAME")
+    ] = "cfr-argmax",
+    track: Circuit = DEFAULT_TRACK,
+    rules: Rules,
+    archive: ArchiveName = "default",
+    port: Port = None,
+    no_open: NoOpen = False,
 ) -> None:
-    """Serve the page until the command is interrupted."""
-    from dataclasses import replace
+    """Make the moves of one car yourself, on a local page, against an agent."""
+    from pcs_racing.game.archive_files import load_archive
+    from pcs_racing.game.make import make_game
+    from pcs_racing.track.loading import load_track
+    from pcs_racing_agents.agents.zoo import make
+    from pcs_racing_agents.view.person_race import PersonRaces, play_page
+    from pcs_racing_agents.view.view_server import make_server
 
-    from pcs_racing_agents.view.race_replays import RaceRepeater
-    from pcs_racing_agents.view.view_page import view_page
-    from pcs_racing_agents.view.view_server import RaceService, make_server
+    check_seed(rules.seed)
+    config, loaded = rules.config(), load_archive(archive)
+    rival = make(opponent, archive=loaded, race=config, seed=rules.seed)
+    races = PersonRaces(make_game(load_track(track), loaded, config, stay=True), rival, rules.seed)
+    # A competitor that does not fit is told now, and kernels are compiled before the page opens.
+    races.situation(0, ())
+    with make_server(play_page(races), races.answer, port or 0) as server:
+        run_server(server, "play", open_it=not no_open)
 
-    page = view_page(replace(_content(arguments, races, results, picks), serve=True))
-    service = RaceService(RaceRepeater(results), len(races))
-    with make_server(page, service.answer, arguments.port or 0) as server:
-        serve(server, f"{len(races)} races", open_it=not arguments.no_open)
+
+def open_page(address: str) -> None:
+    """Open a browser if there is a display; without one, Python would start a browser in this terminal."""
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        return
+    webbrowser.open(address)
+
+
+def run_server(server: ThreadingHTTPServer, what: str, *, open_it: bool) -> None:
+    """Serve a page until the command is interrupted; prints what is at which address."""
+    address = f"http://127.0.0.1:{server.server_address[1]}/"
+    print(f"{what} at {address} (Ctrl-C ends it)", flush=True)
+    if open_it:
+        open_page(address)
+    try:
+        server.serve_forever()
+    except KeyboardInterrupt:
+        print("ended", file=sys.stderr)

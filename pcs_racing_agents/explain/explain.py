@@ -21,8 +21,8 @@ from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, W
 from pcs_racing_agents.agents.from_network import AdaptiveStrategy
 from pcs_racing_agents.agents.observing import earlier, opponent, own
 from pcs_racing_agents.networks.network import RegretNetwork
-from pcs_racing_agents.tournament.games import PlayedGames
-from pcs_racing_agents.tournament.watching import record_game
+from pcs_racing_agents.results.races import RaceTable
+from pcs_racing_agents.tournament.runner import record_game
 
 Floats = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ class Explanation:
     step_seconds: float  #: Time between two moves, s.
     steps: tuple[ExplainedDecision, ...]  #: One for each move that was made; fewer after a crash.
     replay: Replay  #: The race, with the moves as events.
-    played: PlayedGames  #: Result of the race; of one game.
+    played: RaceTable  #: Result of the race; of one game.
     unit: Unit | None  #: Unit of the values.
     default: DefaultStrategy | None
     blind: bool  #: Whether the agent is known not to use its observations of the opponent.
@@ -102,7 +102,7 @@ def explain_game(
     Parameters
     ----------
     policies, start, seed, candidates
-        As for :func:`pcs_racing_agents.tournament.watching.record_game`.
+        As for :func:`pcs_racing_agents.tournament.runner.record_game`.
     car : int
         The car whose moves are explained, 0 or 1.
     """
@@ -118,6 +118,7 @@ def explain_game(
     played, arena = recording.played, recording.game
     names = recording.replay.car_names
     config, strategy = arena.config, getattr(competitor, "strategy", None)
+    # A strategy may have a network of another kind, whose outputs are no values of moves.
     network = getattr(strategy, "network", None)
     network = network if isinstance(network, RegretNetwork) else None
     return Explanation(
@@ -139,12 +140,13 @@ def explain_game(
 
 
 def _steps(
-    arena: RaceGame, competitor: Competitor, played: PlayedGames, car: int, network: RegretNetwork | None
+    arena: RaceGame, competitor: Competitor, played: RaceTable, car: int, network: RegretNetwork | None
 ) -> tuple[ExplainedDecision, ...]:
     axes = len(arena.characteristics)
     strategy = getattr(competitor, "strategy", None)
     steps = []
-    for k in range(int((played.moves[0, car] >= 0).sum())):
+    for k in range(int((played.moves.codes[0, car] >= 0).sum())):
+        # The last observation holds all earlier ones: cut off, it is what the agent saw before this move.
         observation = earlier(played.observations[:, car], axes, k)
         default_move = None
         if isinstance(strategy, AdaptiveStrategy):
@@ -155,13 +157,13 @@ def _steps(
                 own=own(observation, axes)[0].astype(np.float64),
                 opponent=opponent(observation, axes)[0].astype(np.float64),
                 lead=float(observed_lead(observation, axes, k)[0]),
-                move=int(played.moves[0, car, k]),
-                policy=int(played.policy[0, car, k]),
-                next_policy=int(played.policy[0, car, k + 1]),
+                move=int(played.moves.codes[0, car, k]),
+                policy=int(played.path[0, car, k]),
+                next_policy=int(played.path[0, car, k + 1]),
                 probabilities=competitor.probabilities(observation)[0] if isinstance(competitor, Agent) else None,
                 values=None if network is None else network.unclipped(observation)[0].astype(np.float64),
                 default_move=default_move,
-                opponent_move=int(played.moves[0, 1 - car, k]),
+                opponent_move=int(played.moves.codes[0, 1 - car, k]),
             )
         )
     return tuple(steps)
@@ -195,12 +197,12 @@ def value_unit(network: RegretNetwork, utility: str) -> Unit:
     return Unit(1.0, "")
 
 
-def mark_moves(replay: Replay, played: PlayedGames, moves: tuple[str, ...], step_seconds: float) -> Replay:
+def mark_moves(replay: Replay, played: RaceTable, moves: tuple[str, ...], step_seconds: float) -> Replay:
     """Return a replay with the moves of both cars as events."""
     events = [
-        ReplayEvent((k + 1) * step_seconds, car, "move", moves[played.moves[0, car, k]])
+        ReplayEvent((k + 1) * step_seconds, car, "move", moves[played.moves.codes[0, car, k]])
         for car in range(2)
-        for k in range(played.moves.shape[2])
-        if played.moves[0, car, k] >= 0
+        for k in range(played.moves.codes.shape[2])
+        if played.moves.codes[0, car, k] >= 0
     ]
     return replace(replay, events=(*replay.events, *events))

@@ -38,6 +38,7 @@ def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, 
     everything, policies = archive.explored_coordinates, archive.coordinates
     if len(everything):
         axes.plot(everything[:, right], everything[:, up], ".", color="#c3ccd6", ms=3.2, mew=0.0, rasterized=True)
+    # The explored policies may be thousands, so they are pixels even in a vector picture; the archive lies above them.
     options: dict[str, Any] = {"s": 30, "zorder": 3, "linewidths": 0.5, "edgecolors": "white"}
     if faint or archive.own_crash is None:
         axes.scatter(policies[:, right], policies[:, up], color="#8b97a5" if faint else COLOURS[0], **options)
@@ -101,6 +102,7 @@ def archive_picture(
     axes.plot(*point, "o", ms=9, mfc="none", mec=COLOURS[1], mew=1.6, zorder=5)
     leads_to = move_table(archive, epsilon)[start]
     ineffective, ends, labels = [], [], []
+    # Several moves may lead to one policy: they share an arrow.
     for target in dict.fromkeys(leads_to.tolist()):
         names = [name for name, end in zip(move_names(archive, epsilon), leads_to, strict=True) if end == target]
         if target == start:
@@ -117,6 +119,7 @@ def archive_picture(
     if ineffective:
         text += f"; {', '.join(ineffective)} keep{'s' if len(ineffective) == 1 else ''} it"
     axes.text(1.0, 1.0, text, transform=axes.transAxes, ha="right", va="top", color=SOFT, fontsize=8.5)
+    # Labels keep off the arrows as well as off the policies.
     shafts = [point + share * (end - point) for end in ends for share in (0.25, 0.5, 0.75)]
     place_labels(axes, ends, labels, [INK] * len(ends), avoid=[*points[:, [right, up]], *shafts])
     return figure

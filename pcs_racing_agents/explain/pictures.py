@@ -43,6 +43,7 @@ def draw_space(axes: Any, explanation: Explanation) -> None:
     axes.plot(measured[:, 0], measured[:, 1], color=other_colour, lw=0.9, alpha=0.6, zorder=4)
     for k, point in enumerate(measured):
         _number(axes, point, k + 1, other_colour)
+    # An arrow from a policy to itself can't be seen; such moves are listed beside the policy.
     unchanged: dict[int, list[str]] = {}
     for k, step in enumerate(steps):
         if step.next_policy == step.policy:
@@ -113,7 +114,8 @@ def draw_values(figure: Any, explanation: Explanation) -> None:
     """Draw the values of the moves at each decision; without a network their probabilities."""
     steps = explanation.steps
     valued = all(step.values is not None for step in steps)
-    panels = figure.subplots(1, explanation.played.moves.shape[2], sharey=True, squeeze=False)[0]
+    # As many panels as the game has moves, so that races of different length can be laid beside each other.
+    panels = figure.subplots(1, len(explanation.played.moves.codes[0, 0]), sharey=True, squeeze=False)[0]
     for axes in panels[len(steps) :]:
         axes.set_visible(False)  # no decision any more after a crash
     unit = explanation.unit
@@ -127,6 +129,7 @@ def draw_values(figure: Any, explanation: Explanation) -> None:
         axes.axvline(0.0, color=INK, lw=0.8)
         axes.set_yticks(np.arange(len(explanation.moves)), explanation.moves)
         axes.set_ylim(len(explanation.moves) - 0.5, -0.5)
+        # A network that does not know the move "stay" has no bar for it.
         if step.move >= len(bars):
             axes.annotate("made", (0.0, step.move), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
         axes.set_title(f"{k + 1}: {step.time:g} s", fontsize=9)
@@ -152,6 +155,7 @@ def draw_lead(axes: Any, explanation: Explanation) -> None:
     axes.fill_between(time, lead, 0.0, where=lead <= 0.0, color=other_colour, alpha=0.18, lw=0.0, interpolate=True)
     axes.plot(time, lead, color=INK, lw=1.4)
     axes.axhline(0.0, color="#a5afbb", lw=0.8)
+    # At least a metre to either side: a race that stays level shall not look like a wild one.
     low, high = min(float(lead.min()), -1.0), max(float(lead.max()), 1.0)
     reach = high - low
     axes.set_ylim(low - 0.2 * reach, high + 0.2 * reach)
@@ -170,7 +174,7 @@ def draw_lead(axes: Any, explanation: Explanation) -> None:
                 va="bottom",
                 **label,
             )
-    axes.set_xlim(0.0, explanation.step_seconds * (explanation.played.moves.shape[2] + 1))
+    axes.set_xlim(0.0, explanation.step_seconds * (len(explanation.played.moves.codes[0, 0]) + 1))
     axes.set_xlabel("time, s")
     axes.set_ylabel("lead, m")
     tidy(axes, "y")

@@ -58,7 +58,7 @@ def summarise(
     ----------
     observations : array_like, shape (B, D)
         Its last observation in each race: its column of
-        :attr:`pcs_racing_agents.tournament.games.PlayedGames.observations`.
+        :attr:`pcs_racing_agents.results.races.RaceTable.observations`.
     actions : array_like of int, shape (B, m)
         Indices of the moves that it made; -1 after a crash.
     archive : PolicyArchive
@@ -78,6 +78,7 @@ def summarise(
     counts = np.zeros((steps, 3, 3, len(moves)), np.int64)
     edges = np.full((2, steps, 2), np.nan)
     for k in range(steps):
+        # Races that ended before this move are not situations of it, and would shift the thirds.
         rows = made[:, k] >= 0
         if not rows.any():
             continue
@@ -86,6 +87,7 @@ def summarise(
         for i, values in enumerate((observed_lead(before, axes, k), opponent(before, axes)[:, 0].astype(np.float64))):
             edges[i, k] = np.quantile(values, [1.0 / 3.0, 2.0 / 3.0])
             thirds.append(np.searchsorted(edges[i, k], values))
+        # Unbuffered: "+=" would count races of one situation and move only once.
         np.add.at(counts[k], (thirds[0], thirds[1], made[rows, k]), 1)
     return Situations(agent, tuple(moves), archive.characteristics[0], edges[0], edges[1], counts)
 

@@ -23,7 +23,8 @@ ADJECTIVES = {
 def story(explanation: Explanation) -> str:
     """Return the explanation as text: a head, and some lines for each move."""
     me, other = explanation.names[explanation.car], explanation.names[1 - explanation.car]
-    number = f" (car {explanation.car})"  # names that are equal already end in it
+    # Names of two equal competitors end in the car's number already.
+    number = f" (car {explanation.car})"
     lines = [
         f"{me.removesuffix(number)}{number} against {other} on {explanation.replay.track_name}, "
         f"{explanation.race} rules: {explanation.replay.outcome}"
@@ -104,6 +105,7 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
     others = [i for i in range(len(values)) if i != step.move]
     if not others:
         return "there is no other move"
+    # Compared with staying where that is known, as the question is mostly whether to switch at all.
     stay = len(names) - 1
     second = max(others, key=lambda i: values[i])
     against = stay if stay < len(values) and step.move != stay and names[stay] == "stay" else second
@@ -122,6 +124,7 @@ def _why_default(explanation: Explanation, step: ExplainedDecision, best: int) -
     assert default is not None
     assert values is not None
     assert default_move is not None
+    # A network without a value for the default move (to stay) tells what others are worth more than it.
     worth = values[default_move] if default_move < len(values) else 0.0
     gain = _worth(explanation, values[best] - worth)
     margin = _amount(explanation, default.margin)
@@ -153,6 +156,7 @@ def _what_followed(explanation: Explanation, k: int) -> str:
     """Describe the change of the lead and the events of the next step."""
     step, replay = explanation.steps[k], explanation.replay
     end = step.time + explanation.step_seconds
+    # A crash ends the replay before the step does.
     frame = min(round(end / replay.frame_dt), len(replay.cars) - 1)
     gained = float(explanation.lead[frame]) - step.lead
     events = [

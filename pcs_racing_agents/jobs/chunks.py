@@ -30,34 +30,25 @@ def chunk_file(folder: str | Path, name: str, index: int) -> Path:
 
 
 def write_chunk(path: Path, arrays: Arrays, task: str) -> None:
-    """Write a chunk atomically.
+    """Write a chunk atomically: arrays without objects, of which equal ones make equal files.
 
-    Parameters
-    ----------
-    arrays : dict of ndarray
-        No objects. Equal arrays make equal files.
-    task : str
-        Digest of the task, 64 hexadecimal digits (:func:`~pcs_racing_agents.jobs.fingerprint.fingerprint`).
+    ``task`` is the digest of the task, 64 hexadecimal digits (:func:`~pcs_racing_agents.jobs.fingerprint.fingerprint`).
     """
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
-    body = buffer.getvalue()[:-2] + struct.pack("<H", _COMMENT)  # a zip file ends with the length of its comment
+    # A zip file ends with the length of its comment, which np.savez leaves at 0.
+    body = buffer.getvalue()[:-2] + struct.pack("<H", _COMMENT)
     comment = _MARK + task.encode() + _digest(body, task).encode()
     write_atomically(path, lambda file: (file.write(body), file.write(comment)))
 
 
 def read_chunk(path: Path, task: str | None = None) -> Arrays:
-    """Read a chunk after checking that every byte of it is as it was written.
-
-    Parameters
-    ----------
-    task : str, optional
-        Digest of the task that it must answer.
-    """
+    """Read a chunk after checking that every byte of it is as it was written, and that it answers ``task``."""
     try:
         content = read_limited(path, _MAX_BYTES, "a chunk")
     except OSError as error:
         raise InputError(f"{path} can't be read: {error.strerror}") from None
+    # The digest is compared before anything is interpreted: a damaged zip file can mislead its reader.
     body, comment = content[:-_COMMENT], content[-_COMMENT:]
     written_for = comment[len(_MARK) : len(_MARK) + 64].decode("latin-1")
     if not comment.startswith(_MARK) or _digest(body, written_for).encode() != comment[len(_MARK) + 64 :]:

@@ -1,6 +1,5 @@
 """Where the tasks of a long job run: in this thread, in threads, in processes, or on a dask cluster."""
 
-import argparse
 import logging
 import os
 import platform
@@ -9,7 +8,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import connection, get_context, parent_process
@@ -22,12 +21,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.jobs.folders import JobError, package_version
 
-EXECUTORS = {
-    "serial": "one task after the other",
-    "threads": "threads of this process",
-    "processes": "processes of this machine",
-    "dask": "workers of a dask cluster (--scheduler), else processes",
-}
+EXECUTORS = ("serial", "threads", "processes", "dask")
 
 ANSWER_SECONDS = 5.0
 """How long to wait for a scheduler to answer."""
@@ -52,7 +46,8 @@ def make_executor(
     Parameters
     ----------
     kind : {"serial", "threads", "processes", "dask"}
-        See :data:`EXECUTORS`. Processes are spawned, so a script needs ``if __name__ == "__main__":``.
+        One task after the other; threads of this process; processes of this machine; workers of a dask cluster.
+        Processes are spawned, so a script needs ``if __name__ == "__main__":``.
     workers : int, optional
         How many; as many as this process may use cores by default. A running dask cluster has its own.
     address : str, optional
@@ -88,6 +83,7 @@ def tasks_in_flight(executor: Executor | None) -> int:
     if executor is None:
         return 1
     client = _dask_client(executor)  # its workers come and go
+    # Two tasks for each worker: while one runs the next is on its way, and few arrays wait in memory.
     workers = sum(client.ncores().values()) if client is not None else max(8, default_threads())
     return max(2, 2 * workers)
 
@@ -127,6 +123,7 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
             sent = client.submit(loads, packed, pure=False)
         yield partial(executor.submit, _call, sent)
     else:
+        # A file in place of an argument: a ProcessPoolExecutor packs its arguments anew for every task.
         with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
             file = Path(folder) / "function"
             file.write_bytes(packed)
@@ -141,7 +138,8 @@ def _call_packed(file: str, *arguments: Any) -> Any:
     return _unpacked(file)(*arguments)
 
 
-@lru_cache(maxsize=4)  # of a wave of a few circuits
+# Room for the functions of a few circuits, whose tasks alternate.
+@lru_cache(maxsize=4)
 def _unpacked(file: str) -> Any:
     return loads(Path(file).read_bytes())
 
@@ -172,6 +170,7 @@ def _one_thread_each() -> Iterator[None]:
 
 def _prepare() -> None:
     """Prepare a worker process: Ctrl-C is left to the parent, and the worker ends if its parent is killed."""
+    # Ctrl-C reaches the whole group of processes; a worker that died of it would look like a crash.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:
@@ -193,7 +192,8 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
             'the executor dask needs dask.distributed: pip install "pcs-racing[cluster]"'
         ) from None
     if address is None:
-        quiet = {"dashboard": False, "dashboard_address": ":0"}  # the usual port may be taken by another cluster
+        # Port 0 is any free one: the usual port may be taken by another cluster.
+        quiet = {"dashboard": False, "dashboard_address": ":0"}
         with (
             _one_thread_each(),
             dask.config.set({"distributed.comm.timeouts.connect": "120s"}),  # a busy machine starts workers slowly
@@ -218,7 +218,8 @@ def _client(make: Callable[..., Any], address: str) -> Any:
     for _ in range(CONNECT_ATTEMPTS):
         try:
             return make(address, timeout=ANSWER_SECONDS)
-        except AssertionError:  # what dask says then
+        # This is what dask raises when its own thread has not started in time.
+        except AssertionError:
             continue
         except (OSError, ValueError, TimeoutError) as error:
             raise InputError(f"no dask scheduler answers at {address}: {error}") from None
@@ -248,10 +249,8 @@ def _check_workers(identities: dict[str, dict[str, str]]) -> None:
     own = worker_identity()
     for address, other in identities.items():
         for key, value in other.items():
-            if value == own[key] or "" in (
-                value,
-                own[key],
-            ):  # a task that needs a missing library fails with its own error
+            # A task that needs a library which is missing fails with an error of its own.
+            if value == own[key] or "" in (value, own[key]):
                 continue
             if key != "processor":
                 raise InputError(f"the worker at {address} has {key} {value}, not {own[key]}; install the same there")
@@ -262,20 +261,3 @@ def _check_workers(identities: dict[str, dict[str, str]]) -> None:
                 value,
                 own[key],
             )
-
-
-def add_executor_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that :func:`executor_from` reads."""
-    kinds = "; ".join(f"{kind}: {meaning}" for kind, meaning in EXECUTORS.items())
-    parser.add_argument("--executor", choices=list(EXECUTORS), default="threads", help=f"{kinds} (default: threads)")
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="number of threads or processes (default: number of cores)"
-    )
-    parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="address of a running dask scheduler, like tcp://host:8786"
-    )
-
-
-def executor_from(arguments: argparse.Namespace) -> AbstractContextManager[Executor | None]:
-    """Return the executor that the options ask for, as a context."""
-    return make_executor(arguments.executor, arguments.workers, arguments.scheduler)

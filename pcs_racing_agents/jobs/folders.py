@@ -32,10 +32,7 @@ class JobError(InputError):
 def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
     """Create the folder of a job, or open that of an earlier run with the same settings, and lock it.
 
-    Yields
-    ------
-    Mapping
-        The settings as plain values.
+    The settings are provided as plain values.
     """
     manifest = {
         "format": FORMAT,
@@ -45,7 +42,8 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
         "settings": _plain(settings, "settings"),
     }
     text = yaml.safe_dump(manifest, sort_keys=False, allow_unicode=True, width=110)
-    manifest = yaml.safe_load(text)  # as a later run will read it
+    # Read back, so that it is compared in the form in which a later run will read it.
+    manifest = yaml.safe_load(text)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _check_same(folder, manifest)
@@ -54,7 +52,8 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
         raise _unusable(folder, error) from None
     with lock:
         try:
-            if not _check_same(folder, manifest):  # again: another process may have begun in between
+            # Once more under the lock: another process may have begun in between.
+            if not _check_same(folder, manifest):
                 write_atomically(folder / "job.yaml", lambda file: file.write(text.encode("utf-8")))
             clear_half_written(folder)
         except OSError as error:
@@ -73,7 +72,8 @@ def hold_folder(folder: Path) -> Iterator[None]:
         raise _unusable(folder, error) from None
     with lock:
         yield
-        with suppress(OSError):  # on Windows not while it is locked
+        # On Windows a locked file can't be deleted.
+        with suppress(OSError):
             (folder / ".lock").unlink(missing_ok=True)
 
 
@@ -140,7 +140,8 @@ def _difference(stored: Any, wanted: Any, where: str) -> str | None:
             if difference is not None:
                 return difference
         return None
-    same = yaml.safe_dump(stored) == yaml.safe_dump(wanted)  # NaN is like NaN here, and 1 is not like true
+    # As texts: NaN is like NaN there, and 1 is not like true.
+    same = yaml.safe_dump(stored) == yaml.safe_dump(wanted)
     return None if same else f"its {where or 'settings'} is {stored!r}, not {wanted!r}"
 
 
@@ -164,10 +165,12 @@ def _take_lock(folder: Path) -> AbstractContextManager[Any]:
     """Lock a folder for as long as a ``with`` block lasts or the process lives; the lock's file names the process."""
     file = folder / ".lock"
     try:
+        # The operating system lets go of the lock when the process dies, however it dies: no stale locks remain.
         held = FileLock(file).acquire(blocking=False)
     except Timeout:
         owner = "(unknown)"
-        with suppress(OSError):  # on Windows nobody else can read it
+        # On Windows nobody else can read a locked file.
+        with suppress(OSError):
             owner = file.read_text(encoding="ascii", errors="replace").strip() or owner
         raise JobError(f"{folder} is in use by process {owner}; wait until it ends, or choose another folder") from None
     with suppress(OSError):

@@ -14,8 +14,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
 
@@ -86,6 +87,7 @@ class Job:
         """Digests of all that the results of tasks depend on."""
         if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
             raise InputError(f"the name of a group of tasks is {name!r}; use small letters, digits, - and _")
+        # Everything that a result depends on: a chunk of other settings or of another version is made again.
         identity = fingerprint(self.kind, self.settings, package_version(), name)
         return [fingerprint(identity, index, argument) for index, argument in enumerate(arguments)]
 
@@ -128,21 +130,10 @@ def run_groups(
     progress: Progress | None = None,
     keep: bool = True,
 ) -> list[list[Arrays]]:
-    """Run several groups of tasks, of one job or of several, side by side.
+    """Run the tasks of several groups, which may belong to several jobs, side by side: :meth:`Job.run` for each.
 
-    No worker waits at the end of a group for the others: the tasks of the next one follow at once.
-
-    Parameters
-    ----------
-    executor, keep
-        As for :meth:`Job.run`.
-    progress : callable, optional
-        Called as ``progress(done, total, name of a group)``, counting the tasks of all groups.
-
-    Returns
-    -------
-    list of list of dict of ndarray
-        For each group what :meth:`Job.run` returns.
+    No worker waits at the end of a group for the others: the tasks of the next one follow at once. ``progress`` is
+    called with the name of a group, and counts the tasks of all groups.
     """
     results: list[list[Arrays]] = [[{}] * len(group.arguments) if keep else [] for group in groups]
     marks = [group.job._marks(group.name, group.arguments) for group in groups]
@@ -169,16 +160,19 @@ def run_groups(
     return results
 
 
+class Run(TypedDict, total=False):
+    """How long work runs, for functions that hand it on: ``def work(..., **run: Unpack[Run])``."""
+
+    job: Job | None
+    executor: Executor | None
+    progress: Progress | None
+
+
 def run_with_or_without(
-    job: Job | None,
-    name: str,
-    function: Callable[[A], Mapping[str, Any]],
-    arguments: Sequence[A],
-    *,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    name: str, function: Callable[[A], Mapping[str, Any]], arguments: Sequence[A], **run: Unpack[Run]
 ) -> list[Any]:
     """Return the results of all tasks in their order, kept in a job if there is one; else as :meth:`Job.run` does."""
+    job, executor, progress = run.get("job"), run.get("executor"), run.get("progress")
     if job is not None:
         return job.run(name, function, arguments, executor=executor, progress=progress)
     results: dict[int, Any] = {}
@@ -187,6 +181,15 @@ def run_with_or_without(
         if progress is not None:
             progress(len(results), len(arguments), name)
     return [results[index] for index in range(len(arguments))]
+
+
+def run_races(
+    name: str, race: Callable[..., Mapping[str, Any]], arguments: Sequence[Any], **run: Unpack[Run]
+) -> list[Any]:
+    """Return what :func:`run_with_or_without` does, of a function that drives with a number of ``threads``."""
+    # Without an executor races are shared among all cores; with one its workers share the cores.
+    driven = race if run.get("executor") is None else partial(race, threads=1)
+    return run_with_or_without(name, driven, arguments, **run)
 
 
 def _plain_arrays(value: Any, where: str) -> Arrays:

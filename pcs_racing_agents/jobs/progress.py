@@ -26,6 +26,13 @@ def show_line() -> Callable[[str, bool], None]:
     return say
 
 
+def duration_text(seconds: float) -> str:
+    """Return a duration as text: ``"90 s"``, ``"5 min"``, ``"2.5 h"``."""
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+
+
 def show_progress(unit: str = "races") -> Progress:
     """Return a progress function that keeps a line on stderr up to date (:func:`show_line`)."""
     say = show_line()
@@ -35,10 +42,11 @@ def show_progress(unit: str = "races") -> Progress:
     def show(done: int, total: int, label: str) -> None:
         nonlocal first
         now = time.monotonic()
-        if first is None:  # what was done before this run says nothing about its speed
+        # What was done before this run says nothing about its speed.
+        if first is None:
             first = (now, done) if now - begin < 0.2 else (begin, 0)
         fresh = done - first[1]
-        left = f", about {(now - first[0]) * (total - done) / fresh:.0f} s left" if fresh > 0 else ""
+        left = f", about {duration_text((now - first[0]) * (total - done) / fresh)} left" if fresh > 0 else ""
         ahead = f"{left}: {label}" if done < total else ""
         say(f"{done}/{total} {unit}, {now - begin:.0f} s{ahead}", done >= total)
 

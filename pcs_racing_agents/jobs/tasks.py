@@ -27,21 +27,10 @@ def run_tasks(
     executor: Executor | None = None,
     name: str = "the work",
 ) -> Iterator[tuple[K, Any]]:
-    """Run tasks, and return their results as they come in, with a bounded number of tasks under way.
+    """Run tasks, and return their keys and results as they come in, with a bounded number of tasks under way.
 
-    Parameters
-    ----------
-    tasks : iterable of Task
-        Advanced only when a task can begin, so that not all of them need be in memory.
-    executor : Executor, optional
-        Where they run; in this thread by default.
-    name : str
-        What is being done, for errors.
-
-    Yields
-    ------
-    key
-        Of a task.
+    ``tasks`` is advanced only when a task can begin, so that not all of them need be in memory. ``name`` says what is
+    being done, for errors.
     """
     waiting = iter(tasks)
     if executor is None:
@@ -50,25 +39,30 @@ def run_tasks(
         return
     limit = tasks_in_flight(executor)
     under_way: dict[Future[Any], K] = {}
-    submit: dict[int, Callable[..., Future[Any]]] = {}  # by identity: functions may hold arrays
+    # By identity, since functions may hold arrays, which have no hash.
+    submit: dict[int, Callable[..., Future[Any]]] = {}
     functions: list[Callable[[Any], Any]] = []
     try:
         with ExitStack() as sent:
             while True:
+                # The order of the two conditions matters: a task is taken from the iterator only when it can begin.
                 while len(under_way) < limit and (task := next(waiting, None)) is not None:
                     if id(task.function) not in submit:
-                        functions.append(task.function)  # as long as it lives nothing else has its identity
+                        # As long as it lives nothing else has its identity.
+                        functions.append(task.function)
                         submit[id(task.function)] = sent.enter_context(sent_once(task.function, executor))
                     under_way[submit[id(task.function)](task.argument)] = task.key
                 if not under_way:
                     return
                 done = wait(under_way, return_when=FIRST_COMPLETED).done
-                for future in sorted(done, key=_failed):  # results of others are kept before a failure ends the run
+                # Results of other tasks are kept before a failure ends the run.
+                for future in sorted(done, key=_failed):
                     key = under_way.pop(future)
                     yield key, future.result()
     except BaseException as error:
         if not is_lost(error):
             raise
+        # Lost workers fail many futures at once; the first one tells what all would.
         why = " ".join(str(error).split()) or "its tasks were cancelled"
         raise JobError(f"{name} was cut short: a worker died or the cluster is gone ({why}); {GO_ON}") from None
     finally:

@@ -31,6 +31,7 @@ def denoised(payoffs: ArrayLike) -> Floats:
     payoffs : array_like, shape (F, N, N)
         As for :func:`pcs_racing_agents.payoffs.headroom.cyclic_planes`.
     """
+    # Ratings are means over all opponents, whose noise is small already; only the cyclic part is shrunk.
     folds = np.asarray(payoffs, np.float64)
     rating = ratings(folds)
     matrix = rating[:, None] - rating[None, :]
@@ -80,7 +81,8 @@ def choose_pool(
     """
     check_whole("count", count, 3)
     matrices, sets = np.asarray(payoffs, np.float64), [np.asarray(group, np.int64) for group in groups]
-    places = np.arange(count) * len(groups) // count  # the group of each place in the pool
+    # The group of each place in the pool; a remainder is spread over the groups, not given to the first ones.
+    places = np.arange(count) * len(groups) // count
     for number, group in enumerate(sets):
         if len(group) < np.count_nonzero(places == number):
             raise InputError(f"group {number} holds {len(group)} policies; a pool of {count} needs more of them")
@@ -108,6 +110,7 @@ def _exchanged(
         place, other = np.transpose(exchanges)
         pools[np.arange(len(pools)), place] = other
         values = pool_headroom(payoffs, pools).mean(axis=1)
+        # Without the margin, rounding could exchange two equal policies for ever.
         if values.max() <= value + 1e-12:
             return pool, value
         pool, value = pools[values.argmax()], float(values.max())

@@ -63,6 +63,7 @@ def headroom(payoffs: ArrayLike) -> Headroom:
     folds = checked_payoffs(payoffs)
     value, low, gains = cross_fitted(folds)
     count = folds.shape[1]
+    # Policies are drawn, not only races: without one of them its row and its column are missing.
     without = np.array([cross_fitted(np.delete(np.delete(folds, k, 1), k, 2))[0] for k in range(count)])
     return Headroom(
         value=value,
@@ -162,6 +163,8 @@ def cross_fitted(folds: Floats) -> tuple[float, float, Floats]:
     total = folds.sum(axis=0)
     opponents = np.arange(folds.shape[1])
     gains, lows = [], []
+    # What is chosen on the other folds is judged on this one: chosen on the same races, the best of many noisy payoffs
+    # would seem better than it is.
     for judged in folds:
         training = total - judged
         responses = judged[training.argmax(axis=0), opponents]
@@ -178,6 +181,8 @@ def _noise_edge(folds: Floats, rng: np.random.Generator) -> float:
     signs = np.repeat([1.0, -1.0], count // 2)[:, None].repeat(played.shape[1], axis=1)
     noise = np.zeros((policies, policies))
     largest = []
+    # As many folds are added as subtracted, in another order for each pair: what a pair is worth cancels out, and noise
+    # of the same size is left.
     for _ in range(_NOISE_DRAWS):
         noise[pairs] = (rng.permuted(signs, axis=0) * played).mean(axis=0)
         largest.append(np.linalg.norm(_cyclic(noise - noise.T), 2))
@@ -188,6 +193,7 @@ def _turned(points: Floats) -> Floats:
     """Rotate a plane so that the farthest policy lies on the first axis, since its orientation is arbitrary."""
     far = points[np.square(points).sum(axis=1).argmax()]
     length = float(np.hypot(*far))
+    # A plane without strength has no direction to turn to.
     if length == 0.0:
         return points
     cos, sin = far / length

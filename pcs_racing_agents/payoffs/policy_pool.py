@@ -3,10 +3,9 @@
 This is the game of choosing a policy before the start; :mod:`pcs_racing_agents.payoffs.headroom` analyses it.
 """
 
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations_with_replacement
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,7 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run, run_races
 
 Floats = NDArray[np.float64]
 
@@ -75,38 +73,16 @@ class PolicyPool:
         return np.asarray(folds.mean(axis=-3) - 0.5)
 
 
-def pool_payoffs(
-    pool: PolicyPool,
-    *,
-    name: str = "pairs",
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-) -> Floats:
+def pool_payoffs(pool: PolicyPool, *, name: str = "pairs", **run: Unpack[Run]) -> Floats:
     """Race all pairs of a pool; payoffs whatever the slot on the grid, shape (T, F, N, N), antisymmetric.
 
     The mean over the slots of what :func:`slot_payoffs` returns for the same arguments.
     """
-    payoffs = slot_payoffs(pool, name=name, job=job, executor=executor, progress=progress)
-    return np.asarray(payoffs.mean(axis=2))
+    return np.asarray(slot_payoffs(pool, name=name, **run).mean(axis=2))
 
 
-def slot_payoffs(
-    pool: PolicyPool,
-    *,
-    name: str = "pairs",
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-) -> Floats:
-    """Race all pairs of a pool; payoffs by slot of the grid.
-
-    Parameters
-    ----------
-    name : str
-        Of the group of tasks in the job.
-    progress : callable, optional
-        Called as ``progress(done, total, label)``, counting blocks of pairs.
+def slot_payoffs(pool: PolicyPool, *, name: str = "pairs", **run: Unpack[Run]) -> Floats:
+    """Race all pairs of a pool, as tasks of this name; payoffs by slot of the grid.
 
     Returns
     -------
@@ -118,13 +94,13 @@ def slot_payoffs(
     step = max(1, _RACES_AT_ONCE // pool.races)
     blocks = [pool.pairs[first : first + step] for first in range(0, len(pool.pairs), step)]
     tasks = [(pool, track, block) for track in range(len(pool.tracks)) for block in blocks]
-    race = _race_block if executor is None else partial(_race_block, threads=1)
-    results = run_with_or_without(job, name, race, tasks, executor=executor, progress=progress)
+    results = run_races(name, _race_block, tasks, **run)
     count = len(pool.policies)
     payoffs = np.zeros((len(pool.tracks), pool.folds, 2, count, count))
     for (_, track, block), result in zip(tasks, results, strict=True):
         for (i, j), won in zip(block, result["payoffs"], strict=True):
-            if i == j:  # either car is the policy
+            if i == j:
+                # Either car is the policy: what one slot wins the other one loses, so that both are told by one number.
                 front = (won[:, 0] - won[:, 1]) / 2.0
                 won = np.stack([front, -front], axis=1)
             payoffs[track, :, :, i, j] = won
@@ -142,6 +118,7 @@ def _race_block(task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: in
         setup = RaceSetup(track, pool.config, (ego.planner, rival.planner))
         state = start_races(setup, starts, pool.noise(number, i, j))
         theta = np.stack([pad_parameters([policy], setup.theta_size)[0] for policy in (ego, rival)])
+        # The kernel reads a row for each race, although the policies are the same in all of them.
         theta = np.ascontiguousarray(np.broadcast_to(theta, (pool.races, *theta.shape)))
         advance(setup, state, theta, pool.config.ticks, threads=threads, ittc=False)
         scores[row] = race_scores(winners(pool.config, state))

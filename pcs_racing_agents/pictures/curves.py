@@ -32,23 +32,16 @@ def curves_picture(
     mark: float | None = None,
     title: str = "",
 ) -> Any:
-    """Draw learning curves, the lines named at their ends.
+    """Draw learning curves, one panel for each title, the lines named at their ends.
 
-    Parameters
-    ----------
-    panels : mapping of str to sequence of Curve
-        Titles of the panels, and what they show.
-    x_label, y_label : str
-        Of all panels.
-    log : bool or collection of str
-        Whether the y axes are logarithmic, or the titles of the panels whose axes are.
-    mark : float, optional
-        Place on the x axis of a vertical line: that of the network which was kept, for instance.
+    ``log`` says whether the y axes are logarithmic, or names the panels whose axes are. ``mark`` is the place of a
+    vertical line: that of the network which was kept, for instance.
     """
     if not panels or not all(panels.values()):
         raise InputError("there are no learning curves to draw; give at least one for each panel")
     from matplotlib.ticker import LogLocator, StrMethodFormatter
 
+    # So that no row of panels is nearly empty.
     columns = 3 if len(panels) in (5, 6, 9) else min(4, len(panels))
     rows = -(-len(panels) // columns)
     figure = new_figure(2.9 * columns + 0.4, 2.3 * rows + 0.3)
@@ -113,10 +106,7 @@ def _name_ends(axes: Any, curves: Sequence[Curve], log: bool) -> None:
 def write_tensorboard(folder: Path, runs: Mapping[str, Iterable[tuple[int, Mapping[str, float]]]]) -> Path:
     """Write curves for ``tensorboard --logdir FOLDER``; earlier curves of the same runs are replaced.
 
-    Parameters
-    ----------
-    runs : mapping of str to iterable of (int, mapping)
-        Of each run the step and the values then, by tag; NaN is left out. A run's name is its folder in ``folder``.
+    A run, in the folder of its name, has steps with values by tag; NaN is left out.
     """
     try:
         from torch.utils.tensorboard import SummaryWriter
@@ -125,6 +115,7 @@ def write_tensorboard(folder: Path, runs: Mapping[str, Iterable[tuple[int, Mappi
             'curves for TensorBoard need torch and tensorboard: pip install "pcs-racing[learning]"'
         ) from None
     for name, steps in runs.items():
+        # TensorBoard shows all events of a folder as one curve: those of an earlier run would run into it.
         for old in (folder / name).glob("events.out.tfevents.*"):
             old.unlink()
         with SummaryWriter(str(folder / name)) as writer:

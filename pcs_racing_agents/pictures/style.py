@@ -91,6 +91,7 @@ def spread_labels(desired: list[float], gap: float) -> list[float]:
             (total, count), (before, number) = groups[-1], groups[-2]
             if total / count - before / number >= gap * number:
                 break
+            # Neighbours that would overlap become one block, whose place is the mean of what its labels want.
             groups[-2:] = [[before + total - count * number * gap, number + count]]
     places = [total / count + gap * k for total, count in groups for k in range(int(count))]
     moved = [0.0] * len(desired)
@@ -117,6 +118,7 @@ def place_labels(
     for (x, y), text, colour in zip(anchors[: len(points)], texts, colours, strict=True):
         width, height = 5.4 * len(text), 10.0
         best = None
+        # Near places first; a farther one is worth an arrow only if it covers less.
         for away in (7.0, 14.0, 22.0, 32.0, 44.0):
             for side, up in ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1), (1, 0), (-1, 0)):
                 left = x + side * away - (width if side < 0 else 0.5 * width if side == 0 else 0.0)
@@ -154,6 +156,7 @@ def _overlap(box: tuple[float, ...], other: tuple[float, ...]) -> bool:
 def picture_bytes(figure: Any, kind: str = "svg") -> bytes:
     """Return a figure as ``"svg"`` or ``"png"``; the same figure gives the same bytes."""
     content = io.BytesIO()
+    # Dates and versions in a file would make equal pictures differ.
     metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
     figure.savefig(content, format=kind, dpi=150, metadata=metadata)
     return content.getvalue()

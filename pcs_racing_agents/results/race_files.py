@@ -45,13 +45,9 @@ def write_results(races: Iterable[RaceRow], path: str | os.PathLike[str]) -> Pat
 
 
 def read_results(path: str | os.PathLike[str], need: Sequence[str] = ()) -> RaceTable:
-    """Read a results file.
+    """Read a results file, which must have the columns in ``need`` besides :data:`NEEDED`.
 
-    Parameters
-    ----------
-    need : sequence of str
-        Columns that must be there besides :data:`NEEDED`. Of details that are missing nothing is known: no moves, no
-        overtakes, variant 0, duration NaN.
+    Of details that are missing nothing is known: no moves, no overtakes, variant 0, duration NaN.
     """
     table = read_csv(path)
     return _parsed(_in_columns(table.path, table.columns, table.values()), need)
@@ -81,6 +77,7 @@ class _Lines(NamedTuple):
 
     def damaged(self, column: str, word: str, problem: str) -> InputError:
         """Return an error that names the first line with a word, by its number in the file and by its race."""
+        # The first of the lines that hold the word: later ones repeat the fault.
         words, codes = self.columns[column]
         number = int(np.argmax(codes == words.index(word)))
         return InputError(f"{self.where}, line {self.at[number]} (race {number}), is damaged: {column} is {problem}")
@@ -168,6 +165,7 @@ class _Lines(NamedTuple):
 
 def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, list[str]]]) -> _Lines:
     """Return lines by column, with every different text stored once."""
+    # Arrays of machine integers: a list of Python's takes several times the memory for millions of races.
     codes, at = [array("i") for _ in names], array("i")
     words: list[dict[str, int]] = [{} for _ in names]
     work = [(column.append, codes_of.setdefault, codes_of) for column, codes_of in zip(codes, words, strict=True)]
@@ -177,7 +175,8 @@ def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, lis
             append(place(text, len(codes_of)))
     columns = {}
     for name in names:
-        codes_of, column = words.pop(0), codes.pop(0)  # column by column, so that memory never holds two copies of all
+        # Column by column, so that memory never holds two copies of all.
+        codes_of, column = words.pop(0), codes.pop(0)
         columns[name] = Categorical(tuple(codes_of), np.array(column, np.min_scalar_type(len(codes_of))))
     return _Lines(where, columns, np.array(at, np.int32))
 

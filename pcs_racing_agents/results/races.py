@@ -101,6 +101,9 @@ class RaceTable:
     variants: NDArray[Any]
     path: NDArray[Any]  #: shape (N, 2, m + 1): Policies of the archive in each step; -1 for a driver and after a crash.
     moves: Categorical  #: shape (N, 2, m): Moves made; no word for a driver and after a crash.
+    #: shape (N, 2, D): Last observations of both cars, which include the earlier ones; None where they were not kept.
+    #: They are not part of a file.
+    observations: Any = None
 
     def __len__(self) -> int:
         return len(self.race)
@@ -120,6 +123,8 @@ class RaceTable:
             indices = indices.astype(np.intp)  # an empty list is one of floats
 
         def taken(column: Any) -> Any:
+            if column is None:
+                return None
             return column._replace(codes=column.codes[indices]) if isinstance(column, Categorical) else column[indices]
 
         return RaceTable(**{field.name: taken(getattr(self, field.name)) for field in fields(self)})
@@ -161,6 +166,7 @@ class RaceTable:
         """Numbers of the races by (track, ego, opponent, seed), in the order in which these first occur."""
         if not len(self):
             return {}
+        # Codes instead of words: numbers sort much faster than texts.
         columns = np.stack([self.track.codes, *self.agents.codes.T, self.seed.codes])
         _, first, pair = np.unique(columns, axis=1, return_index=True, return_inverse=True)
         pair = pair.reshape(-1)
@@ -203,6 +209,8 @@ def concatenate_races(tables: Iterable[RaceTable]) -> RaceTable:
 
     def joined(name: str) -> Any:
         columns = [getattr(member, name) for member in members]
+        if any(column is None for column in columns):
+            return None
         return Categorical.concatenate(columns) if isinstance(columns[0], Categorical) else _concatenate(columns)
 
     return RaceTable(**{field.name: joined(field.name) for field in fields(RaceTable)})
@@ -212,6 +220,7 @@ def narrow(values: NDArray[Any]) -> NDArray[Any]:
     """Return whole numbers in the narrowest signed type that holds them, and other numbers as they are."""
     if values.dtype.kind != "i" or values.size == 0:
         return values
+    # -1 stands for missing values, so there must always be room for it.
     lowest, highest = min(-1, values.min()), max(0, values.max())
     return values.astype(np.promote_types(np.min_scalar_type(lowest), np.min_scalar_type(-1 - highest)))
 

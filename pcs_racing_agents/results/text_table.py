@@ -1,7 +1,32 @@
-"""Tables of texts for people: aligned plain text, and Markdown."""
+"""Tables of texts for people: declared columns, aligned plain text, and Markdown."""
 
+import math
 import re
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+
+class Column(NamedTuple):
+    """A column of a table: which attribute of its lines it shows, under which heading, and how."""
+
+    name: str
+    heading: str = ""  #: By default the name.
+    format: str = ""  #: Format of the values, such as ``"+.3f"``.
+
+    def text(self, line: object) -> str:
+        """Return the cell of a line; "-" for NaN, nothing for None."""
+        value = getattr(line, self.name)
+        if isinstance(value, tuple):
+            return ", ".join(value)
+        if value is None:
+            return ""
+        return "-" if isinstance(value, float) and math.isnan(value) else format(value, self.format)
+
+
+def table_rows(columns: Sequence[Column], lines: Iterable[object]) -> list[tuple[str, ...]]:
+    """Return a table as texts, its headings first."""
+    head = tuple(column.heading or column.name for column in columns)
+    return [head, *(tuple(column.text(line) for column in columns) for line in lines)]
 
 
 def is_number(cell: str) -> bool:
@@ -20,15 +45,9 @@ def with_interval(value: float, low: float, high: float) -> str:
 
 
 def aligned(rows: Iterable[Sequence[str]], *, left: int | None = None) -> list[str]:
-    """Return rows as lines of plain text, without blanks at the end of a line.
+    """Return rows as lines of plain text, without blanks at the end of a line; the first row may be a head.
 
-    Parameters
-    ----------
-    rows : iterable of sequence of str
-        Of one length; the first may be a head.
-    left : int, optional
-        So many columns stand to the left, the others to the right. By default the first one and all that hold no
-        numbers do.
+    So many columns as ``left`` says stand to the left; by default the first one and all that hold no numbers do.
     """
     cells = [list(row) for row in rows]
     columns = list(zip(*cells, strict=True))

@@ -90,6 +90,7 @@ def cfr(
         _copy_in(tree, layout, state.sums, layout.regret_at, resume.strategy_sums)
         _copy_in(tree, layout, state.opponent_reach, layout.row_at, resume.opponent_reach)
     last = done + int(iterations) + 1
+    # In chunks: a compiled call can't be interrupted.
     with first_call(iterate, "counterfactual regret minimisation", 5):
         for begin in range(done + 1, last, CHUNK):
             end = min(begin + CHUNK, last)
@@ -154,6 +155,7 @@ def _copy_out(tree: GameTree, layout: Layout, flat: Floats, at: object, moves: b
             rows, count = tree.rows(k, player), tree.moves[k][player] if moves else 1
             begin = int(at[player, k])  # type: ignore[index]
             array = np.empty((rows, count))
+            # The kernels hold the numbers of one move together, and number nodes in another order than the tree.
             array[_order(tree, layout, k, player)] = flat[begin : begin + rows * count].reshape(count, rows).T
             pair.append(array if moves else array[:, 0])
         result.append((pair[0], pair[1]))

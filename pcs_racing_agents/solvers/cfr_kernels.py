@@ -65,7 +65,8 @@ def tree_layout(tree: GameTree) -> Layout:
         for k in range(m):
             places = tree.infosets[k][player][node_order(tree, k)]
             if rows[player, k] == nodes[k]:
-                places = np.arange(nodes[k])  # rows in the kernels' order, too
+                # Rows stand in the kernels' order, too.
+                places = np.arange(nodes[k])
             labels.append(places)
             first.append(np.unique(places, return_index=True)[1])
 
@@ -164,6 +165,7 @@ def _match_regrets(layout, state, player, work, table):  # type: ignore[no-untyp
                 r = regrets[a * rows + low : a * rows + low + n]
                 s = target[a * rows + low : a * rows + low + n]
                 for j in range(n):
+                    # Divided without a branch, so that the loop becomes vector instructions; 0 / 0 is replaced below.
                     share = max(r[j], 0.0) / total[j]
                     s[j] = share if total[j] > 0.0 else even
         if not single:
@@ -229,6 +231,7 @@ def _add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
             reach = state.reach[other, at : at + n]
             chance = layout.chance[at : at + n]
             for j in range(n):
+                # Regrets are counterfactual: weighted with everything that leads here but the player's own moves.
                 weight[j] = reach[j] * chance[j]
             if single:
                 infoset_reach = reached[low : low + n]
@@ -256,6 +259,7 @@ def _add_strategy(layout, state, player, weight):  # type: ignore[no-untyped-def
         sigma = state.sigma[layout.sigma_at[player, k] :]
         sums = state.sums[layout.regret_at[player, k] :]
         reach = state.reach[player, layout.node_at[k] : layout.node_at[k] + nodes]
+        # Most trees of races show all past moves; then no labels need be looked up, and the loops are straight.
         if layout.single[player, k]:
             for a in range(moves):
                 s = sigma[a * nodes : (a + 1) * nodes]
@@ -273,6 +277,7 @@ def _add_strategy(layout, state, player, weight):  # type: ignore[no-untyped-def
 @kernel
 def _discount(layout, state, player, keep_gains, keep_losses):  # type: ignore[no-untyped-def]
     """Shrink positive and negative cumulative regrets."""
+    # Vanilla CFR discounts nothing; a multiplication with 1 would cost a pass over all regrets.
     if keep_gains == 1.0 and keep_losses == 1.0:
         return
     last = layout.nodes.size - 1
@@ -282,6 +287,7 @@ def _discount(layout, state, player, keep_gains, keep_losses):  # type: ignore[n
     for j in range(regrets.size):
         r = regrets[j]
         regrets[j] = r * keep_gains if r > 0.0 else r * keep_losses
+    # Regrets are divided by this sum to be per visit, so both are discounted alike.
     if keep_gains != 1.0:
         rows = layout.rows[player, last]
         reached = state.opponent_reach[layout.row_at[player, 0] : layout.row_at[player, last] + rows]

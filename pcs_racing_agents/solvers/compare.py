@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pcs_racing.base.errors import UnknownNameError
-from pcs_racing_agents.solvers.backward_induction import ExactResult, solve_exact
 from pcs_racing_agents.solvers.cfr import VARIANTS, cfr
 from pcs_racing_agents.solvers.evaluation import Profile, exploitability, reach_probabilities
+from pcs_racing_agents.solvers.exact import ExactResult, solve_exact
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 
 METHODS = ("exact", *VARIANTS, "argmax-regret")
@@ -34,15 +34,7 @@ class MethodRow(NamedTuple):
 
 
 def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str] = METHODS) -> list[MethodRow]:
-    """Solve a tree with several methods.
-
-    Parameters
-    ----------
-    tree : GameTree
-        Players see all past moves.
-    methods : sequence of str
-        Out of :data:`METHODS`.
-    """
+    """Solve a tree whose players see all past moves with several of :data:`METHODS`."""
     for method in methods:
         if method not in METHODS:
             raise UnknownNameError(f"method {method!r} is unknown; choose from {', '.join(METHODS)}")
@@ -62,14 +54,11 @@ def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str
 def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: bool = False) -> float:
     """Share of the decisions at which a profile's likeliest move is a best one against the exact solution.
 
-    Decisions at which every move is worth the same do not count; 1 if there are no others.
-
-    Parameters
-    ----------
-    on_path : bool
-        Whether joint histories count as often as the exact solution leads to them; by default all count equally.
+    Decisions at which every move is worth the same do not count; 1 if there are no others. With ``on_path`` joint
+    histories count as often as the exact solution leads to them, else equally.
     """
     game = tree.averaged
+    # What counts as equal depends on the unit of the payoffs; a game without differences has none.
     span = float(np.ptp(game.payoffs)) or 1.0
     reach = reach_probabilities(game, exact.profile)
     agreed = decisions = 0.0

@@ -21,15 +21,7 @@ def write_efg(
     title: str = "pcs-racing",
     move_names: Sequence[tuple[Sequence[str], Sequence[str]]] | None = None,
 ) -> Path:
-    """Write a tree as an EFG file; it appears whole or not at all.
-
-    Parameters
-    ----------
-    tree, title, move_names
-        See :func:`efg_text`.
-    path : path
-        Its name must end in ``.efg``.
-    """
+    """Write :func:`efg_text` to a file whose name ends in ``.efg``; it appears whole or not at all."""
     target = Path(path)
     if target.suffix != ".efg":
         raise InputError(f"can't write {target}: its name must end in .efg")
@@ -77,7 +69,8 @@ def _lines(tree: GameTree, actions: list[str]) -> Iterator[str]:
     """All nodes, each before its children."""
     m = tree.depth
     counted = [[tree.rows(k, player) * (tree.moves[k][player] > 1) for player in (0, 1)] for k in range(m)]
-    numbers = np.cumsum([[0, 0], *counted], axis=0)  # OpenSpiel wants them without gaps
+    # OpenSpiel wants the numbers of infosets without gaps.
+    numbers = np.cumsum([[0, 0], *counted], axis=0)
     rows = [(first.tolist(), second.tolist()) for first, second in tree.infosets]
     leaves = [_decimal(value) for value in tree.payoffs.reshape(-1).tolist()]
 
@@ -119,6 +112,7 @@ def _shares(tree: GameTree) -> list[str]:
         return [f"1/{tree.roots}"] * tree.roots
     context = Context(prec=17, rounding=ROUND_HALF_EVEN)
     shares = [context.create_decimal_from_float(p).quantize(Decimal("1e-17")) for p in tree.chance.tolist()]
+    # What rounding leaves goes to the largest, which it changes least.
     shares[int(tree.chance.argmax())] += 1 - sum(shares)
     return [f"{share:f}" for share in shares]
 

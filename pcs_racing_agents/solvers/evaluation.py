@@ -162,6 +162,8 @@ def best_response(tree: GameTree, profile: Profile, player: int) -> BestResponse
         best = at_rows.argmax(axis=1)
         strategy.append(np.eye(at_rows.shape[1])[best])
         q.append(at_rows)
+        # One move for the whole infoset, although another might be better at this node: the player can't tell them
+        # apart.
         values = np.take_along_axis(at_nodes, best[tree.infosets[k][player]][:, None], axis=1)[:, 0]
     return BestResponse(float((tree.chance * values).sum()), strategy[::-1], q[::-1])
 
@@ -188,7 +190,8 @@ def _over_infosets(tree: GameTree, level: int, player: int, at_nodes: Floats, ot
     rows: Integers = tree.infosets[level][player]
     count = tree.rows(level, player)
     if count == len(rows):
-        return at_nodes  # numbered in the order of the nodes
+        # Every infoset is a node, and they are numbered in the order of the nodes.
+        return at_nodes
     weights = other_reach * np.repeat(tree.chance, len(rows) // tree.roots)
     # Where the other player never comes, all nodes count equally: their weights would sum up to 0.
     never = np.bincount(rows, weights, count)[rows] == 0.0

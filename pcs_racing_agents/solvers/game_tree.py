@@ -69,6 +69,7 @@ class GameTree:
             raise InputError(f"chance is {weights.tolist()}; probabilities are at least 0 and sum up to 1")
         roots, moves = len(table), tuple(zip(table.shape[1::2], table.shape[2::2], strict=True))
         histories = [int(np.prod(table.shape[1 : 2 * k + 1])) for k in range(len(moves))]
+        # Whatever chance has drawn, the same joint history is the same infoset: nobody sees the outcome.
         rows = [np.tile(np.arange(count), roots) for count in histories]
         flat = np.array(table.reshape(roots, -1), order="C")
         return cls(_fixed(flat), moves, _fixed(weights / weights.sum()), tuple((_fixed(r), _fixed(r)) for r in rows))
@@ -121,6 +122,7 @@ class GameTree:
                     )
                 key = observed.reshape(len(observed), -1)
                 if k:
+                    # What was seen before and the own last move are remembered: perfect recall.
                     key = np.column_stack([self._past(k, player, infosets[k - 1][player]), key])
                 rows.append(_numbered(np.unique(key, axis=0, return_inverse=True)[1].reshape(-1)))
             infosets.append((rows[0], rows[1]))
@@ -181,20 +183,6 @@ class GameTree:
             return self
         shape = [size for pair in self.moves for size in pair]
         return GameTree.from_payoffs(np.einsum("r,r...->...", self.chance, self.payoffs).reshape(shape))
-
-    def swapped(self) -> "GameTree":
-        """Return the same game with the names of the cars exchanged."""
-        m, axes = self.depth, [0]
-        for k in range(m):
-            axes += [2 * k + 2, 2 * k + 1]
-        shape = [self.roots, *(size for pair in self.moves for size in pair)]
-        payoffs = -self.payoffs.reshape(shape).transpose(axes)
-        other = GameTree.from_payoffs(payoffs, self.chance)
-        labels = []
-        for k, (first, second) in enumerate(self.infosets):
-            places = np.arange(self.nodes(k)).reshape(shape[: 2 * k + 1]).transpose(axes[: 2 * k + 1]).reshape(-1)
-            labels.append((second[places], first[places]))
-        return other.with_infosets(labels)
 
     # Checks
 

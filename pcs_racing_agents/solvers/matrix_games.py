@@ -64,6 +64,7 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     with first_call(_solve_games, "the solver of matrix games", 5):
         _solve_games(games, *solution)
     span = games.max(axis=(1, 2)) - games.min(axis=(1, 2))
+    # Written so that a gap of NaN counts as too large.
     for g in np.flatnonzero(~(solution.gaps <= GOOD_GAP * span)):
         values, rows, columns = solve_rationally(games[g])
         solution.values[g], solution.rows[g], solution.columns[g] = values, rows, columns
@@ -164,6 +165,7 @@ def _simplex(game, low, high, table, labels, row, column):  # type: ignore[no-un
     a, c = game.shape
     _begin(game, low, high, table, labels)
     for step in range(50 * (a + c)):
+        # The largest gain is the faster rule, but it can go round in circles where many moves are equal.
         bland = step >= 4 * (a + c)
         enter = _entering(table, labels, a, c, bland)
         if enter < 0:

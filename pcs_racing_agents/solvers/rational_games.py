@@ -13,25 +13,14 @@ from pcs_racing_agents.solvers.game_tree import Floats
 
 
 def solve_rationally(game: Floats) -> tuple[float, Floats, Floats]:
-    """Solve a matrix game exactly; only the answer is rounded.
-
-    Parameters
-    ----------
-    game : ndarray, shape (A, C)
-        Finite payoffs to the row player.
-
-    Returns
-    -------
-    value : float
-    row, column : ndarray, shapes (A,) and (C,)
-        Strategies.
-    """
+    """Solve a matrix game, shape (A, C): value, and strategies of row and column. Only the answer is rounded."""
     a, c = game.shape
     exact = [[Fraction(value) for value in line] for line in game.tolist()]
     low = min(min(line) for line in exact)
     unit = (max(max(line) for line in exact) - low) or Fraction(1)
     # All payoffs above 0: then the game's value is, too.
     table = [[value - low + unit for value in line] for line in exact]
+    # All denominators are powers of two, so the largest is their common multiple.
     scale = max(value.denominator for line in table for value in line)
     rows = [[int(value * scale) for value in line] + [1] for line in table]
     rows.append([-1] * c + [0])
@@ -41,6 +30,7 @@ def solve_rationally(game: Floats) -> tuple[float, Floats, Floats]:
         gaining = [j for j in range(c) if rows[a][j] < 0]
         if not gaining:
             break
+        # Bland's rule: always the smallest label, which never cycles.
         enter = min(gaining, key=lambda j: across[j])
         limits = [(Fraction(rows[i][c], rows[i][enter]), down[i], i) for i in range(a) if rows[i][enter] > 0]
         leave = min(limits)[2]
@@ -53,6 +43,7 @@ def solve_rationally(game: Floats) -> tuple[float, Floats, Floats]:
                         (x * size - factor * y) // denominator for x, y in zip(rows[i], rows[leave], strict=True)
                     ]
                 else:
+                    # The division leaves no remainder: all entries are determinants of the original matrix (Edmonds).
                     rows[i] = [x * size // denominator for x in rows[i]]
                 rows[i][enter] = -factor
         rows[leave][enter] = denominator

@@ -134,6 +134,7 @@ class StudyConfig(Settings):
                 raise ConfigError(
                     f"replies hold {name!r}; they must be agents of the tables, {', '.join(self.every_arm)}"
                 )
+        # Every circuit needs some start policies and lines for an interval of its own.
         if self.replies and self.reply_races < 40 * len(self.circuits):
             raise ConfigError(
                 f"reply_races is {self.reply_races}; give at least 40 for each of {len(self.circuits)} circuits"
@@ -146,6 +147,7 @@ class StudyConfig(Settings):
             )
         if self.ppo is not None and load_ppo_settings(self.ppo).level != "duel":  # type: ignore[attr-defined]
             raise ConfigError(f"ppo is {self.ppo!r}; these are no settings of level duel")
+        # With some of them only, the best of those that are there would be called the best blind agent.
         missing = [name for name in BEST_BLIND if name not in self.arms]
         if 0 < len(missing) < len(BEST_BLIND):
             present = next(name for name in BEST_BLIND if name in self.arms)

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.results.csv_files import write_csv
+from pcs_racing_agents.results.csv_files import csv_cell, write_csv
 from pcs_racing_agents.results.races import RaceTable
-from pcs_racing_agents.results.text_table import interval_text
+from pcs_racing_agents.results.text_table import Column, interval_text
 from pcs_racing_agents.study.table import matched_scores
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
@@ -60,17 +60,35 @@ def family_of(opponent: str) -> OpponentFamily | None:
     return next((family for family in FAMILIES if name in family.members), None)
 
 
-FAMILY_HEAD = ("family", "used for", "opponents", "circuits", "races", "gain", "95 % interval")
-COLUMNS = ("family", "use", "opponents", "tracks", "races", "gain", "low", "high", "se", "df")
-
-
 class FamilyGain(NamedTuple):
-    """The gain of one agent over another against a family."""
+    """The gain of one agent over another against a family: mean difference of score over all races."""
 
-    family: OpponentFamily
+    family: str
+    use: str
     opponents: tuple[str, ...]  #: ``opponents``, ``tracks``: Those of the table.
     tracks: tuple[str, ...]
-    gain: Estimate  #: Mean difference of score over all races; every race counts the same.
+    races: int
+    gain: float  #: Every race counts the same.
+    low: float
+    high: float
+    se: float
+    df: int
+
+    @property
+    def interval(self) -> str:
+        """Interval of the gain as text."""
+        return interval_text(self.low, self.high)
+
+
+COLUMNS = (
+    Column("family"),
+    Column("use", "used for"),
+    Column("opponents"),
+    Column("tracks", "circuits"),
+    Column("races"),
+    Column("gain", format="+.3f"),
+    Column("interval", "95 % interval"),
+)
 
 
 def family_gains(races: RaceTable, best: str, blind: str) -> list[FamilyGain]:
@@ -96,38 +114,21 @@ def family_gains(races: RaceTable, best: str, blind: str) -> list[FamilyGain]:
             differences.append(first.score - matched_scores(first, second, f"{track} against {opponent}"))
             place = (np.full(len(first), opponents.index(opponent)), np.full(len(first), tracks.index(track)))
             labels.append(np.column_stack([first.variants, *place, first.start_s.round(4)]))
+        # Races are pooled, not gains of rows: a row with few races must not count as much as one with many.
         gain = _estimate(np.concatenate(differences), np.concatenate(labels))
-        gains.append(FamilyGain(family, opponents, tracks, gain))
+        numbers = (gain.units, gain.mean, gain.low, gain.high, gain.se, gain.df)
+        gains.append(FamilyGain(family.name, family.use, opponents, tracks, *numbers))
     return gains
 
 
 def _estimate(differences: NDArray[np.float64], labels: NDArray[np.float64]) -> Estimate:
     """Cluster by the ego's variant, by the variant of the opponent and by the start line of the circuit."""
+    # A variant is one of its opponent's and a line one of its circuit's: equal numbers of two are different clusters.
     columns = ([0], [2, 1], [3, 4])
     kinds = [np.unique(labels[:, own], axis=0, return_inverse=True)[1].reshape(-1) for own in columns]
     return clustered_mean(differences, *(codes for codes in kinds if codes.max() > 0))
 
 
-def family_rows(gains: Sequence[FamilyGain]) -> list[tuple[str, ...]]:
-    """Return the lines of the table in the columns :data:`FAMILY_HEAD`."""
-    return [
-        (
-            gain.family.name,
-            gain.family.use,
-            ", ".join(gain.opponents),
-            ", ".join(gain.tracks),
-            str(gain.gain.units),
-            f"{gain.gain.mean:+.3f}",
-            interval_text(gain.gain.low, gain.gain.high),
-        )
-        for gain in gains
-    ]
-
-
 def write_family_gains(gains: Sequence[FamilyGain], path: Path) -> Path:
     """Write a line for each family as CSV."""
-    lines: list[tuple[object, ...]] = [COLUMNS]
-    for family, opponents, tracks, gain in gains:
-        numbers = [f"{value:.6g}" for value in (gain.mean, gain.low, gain.high, gain.se)]
-        lines.append((family.name, family.use, "; ".join(opponents), "; ".join(tracks), gain.units, *numbers, gain.df))
-    return write_csv(lines, path)
+    return write_csv([FamilyGain._fields, *(map(csv_cell, gain) for gain in gains)], path)

@@ -40,6 +40,7 @@ def scores_picture(table: StudyTable) -> Any:
 def differences_picture(table: StudyTable) -> Any:
     """Draw each agent's difference from the base with its interval: a panel for each row, the paper's beside ours."""
     figure, panels = _grid(table)
+    # Heights are those of the whole table, so that an agent that did not race in a row leaves a gap there.
     names = [arm for arm in table.arms if arm != table.base]
     for row, axes in panels:
         axes.axvline(0.0, color=INK, lw=0.8)
@@ -120,6 +121,7 @@ def _grid(table: StudyTable) -> tuple[Any, list[tuple[TableRow, Any]]]:
     height = 0.55 + 0.21 * len(table.arms)
     figure = new_figure(2.0 + 2.3 * len(opponents), 0.7 + height * len(tracks))
     grid = figure.subplots(len(tracks), len(opponents), sharex=True, sharey=True, squeeze=False)
+    # Not every circuit has every opponent: a place of the grid that no row takes stays empty.
     for axes in grid.ravel():
         axes.set_visible(False)
     panels = []

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -51,6 +50,7 @@ def play_trees(study: Study) -> None:
     config = study.config
     if config.pairs == 0:
         return
+    # All circuits side by side: no worker waits at the end of one for the last trees of it.
     with ExitStack() as opened:
         groups = [
             opened.enter_context(
@@ -86,15 +86,18 @@ def train_networks(study: Study) -> None:
         return
     settings = [load_train_settings(config.training, target=name, seed=config.seed) for name in missing]
     elsewhere = in_other_processes(study.executor)
-    training = _Training(
-        trees=stored if elsewhere is None else [list(trees) for trees in stored],  # others may not see the files
-        pairs=np.concatenate([np.asarray(trees.settings["pairs"]) for trees in stored]),
-        identity=stored_identity(stored[0].settings),
-        about={"tracks": ", ".join(config.circuits)},
+    # Other processes may not see the files of this one, so that they are sent the trees; and they can't show progress.
+    trees = stored if elsewhere is None else [list(each) for each in stored]
+    train = partial(
+        _train,
+        trees,
+        np.concatenate([np.asarray(each.settings["pairs"]) for each in stored]),
+        stored_identity(stored[0].settings),
+        tracks=", ".join(config.circuits),
         progress=study.progress if elsewhere is None else None,
     )
     progress = None if elsewhere is None else study.progress("networks")
-    tasks = numbered_tasks(training, settings)
+    tasks = numbered_tasks(train, settings)
     for done, (i, trained) in enumerate(run_tasks(tasks, elsewhere, "networks"), start=1):
         save_network(trained.network, study.network(missing[i]))
         write_epochs(trained.result, study.network(missing[i]) / "learning_curves.csv")
@@ -102,29 +105,35 @@ def train_networks(study: Study) -> None:
             progress(done, len(missing), missing[i])
 
 
-@dataclass(frozen=True, eq=False)
-class _Training:
-    """A function that trains a network on a study's trees, here or in another process."""
+def _train(
+    trees: Sequence[Sequence[RaceTree]],
+    pairs: NDArray[np.int64],
+    identity: GameIdentity,
+    settings: TrainSettings,
+    tracks: str,
+    progress: Callable[[str], Progress | None] | None,
+) -> "TrainedOnTrees":
+    """Train a network on the trees of all circuits, here or in another process.
 
-    trees: Sequence[Sequence[RaceTree]]  #: Of each circuit.
-    pairs: NDArray[np.int64]  #: shape (trees, 2): Their starting policies.
-    identity: GameIdentity
-    about: dict[str, str | int | float | bool]  #: Facts about the training for the networks' manifests.
-    progress: Callable[[str], Progress | None] | None  #: Makes a progress function for epochs.
+    Parameters
+    ----------
+    pairs : ndarray of int, shape (trees, 2)
+        Starting policies of the trees.
+    progress : callable, optional
+        Makes a progress function for epochs.
+    """
+    from pcs_racing_agents.networks.from_trees import train_on_trees
 
-    def __call__(self, settings: TrainSettings) -> "TrainedOnTrees":
-        from pcs_racing_agents.networks.from_trees import train_on_trees
-
-        places = [(trees, i) for trees in self.trees for i in range(len(trees))]
-        return train_on_trees(
-            lambda number: places[number][0][places[number][1]],
-            self.pairs,
-            self.identity,
-            settings,
-            name=settings.target,
-            about=self.about,
-            learning=None if self.progress is None else self.progress(f"epochs ({settings.target})"),
-        )
+    places = [(own, i) for own in trees for i in range(len(own))]
+    return train_on_trees(
+        lambda number: places[number][0][places[number][1]],
+        pairs,
+        identity,
+        settings,
+        name=settings.target,
+        about={"tracks": tracks},
+        learning=None if progress is None else progress(f"epochs ({settings.target})"),
+    )
 
 
 def choose_blind(study: Study) -> None:
@@ -144,6 +153,7 @@ def choose_blind(study: Study) -> None:
         races=config.fitting_games,
         seed=config.seed + FITTING_SEED,
     )
+    # Spread over the archive, since a search over all policies of a large one would drive most races in vain.
     targets = None
     if 0 < config.fixed_targets < len(study.archive):
         rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(FITTING_SEED,)))
@@ -163,14 +173,13 @@ def choose_blind(study: Study) -> None:
 def learn_responses(study: Study) -> None:
     """Learn the responses to the pool of opponents."""
     config = study.config
-    games = [study.game(name) for name in config.circuits]
     pool = [study.agent(name) for name in config.response_pool]
     for name in config.responses:
         settings = load_response_settings(name)
         seeded = load_response_settings(settings, seed=config.seed + RESPONSE_SEED + settings.seed)
         with open_job(study.folder / "responses" / name, "response", {"name": name, **plain_settings(seeded)}) as job:
             network = learn_response(
-                games,
+                study.games(),
                 pool,
                 study.setting,
                 seeded,
@@ -194,6 +203,7 @@ def train_ppo_baseline(study: Study) -> None:
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
     from pcs_racing_agents.learning.ppo.train import train_ppo
 
+    # Learned on the study's own game, or a comparison with its agents would say nothing.
     settings = load_ppo_settings(config.ppo, tracks=config.circuits)
     trained = train_ppo(
         settings,

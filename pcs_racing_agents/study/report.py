@@ -2,7 +2,7 @@
 
 import base64
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,29 +16,21 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.replay_files import replay_page
 from pcs_racing_agents.explain.situations import Situations, situations_text
 from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.text_table import interval_text, is_number
-from pcs_racing_agents.study.highlights import ExplainedRace
-from pcs_racing_agents.study.report_inputs import ReplyLoss, mean_scores, scores_and_losses, total_losses
+from pcs_racing_agents.results.text_table import Column, is_number, table_rows
+from pcs_racing_agents.study.report_inputs import ExplainedRace, ReplyLoss, mean_scores, scores_and_losses, total_losses
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin
+from pcs_racing_agents.tournament.table import rating_interval
 
 
 class TitledTable(NamedTuple):
     """A table with a title."""
 
     title: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]  #: As many cells as the head; numbers are aligned to the right.
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]  #: As many cells as the head; numbers are aligned to the right.
     note: str = ""
-
-
-class Picture(NamedTuple):
-    """A finished picture."""
-
-    title: str
-    caption: str
-    content: bytes  #: SVG or PNG.
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +50,7 @@ class ReportContent:
     judged: StudyTable | None = None  #: The table whose scores are shown with the losses; by default ``table``.
     round_robin: RoundRobin | None = None
     situations: Sequence[Situations] = ()  #: Moves by situation, for each agent.
-    ablations: Sequence[TitledTable] = ()
     sheets: Sequence[TitledTable] = ()  #: Other tables.
-    pictures: Sequence[Picture] = ()  #: Other pictures.
     races: Sequence[ExplainedRace] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, Any] = field(default_factory=dict)
@@ -90,6 +80,7 @@ def page_environment(package: str) -> Environment:
 
 def report_page(content: ReportContent) -> str:
     """Return the report as HTML from the template ``report.html``; all text is escaped."""
+    # Names of agents and circuits come from files: nothing gets into the page without being escaped.
     environment = page_environment("pcs_racing_agents.study")
     environment.filters |= {"p_value": p_text, "plain": _plain, "data": _data}
     environment.tests["number"] = is_number
@@ -103,10 +94,10 @@ def report_page(content: ReportContent) -> str:
         notes=notes,
         paper_text=paper_text,
         situations_text=situations_text,
-        losses=list(_total_losses(content)),
-        loss_cells=_loss_cells,
+        losses=_losses(content),
+        losses_by_circuit=table_rows([Column("agent"), Column("track", "circuit"), *LOSS_COLUMNS], content.losses),
         scores_and_losses=scores_and_losses(content.judged or content.table, content.losses),
-        ratings=list(_ratings(content)),
+        ratings=_ratings(content),
     )
 
 
@@ -118,45 +109,57 @@ def _draw(name: str, *arguments: Any, **options: Any) -> bytes:
     from pcs_racing_agents.study import figures
     from pcs_racing_agents.tournament import table
 
+    # The template names a picture; only modules that are imported here, for a report alone, can draw one.
     home = next(module for module in (figures, curves, table, pcs_picture, situations) if hasattr(module, name))
     return picture_bytes(getattr(home, name)(*arguments, **options))
 
 
 def _data(picture: bytes) -> str:
-    """Return a picture (SVG or PNG) as a data URL."""
-    kind = "png" if picture.startswith(b"\x89PNG") else "svg+xml"
-    return f"data:image/{kind};base64,{base64.b64encode(picture).decode('ascii')}"
+    """Return an SVG picture as a data URL."""
+    return f"data:image/svg+xml;base64,{base64.b64encode(picture).decode('ascii')}"
 
 
 def _plain(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
 
 
-def _loss_cells(loss: ReplyLoss) -> tuple[str, ...]:
-    shares = (f"{loss.reply_won:.3f}", f"{loss.agent_won:.3f}", f"{loss.agent_own_crash:.1%}")
-    return f"{loss.loss:+.3f}", interval_text(loss.low, loss.high), str(loss.races), *shares
+LOSS_COLUMNS = (
+    Column("loss", format="+.3f"),
+    Column("interval", "95 % interval"),
+    Column("races"),
+    Column("reply_won", "reply won", ".3f"),
+    Column("agent_won", "agent won", ".3f"),
+    Column("agent_own_crash", "own crashes", ".1%"),
+)
 
 
-def _total_losses(content: ReportContent) -> Iterator[tuple[str, ...]]:
-    """Yield each agent's loss on all circuits, with its score in races and its rating."""
-    scores = mean_scores(content.judged or content.table)
-    for agent, loss in total_losses(content.losses).items():
+def _losses(content: ReportContent) -> list[tuple[str, ...]]:
+    """Return each agent's loss on all circuits as a table, with its score in races and its rating."""
+    scores, totals = mean_scores(content.judged or content.table), total_losses(content.losses)
+    head, *rows = table_rows(LOSS_COLUMNS, totals.values())
+    table: list[tuple[str, ...]] = [("agent", "score", "rating", *head)]
+    for agent, cells in zip(totals, rows, strict=True):
         rating = np.nan if content.round_robin is None else content.round_robin.rating(agent)[0]
-        columns = (f"{scores[agent]:.3f}" if agent in scores else "", "" if np.isnan(rating) else f"{rating:+.0f}")
-        yield agent, *columns, *_loss_cells(loss)
+        score = f"{scores[agent]:.3f}" if agent in scores else ""
+        table.append((agent, score, "" if np.isnan(rating) else f"{rating:+.0f}", *cells))
+    return table
 
 
-def _ratings(content: ReportContent) -> Iterator[tuple[str, ...]]:
+def _ratings(content: ReportContent) -> list[tuple[str, ...]]:
+    """Return the ratings as a table, the best first; empty if there are none."""
     round_robin = content.round_robin
     if round_robin is None or round_robin.ratings is None:
-        return
+        return []
+    table: list[tuple[str, ...]] = [
+        ("agent", "rating", "95 % interval", "races", "races that paid nobody", "equilibrium", "alpha-rank")
+    ]
     for i in np.argsort(-round_robin.ratings.strength, kind="stable"):
         name = round_robin.ratings.names[i]
         rating, low, high = round_robin.rating(name)
-        shares = [
+        equilibrium, alpha_rank = (
             "" if probabilities is None else f"{probabilities[round_robin.names.index(name)]:.2f}"
             for probabilities in (round_robin.equilibrium, round_robin.alpha_rank)
-        ]
-        interval = "" if np.isnan(low) else f"[{low:+.0f}, {high:+.0f}]"
+        )
         counts = (str(round_robin.ratings.races[i]), str(round_robin.ratings.left_out[i]))
-        yield name, f"{rating:+.0f}", interval, *counts, *shares
+        table.append((name, f"{rating:+.0f}", rating_interval(low, high), *counts, equilibrium, alpha_rank))
+    return table

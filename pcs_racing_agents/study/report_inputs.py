@@ -1,8 +1,9 @@
-"""Readers of the stages' results for the report."""
+"""What a report is made of: the stages' results, read from their files, and example races."""
 
 import platform
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,10 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.race.replay import Replay
+from pcs_racing_agents.explain.explain import explain_game
+from pcs_racing_agents.explain.words import story
 from pcs_racing_agents.jobs.folders import package_version
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.csv_files import read_csv
+from pcs_racing_agents.results.races import RaceTable
+from pcs_racing_agents.results.text_table import interval_text
 from pcs_racing_agents.study.table import StudyTable
+from pcs_racing_agents.tournament.pairings import Pairing
 
 Floats = NDArray[np.float64]
 
@@ -40,6 +47,11 @@ class ReplyLoss(NamedTuple):
     reply_won: float  #: ``reply_won``, ``agent_won``, ``agent_own_crash``: Shares of the races.
     agent_won: float
     agent_own_crash: float
+
+    @property
+    def interval(self) -> str:
+        """Interval of the loss as text."""
+        return interval_text(self.low, self.high)
 
 
 LARGEST = 1e100
@@ -71,7 +83,8 @@ def total_losses(losses: Sequence[ReplyLoss]) -> dict[str, ReplyLoss]:
     """Return the loss of each agent on all circuits together, by agent."""
     totals: dict[str, ReplyLoss] = {}
     for loss in losses:
-        if loss.agent not in totals or loss.track == "all":  # with a single circuit there is no such line
+        # With a single circuit there is no line "all"; its own line is then the total.
+        if loss.agent not in totals or loss.track == "all":
             totals[loss.agent] = loss
     return totals
 
@@ -117,7 +130,85 @@ def _number(text: str | None, path: str | Path) -> float:
     try:
         value = float(text) if text else np.nan
     except ValueError:
+        # As impossible as infinity; an empty cell is a number that is not known.
         value = np.inf
     if np.isinf(value) or abs(value) > LARGEST:
         raise InputError(f"{path} holds {text!r} where a number should be")
     return value
+
+
+# Example races
+
+KINDS = ("win", "loss", "crash")
+
+
+class ExplainedRace(NamedTuple):
+    """A race with explanation and replay for a report."""
+
+    title: str
+    text: str  #: The explanation; may be empty.
+    replay: Replay
+    #: The moves, as :func:`pcs_racing_agents.explain.pictures.explanation_picture` draws them, SVG; may be empty.
+    picture: bytes = b""
+
+
+class Highlight(NamedTuple):
+    """An example race of an agent."""
+
+    title: str
+    race: int  #: Its number in the pairing.
+
+
+def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highlight]:
+    """Select a win by switching, a loss, and a crash of an agent, by kind; a kind that did not occur is absent.
+
+    Preferred are a win that the agent without moves loses in the same race, a loss that it wins, and a crash by the
+    agent's fault after its first move. Of several such races the one with the median lead is selected, which is typical
+    of its kind.
+
+    Parameters
+    ----------
+    races, baseline : RaceTable
+        The same races, driven by the agent and by the one that never switches.
+    """
+    clean, switched = ~races.crashed, races.switches[:, 0] > 0
+    won, lost, fault = clean & (races.winner == 0), clean & (races.winner == 1), races.fault[:, 0] > 0
+    ego, comparison = races[0].ego, f"{baseline[0].ego} starts alike and"
+    criteria = (
+        {
+            f"A win by switching; {comparison} loses": won & switched & (baseline.winner == 1),
+            "A win, policies being switched": won & switched,
+        },
+        {f"A loss; {comparison} wins": lost & (baseline.winner == 0), "A loss": lost},
+        {
+            f"A crash that {ego} is to blame for": fault & (races.moves.codes[:, 0, 0] >= 0),
+            f"A crash before the first move that {ego} is to blame for": fault,
+        },
+    )
+    highlights = {}
+    # The criteria of a kind stand from the most telling one down; the first that any race meets is taken.
+    for kind, choices in zip(KINDS, criteria, strict=True):
+        for title, mask in choices.items():
+            numbers = np.flatnonzero(mask)
+            if len(numbers):
+                highlights[kind] = Highlight(title, _median(numbers, races.lead))
+                break
+    return highlights
+
+
+def watch_race(pairing: Pairing, race: int, title: str) -> ExplainedRace:
+    """Repeat a race for the report; the pairing's ego makes moves."""
+    explanation = explain_game(pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race))
+    picture = b""
+    if find_spec("matplotlib") is not None:
+        from pcs_racing_agents.explain.pictures import explanation_picture
+        from pcs_racing_agents.pictures.style import picture_bytes
+
+        picture = picture_bytes(explanation_picture(explanation))
+    return ExplainedRace(title, story(explanation), explanation.replay, picture)
+
+
+def _median(races: NDArray[np.intp], lead: NDArray[np.float64]) -> int:
+    # Of an even number the lower one of the middle: a race that was driven, not a mean of two.
+    order = races[np.argsort(lead[races], kind="stable")]
+    return int(order[(len(order) - 1) // 2])

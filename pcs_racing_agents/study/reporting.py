@@ -17,18 +17,26 @@ from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.race_files import read_results, write_results
 from pcs_racing_agents.results.races import concatenate_races
+from pcs_racing_agents.results.text_table import table_rows
 from pcs_racing_agents.study.config import BEST_BLIND
-from pcs_racing_agents.study.family_gains import FAMILY_HEAD, family_gains, family_rows, write_family_gains
-from pcs_racing_agents.study.highlights import KINDS, Highlight, select_highlights, watch_race
-from pcs_racing_agents.study.playing import PLAYING_SEED, REPLY_SEED
+from pcs_racing_agents.study.family_gains import COLUMNS as FAMILY_COLUMNS
+from pcs_racing_agents.study.family_gains import family_gains, write_family_gains
+from pcs_racing_agents.study.playing import PLAYING_SEED, RATING_SEED, REPLY_SEED, TABLE_SEED, StudyRaces, table_races
 from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
-from pcs_racing_agents.study.racing import RATING_SEED, TABLE_SEED, StudyRaces, table_races
 from pcs_racing_agents.study.report import ExplainedRace, ReportContent, TitledTable, write_page
-from pcs_racing_agents.study.report_inputs import ReplyLoss, read_curves, read_losses, software
+from pcs_racing_agents.study.report_inputs import (
+    KINDS,
+    Highlight,
+    ReplyLoss,
+    read_curves,
+    read_losses,
+    select_highlights,
+    software,
+    watch_race,
+)
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.study.table import StudyTable, make_table
 from pcs_racing_agents.study.table_text import (
-    difference_text,
     overview_rows,
     table_markdown,
     table_text,
@@ -52,7 +60,9 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
     """
     pairings = []
     for table, pairing, _ in study_races:
+        # A blind agent's moves in situations would show the situations, not the agent.
         if table == "main" and isinstance(pairing.ego, Agent) and not is_blind(pairing.ego):
+            # Begun anew for each pairing: all agents are shown in the same races.
             rng = np.random.default_rng(np.random.SeedSequence(study.config.seed, spawn_key=(SEED,)))
             pairings.append(pairing.take(np.sort(rng.permutation(len(pairing))[:races])))
     if not pairings:
@@ -64,8 +74,8 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
             pairings, name="moves", observations=True, job=job, executor=study.executor, progress=progress
         )
         observed = [
-            (pairing.names[0], games.observations[:, 0], games.moves[:, 0])
-            for pairing, games in zip(pairings, repeated, strict=True)
+            (pairing.names[0], races.observations[:, 0], races.moves.codes[:, 0])
+            for pairing, races in zip(pairings, repeated, strict=True)
         ]
     summaries = []
     for name in dict.fromkeys(name for name, *_ in observed):
@@ -78,7 +88,7 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
 
 def write_report(study: Study, seconds: Mapping[str, float]) -> None:
     """Write ``results.csv``, ``table.csv``, ``table.md``, ``table.txt`` and ``report.html``."""
-    study_races = list(table_races(study))
+    study_races = table_races(study)
     folder = study.folder
     write_results((row for races in study_races for row in races.races), folder / "results.csv")
     main = study_table(study, study_races, "main")
@@ -120,9 +130,9 @@ def _content(
     sheets, judged = [], main
     if config.further_lines:
         further = judged = study_table(study, study_races, "further")
-        head, *rows = overview_rows(further, difference_text)
+        rows = overview_rows(further)
         note = f"{config.further_lines * config.egos * config.variants * 2} races of each agent in each row."
-        sheets.append(TitledTable("More opponents, circuits and agents", head, tuple(rows), note))
+        sheets.append(TitledTable("More opponents, circuits and agents", rows[0], rows[1:], note))
     sheets += _families(study, study_races, judged)
     return ReportContent(
         title=f"Study: {config.race} race, archive {study.archive.name}",
@@ -159,10 +169,11 @@ def _families(study: Study, study_races: Sequence[StudyRaces], table: StudyTable
     if not gains:
         return
     write_family_gains(gains, study.folder / "families.csv")
+    rows = table_rows(FAMILY_COLUMNS, gains)
     yield TitledTable(
         f"Gain by family of opponents: {table.best} minus {table.blind}",
-        FAMILY_HEAD,
-        tuple(family_rows(gains)),
+        rows[0],
+        rows[1:],
         "Mean over all races of the table against a family. Agents may learn against the families for training; those "
         "for tests they never met.",
     )
@@ -241,6 +252,7 @@ def _seeds(study: Study) -> dict[str, int]:
 
 def _watched(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[ExplainedRace]:
     """Yield a win by switching, a loss and a crash of the best agent, each from the first row that has one."""
+    # By names, since the baseline of a race is the pairing with the same circuit and opponent.
     raced = {(f.pairing.game.track.name, *f.pairing.names): f for f in study_races if f.table == "main"}
     first: dict[str, tuple[Pairing, Highlight]] = {}
     for (track, ego, opponent), races in raced.items():

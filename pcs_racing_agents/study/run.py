@@ -1,78 +1,120 @@
 """Running a study: its stages in order, each in its own folder; finished stages are skipped.
 
 A finished stage leaves a file ``done.yaml``; a stopped stage resumes its job. The results are functions of the study's
-configuration alone. The time of a stage includes earlier runs of it that were stopped or killed.
+configuration alone. The time of a stage includes earlier runs of it that were stopped.
 """
 
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import yaml
 
+from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.files import write_atomically
+from pcs_racing.base.optional import require
+from pcs_racing.base.reading import parse_yaml
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.jobs.folders import claim_folder
+from pcs_racing_agents.learning.ppo.learner import check_packages
+from pcs_racing_agents.study import playing, preparing, reporting
 from pcs_racing_agents.study.config import StudyConfig
-from pcs_racing_agents.study.stages import DONE, STAGES, Stage
 from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.synthesis.config import load_archive_config
 
-BEAT = 20.0  # s: longest time that is lost when the process is killed
+DONE = "done.yaml"
+"""File in the folder of a finished stage."""
+
+
+def _report(study: Study) -> None:
+    reporting.write_report(study, stage_seconds(study))
+
+
+class Stage(NamedTuple):
+    """A stage of a study; it works in a folder of its name."""
+
+    name: str
+    needs: tuple[str, ...]  #: Stages that must be done before.
+    does: str  #: Its work, in a few words.
+    run: Callable[[Study], None]  #: ``run(study)`` does the work, and skips what an earlier call has done.
+    always: bool = False  #: Whether it runs again after it is done.
+
+    def check_libraries(self, config: StudyConfig) -> None:
+        """Raise ModuleNotFoundError if it needs a library that is missing."""
+        learns = {
+            "networks": config.pairs > 0,
+            "responses": bool(config.responses),
+            "self-play": config.self_play is not None or config.sampled_cfr is not None,
+            "robust": config.robust is not None,
+            "psro": config.psro is not None,
+            "best-replies": bool(config.replies),
+        }
+        if learns.get(self.name):
+            require("torch", extra="learning")
+        elif self.name == "ppo" and config.ppo is not None:
+            check_packages()
+        elif self.name == "archive" and config.synthesis is not None:
+            method = load_archive_config(config.synthesis).method
+            require("moocore", *(("cma",) if method == "mo-cma-es" else ()), extra="synthesis")
+
+
+LEARNED = ("networks", "blind", "responses", "robust", "psro", "self-play", "ppo")
+
+STAGES = (
+    Stage("archive", (), "searches policies", preparing.make_the_archive),
+    Stage("trees", ("archive",), "plays game trees", preparing.play_trees),
+    Stage("networks", ("trees",), "trains networks on the trees", preparing.train_networks),
+    Stage("blind", ("archive",), "chooses the best agents that look at nothing but who leads", preparing.choose_blind),
+    Stage("responses", ("networks", "blind"), "learns answers to opponents", preparing.learn_responses),
+    Stage("self-play", ("archive",), "lets both cars learn", playing.play_against_itself),
+    Stage("robust", ("blind",), "learns robust answers to opponents", playing.learn_robust_agent),
+    Stage("psro", ("blind",), "learns answers to answers", playing.learn_psro_agent),
+    Stage("ppo", ("archive",), "trains the PPO baseline", preparing.train_ppo_baseline),
+    Stage("races", LEARNED, "drives the races of the table", playing.race_tables),
+    Stage("ratings", LEARNED, "lets agents race all against all", playing.race_for_ratings),
+    Stage("best-replies", LEARNED, "trains a best reply to each agent", playing.measure_replies),
+    Stage("report", ("races", "ratings", "best-replies"), "writes results.csv and report.html", _report, always=True),
+)
+"""All stages, in the order in which they run."""
+
+
+def stage_seconds(study: Study) -> dict[str, float]:
+    """Return the time of each finished stage, s, including earlier runs that were stopped."""
+    seconds = {}
+    for stage in STAGES:
+        file = study.folder / stage.name / DONE
+        if file.is_file():
+            note = parse_yaml(file, file.read_bytes())
+            value = note.get("seconds") if isinstance(note, dict) else None
+            if not is_number(value) or not 0.0 <= value < 1e9:
+                raise InputError(f"{file} is damaged: seconds are {value!r:.80}; delete it, and the stage runs again")
+            seconds[stage.name] = float(value)
+    return seconds
 
 
 @contextmanager
 def seconds_counted(file: Path) -> Iterator[Callable[[], float]]:
-    """Measure the time of a stage, starting at the seconds in a file of a stopped run.
-
-    Parameters
-    ----------
-    file : Path
-        Updated regularly; removed when the work is done.
-
-    Yields
-    ------
-    callable
-        Returns the seconds so far.
-    """
-    before, began, done = _read(file), time.monotonic(), threading.Event()
+    """Measure the time of a stage, and return a function of it; a stop leaves it in a file, from which it goes on."""
+    try:
+        before = float(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        before = 0.0
+    began = time.monotonic()
 
     def spent() -> float:
-        return before + time.monotonic() - began
+        return (before if 0.0 <= before < 1e9 else 0.0) + time.monotonic() - began
 
-    def write() -> None:
-        text = f"{spent():.1f}\n".encode()
-        write_atomically(file, lambda out: out.write(text))
-
-    def write_regularly() -> None:
-        while not done.wait(BEAT):
-            write()
-
-    thread = threading.Thread(target=write_regularly, daemon=True)
-    thread.start()
     try:
         yield spent
     except BaseException:
-        done.set()
-        thread.join()
-        write()
+        write_atomically(file, lambda out: out.write(f"{spent():.1f}\n".encode()))
         raise
-    done.set()
-    thread.join()
     file.unlink(missing_ok=True)
-
-
-def _read(file: Path) -> float:
-    """Return the seconds in a file; 0 if there are none or they are impossible."""
-    try:
-        seconds = float(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return 0.0
-    return seconds if 0.0 <= seconds < 1e9 else 0.0
 
 
 def run_study(
@@ -94,6 +136,7 @@ def run_study(
     executor : Executor, optional
         Runs the jobs (:func:`pcs_racing_agents.jobs.executors.make_executor`). It does not change the results.
     """
+    # Before the folder is claimed: a misspelt stage or a missing library leaves nothing behind.
     remaining = stages_to_run(config, folder, only)
     study = Study(config, Path(folder), executor, quiet)
     with claim_folder(study.folder, "study", plain_settings(config)):
@@ -105,10 +148,7 @@ def run_study(
 def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] | None = None) -> list[Stage]:
     """Return the stages that are still to be run, in order, after a check of their libraries and of all circuits.
 
-    Parameters
-    ----------
-    config, folder, only
-        As for :func:`run_study`.
+    Arguments are those of :func:`run_study`.
     """
     names = [stage.name for stage in STAGES]
     for name in only or ():
@@ -121,6 +161,7 @@ def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] |
     ]
     for stage in remaining:
         stage.check_libraries(config)
+    # A circuit that is only raced in the last stage must not be found missing after hours of the others.
     for name in config.every_track:
         load_track(name)
     return remaining
@@ -138,6 +179,7 @@ def _run_stage(study: Study, stage: Stage) -> None:
         print(f"{stage.name}: {stage.does}", flush=True)
     folder = study.folder / stage.name
     folder.mkdir(exist_ok=True)
+    # The note is written last: a stage that was stopped at any moment is not done, and runs again.
     with seconds_counted(folder / "seconds.txt") as spent:
         stage.run(study)
         text = yaml.safe_dump({"stage": stage.name, "seconds": round(spent(), 1)})

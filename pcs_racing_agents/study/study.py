@@ -18,12 +18,7 @@ from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.progress import Progress, show_progress
 from pcs_racing_agents.study.config import BEST_BLIND, StudyConfig
 
-NETWORK_AGENTS = {
-    "cfr-argmax": "regret",
-    "cfr-regret-matching": "regret",
-    "nash": "nash",
-    "ppo": "ppo",
-}
+NETWORK_AGENTS = {"cfr-argmax": "regret", "cfr-regret-matching": "regret", "nash": "nash", "ppo": "ppo"}
 """Targets of the networks of the zoo's agents."""
 
 SET_AGENTS = ("robust", "psro", "self-play")
@@ -53,6 +48,10 @@ class Study:
         """Return the game on a circuit."""
         return make_game(self.track(track), self.archive, self.config.game)
 
+    def games(self) -> list[RaceGame]:
+        """Return the games on the circuits of training."""
+        return [self.game(track) for track in self.config.circuits]
+
     def tree_game(self, track: str) -> RaceGame:
         """Return the game of the trees on a circuit: without "stay", which would make them six times as large."""
         return make_game(self.track(track), self.archive, self.config.game, stay=False)
@@ -76,6 +75,7 @@ class Study:
             agent = build("cfr-argmax", self.setting, seed=seed, network=self.network(name))
             assert isinstance(agent, Agent)
             return Agent(name, agent.strategy, agent.setting, agent.seed, agent.facts)
+        # What this study has trained goes before what is shipped; a stage that did not run leaves the shipped one.
         options: dict[str, Any] = {}
         kind = NETWORK_AGENTS.get(name)
         if name == "adaptive" and self.config.responses:

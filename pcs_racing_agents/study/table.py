@@ -174,6 +174,7 @@ def _row(
     scores = {arm: matched_scores(first, races, f"{label}, {arm}") for arm, races in raced.items()}
     egos, opponents = first.variants.T.astype(np.int64)
     lines = np.unique(first.start_s, return_inverse=True)[1].astype(np.int64)
+    # Labels and lines are those of the first arm, whose order the scores of all others were brought into.
     labels = (egos, opponents)
     start = _shared_lines(egos, opponents, lines)
     # A driver with a single policy is taken as given.
@@ -188,6 +189,7 @@ def _row(
     for arm, races in raced.items():
         mean = clustered_mean(scores[arm], *clusters)
         by_ego = np.bincount(_codes(egos), scores[arm]) / np.bincount(_codes(egos))
+        # A score is between 0 and 1; the t distribution does not know that.
         low, high = max(mean.low, 0.0), min(mean.high, 1.0)
         shares = float(races.crashed.mean()), float((races.fault[:, 0] > 0).mean())
         results.append(ArmResult(arm, len(races), mean.mean, low, high, float(by_ego.std(ddof=1)), *shares))
@@ -207,6 +209,7 @@ def _row(
 
 def matched_scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
     """Return the scores of an arm in the order of the races of another arm."""
+    # Mostly they are in the same order already, and a dictionary of all races can be spared.
     columns = [(table.variants, table.start_s, table.side) for table in (first, races)]
     if all(np.array_equal(column, other_column) for column, other_column in zip(*columns, strict=True)):
         return races.score
@@ -218,12 +221,14 @@ def matched_scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
 
 def _units(races: RaceTable) -> list[tuple[int, int, float, int]]:
     """Return the identity of each race, equal for all arms: variants, start line, side."""
+    # A results file has four digits of a start line: races from a file and from memory are the same ones.
     columns = (*races.variants.T, races.start_s.round(4), races.side)
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def _shared_lines(egos: Labels, opponents: Labels, lines: Labels) -> Labels | None:
     """Labels of start lines where the pairs shared them; None where each pair had its own, or there are too few."""
+    # As many lines as pairs or more: then lines were drawn for each pair, and are no cluster beside it.
     pairs = len(set(zip(egos.tolist(), opponents.tolist(), strict=True)))
     return lines if FEWEST_LINES <= len(np.unique(lines)) < pairs else None
 
@@ -239,6 +244,7 @@ def _adjusted(rows: list[TableRow]) -> list[TableRow]:
         p_values = holm([difference.result.p_clustered for difference in differences]).tolist() if differences else []
         return iter([replace(difference, p_holm=p) for difference, p in zip(differences, p_values, strict=True)])
 
+    # By arm: the question is whether this agent gains in all rows, not whether any agent does.
     differences: dict[str, list[Difference]] = {}
     for row in rows:
         for difference in row.differences:

@@ -75,6 +75,7 @@ def notes(table: StudyTable) -> list[str]:
     """Return the sentences that explain the columns."""
     races = sorted({arm.races for row in table.rows for arm in row.arms})
     count = f"{races[0]}" if len(races) == 1 else f"{races[0]} to {races[-1]}"
+    # Rows may differ in this: then the weaker claim is the one that holds for all of them.
     lines_drawn = {row.lines_drawn for row in table.rows}
     kinds = "egos, opponents and start lines" if lines_drawn == {True} else "egos and opponents"
     sentences = [
@@ -138,6 +139,7 @@ def write_table(table: StudyTable, path: str | os.PathLike[str]) -> Path:
 
 
 def _csv_row(kind: str, row: TableRow, difference: Difference) -> list[object]:
+    # With six digits: what lies behind them depends on the processor's rounding, and files are compared byte by byte.
     arm = next(arm for arm in row.arms if arm.arm == difference.arm)
     result, two_way, paper = difference.result, difference.two_way, row.paper
     numbers = (

@@ -1,17 +1,16 @@
 """The files of a synthesis: the archive with its manifest, the course of the search, and a picture."""
 
-import csv
-import io
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import save_archive
@@ -19,6 +18,8 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.folders import package_version
+from pcs_racing_agents.pictures.style import new_figure, picture, save_picture, tidy
+from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveProgress
 from pcs_racing_agents.synthesis.config import HEADROOM_SETTINGS, ArchiveConfig
 from pcs_racing_agents.synthesis.evaluate import Evaluation, summarise
@@ -44,21 +45,15 @@ def write_archive(
 ) -> PolicyArchive:
     """Write an archive's files into a folder and return it.
 
-    Parameters
-    ----------
-    explored : tuple
-        Parameters of everything raced in the search, and what came of it.
-    scale : Scale
-        Units of hypervolumes.
-    parameters : ndarray, shape (K, P)
-        Of the archive's policies.
-    notes : Mapping
-        What else the manifest is to say.
+    ``explored`` are parameters and results of everything raced in the search, ``parameters``, shape (K, P), those of
+    the archive's policies, and ``raced`` the races that measured them. Hypervolumes have the units of ``scale``;
+    ``notes`` is what else the manifest is to say.
     """
     measured = summarise(raced)
     coordinates = measured.coordinates
     front = front_layers(coordinates) == 0
     winner = raced["winner"]
+    # Crashes are stated for parts of the first axis, too: the mean would hide that fast policies crash more.
     low_half = np.argsort(coordinates[:, 0], kind="stable")[: len(coordinates) // 2]
     facts = {
         "policies": len(parameters),
@@ -99,10 +94,16 @@ def write_archive(
     if len(parameters) < config.fewest:
         _log.warning("the archive holds %d policies; %d were wanted", len(parameters), config.fewest)
     settings = {**stated_settings(config), **_versions(), **notes, **facts}
-    archive = _with_settings(archive, {key: _rounded(value) for key, value in settings.items()})
-    write_atomically(folder / "hypervolume.csv", lambda file: file.write(_course(history)))
+    archive = replace(archive, settings={key: _rounded(value) for key, value in settings.items()})
+    course: list[tuple[object, ...]] = [("generation", "evaluations", "hypervolume", "front", "own_crash")]
+    course += [
+        (step.generation, step.evaluations, f"{step.hypervolume:.6f}", step.front, f"{step.own_crash:.4f}")
+        for step in history
+        if step.stage == "search"
+    ]
+    write_csv(course, folder / "hypervolume.csv")
     if find_spec("matplotlib") is not None:
-        draw_front(archive, folder / "front.png")
+        save_picture(front_picture(archive), folder / "front.png")
     save_archive(archive, folder)
     return archive
 
@@ -117,6 +118,8 @@ def hypervolume_error(raced: Arrays, scale: Scale, reference: float, seed: int =
     rng = np.random.default_rng(seed)
     volumes = []
     for _ in range(RESAMPLES):
+        # Both sides of a start line at once: their races have line and opponent in common, so they are not
+        # independent.
         weights = np.repeat(np.bincount(rng.integers(pairs, size=pairs), minlength=pairs), 2)
         sums = (totals * weights[:, None]).sum(axis=1)
         volumes.append(hypervolume(scale(sums / (segments * weights).sum(axis=1)[:, None]), reference))
@@ -154,53 +157,24 @@ def _rounded(value: str | float) -> str | int | float | bool:
     return float(f"{float(value):.6g}")
 
 
-def _with_settings(archive: PolicyArchive, settings: Mapping[str, str | int | float | bool]) -> PolicyArchive:
-    values = {key: getattr(archive, key) for key in archive.__dataclass_fields__}
-    return PolicyArchive(**{**values, "settings": settings})
+@picture
+def front_picture(archive: PolicyArchive) -> Any:
+    """Draw the first two axes of an archive: its policies with their standard errors above everything explored.
 
-
-def _course(history: Sequence[ArchiveProgress]) -> bytes:
-    text = io.StringIO(newline="")
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(["generation", "evaluations", "hypervolume", "front", "own_crash"])
-    for step in history:
-        if step.stage == "search":
-            volume, crash = f"{step.hypervolume:.6f}", f"{step.own_crash:.4f}"
-            table.writerow([step.generation, step.evaluations, volume, step.front, crash])
-    return text.getvalue().encode()
-
-
-def draw_front(archive: PolicyArchive, file: Path) -> Path:
-    """Draw an archive's front with its standard errors above everything explored; needs matplotlib.
-
-    The first two axes are drawn; colours show own crash rates where they are known.
+    Colours show own crash rates where they are known.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError('a picture needs matplotlib: pip install "pcs-racing[plots]"') from None
     axes = get_characteristics(archive.characteristics)
     up, right = 0, min(1, len(axes) - 1)
-    figure = Figure(figsize=(7.0, 5.0), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(7.0, 5.0)
     plot = figure.subplots()
-    everything, front = archive.explored_coordinates, archive.coordinates
-    plot.plot(everything[:, right], everything[:, up], ".", color="0.8", ms=3, label=f"{len(everything)} explored")
+    explored, front = archive.explored_coordinates, archive.coordinates
+    plot.plot(explored[:, right], explored[:, up], ".", color="0.8", ms=3, label=f"{len(explored)} explored")
     if archive.spread is not None:
-        plot.errorbar(
-            front[:, right],
-            front[:, up],
-            archive.spread[:, up],
-            archive.spread[:, right],
-            fmt="none",
-            ecolor="0.45",
-            lw=0.7,
-        )
+        errors = archive.spread[:, up], archive.spread[:, right]
+        plot.errorbar(front[:, right], front[:, up], *errors, fmt="none", ecolor="0.45", lw=0.7)
     colours = "C0" if archive.own_crash is None else 100.0 * archive.own_crash
-    dots = plot.scatter(
-        front[:, right], front[:, up], 22, colours, cmap="viridis", zorder=3, label=f"{len(front)} policies"
-    )
+    label = f"{len(front)} policies"
+    dots = plot.scatter(front[:, right], front[:, up], 22, colours, cmap="viridis", zorder=3, label=label)
     if archive.own_crash is not None:
         figure.colorbar(dots, ax=plot, label="own crashes in % of the measuring races")
     plot.set_xlabel(f"{axes[right].name} ({axes[right].unit})")
@@ -208,8 +182,7 @@ def draw_front(archive: PolicyArchive, file: Path) -> Path:
     title = f"archive {archive.name}, preset {archive.preset}; bars: one standard error"
     if up != right:
         title += f"; correlation {archive.correlations[axes[up].name, axes[right].name]:+.2f}"
-    plot.set_title(title, fontsize="medium")
-    plot.legend(loc="lower left", frameon=False)
-    plot.grid(alpha=0.3)
-    write_atomically(file, lambda stream: figure.savefig(stream, format="png", metadata={"Software": None}))
-    return file
+    plot.set_title(title)
+    plot.legend(loc="lower left")
+    tidy(plot)
+    return figure

@@ -65,6 +65,7 @@ def make_archive(
     folder = Path(folder)
     family = get_planner(config.planner)
     hashes = {name: load_track(name).content_hash for name in (*config.tracks, *(config.judging_tracks or ()))}
+    # Drawn before the folder is made: an impossible setting must leave nothing behind.
     search, choice, final = stage_scenarios(config)
     scouts, optimiser, payoffs, judging = _roots(config)[3:]
     _check_folder(folder)
@@ -142,6 +143,7 @@ def draw_policies(family: Planner, count: int, root: np.random.SeedSequence, fix
 
 def _number(root: np.random.SeedSequence) -> int:
     """Return a seed derived from a root, independent of the draws from the root itself."""
+    # A child, not the root itself, from which other things are drawn; 63 bits, since seeds are signed.
     return int(root.spawn(1)[0].generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
@@ -156,23 +158,13 @@ def _check_folder(folder: Path) -> None:
 def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats, Notes]:
     """Choose among the policies of a search, by new races.
 
-    Parameters
-    ----------
-    scenarios : Scenarios
-        In which candidates for a front race again.
-    seed : int
-        Root of the races between candidates for a pool with headroom.
-
-    Returns
-    -------
-    parameters : ndarray, shape (K, P)
-        Of the parameters that vary.
-    notes : Mapping
-        How many were left out, and why.
+    Candidates for a front race again in ``scenarios``; ``seed`` is the root of the races between candidates for a pool
+    with headroom. Returned are the parameters that vary, shape (K, P), and how many policies were left out, and why.
     """
     config = races.config
     theta, explored = races.explored()
-    rows = np.sort(np.unique(theta, axis=0, return_index=True)[1])  # points evaluated several times race once
+    # Points evaluated several times race once.
+    rows = np.sort(np.unique(theta, axis=0, return_index=True)[1])
     crashing = explored.own_crash > config.search_crash_limit
     allowed = rows[races.violation(explored)[rows] <= 0.0]
     if len(allowed) == 0:
@@ -216,15 +208,8 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
     """Race policies in new scenarios, sort them by the first axis, and leave out what does not belong in an archive.
 
     That is: those that crash too often after all, and of a front those that another one clearly beats after all. These
-    add nothing to the front, so this makes the front look no better than it is.
-
-    Returns
-    -------
-    parameters : ndarray, shape (K, P)
-    raced : dict of ndarray
-        Their races (:func:`~pcs_racing_agents.synthesis.evaluate.race_policies`).
-    notes : Mapping
-        How many were left out.
+    add nothing to the front, so this makes the front look no better than it is. Returned are the parameters that are
+    left, shape (K, P), their races, and how many were left out.
     """
     limit = races.config.crash_limit
     within_limits = kept = np.zeros(0, np.int64)
@@ -235,6 +220,7 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
         kept = within_limits
         if races.config.choose == "pareto":
             kept = within_limits[~_beaten(races.config, raced, within_limits)]
+        # Sorted, so that an archive reads from the most careful to the fastest policy.
         kept = kept[np.argsort(measured.coordinates[kept, 0], kind="stable")]
     fewest = 2 if races.config.choose == "pareto" else 3
     if len(kept) < fewest:

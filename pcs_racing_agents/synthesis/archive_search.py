@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.jobs import Job, run_races
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.synthesis.config import ArchiveConfig
-from pcs_racing_agents.synthesis.evaluate import Evaluation, join, on_worker, summarise
+from pcs_racing_agents.synthesis.evaluate import Evaluation, join, race_policies, summarise
 from pcs_racing_agents.synthesis.pareto_archive import Scale
 from pcs_racing_agents.synthesis.scenarios import Scenarios
 from pcs_racing_agents.synthesis.search import Generation
@@ -69,7 +69,8 @@ class PolicyRaces:
     def __call__(self, parameters: Floats) -> Evaluated:
         """Race policies in the scenarios of the search; own crashes above the limit violate it."""
         evaluation = summarise(self.race("search", self._names.popleft(), self.scenarios, parameters))
-        if not self.raced:  # the first policies are the scouts, whose range is the unit of hypervolumes
+        # The first policies are the scouts, whose range is the unit of hypervolumes.
+        if not self.raced:
             low, high = evaluation.coordinates.min(axis=0), evaluation.coordinates.max(axis=0)
             for axis, least, largest in zip(self.config.axes, low, high, strict=True):
                 if not least < largest:
@@ -87,8 +88,9 @@ class PolicyRaces:
         """Race policies, given by the parameters that vary, or read what an earlier run of the job has left."""
         parameters = self._complete(parameters)
         tasks = [(scenarios, parameters[first : first + BLOCK]) for first in range(0, len(parameters), BLOCK)]
+        # The search tells its progress by generations, with the hypervolume that the tasks do not know.
         progress = None if stage == "search" else self.progress(stage)
-        return join(self.job.run(name, on_worker(self.executor), tasks, executor=self.executor, progress=progress))
+        return join(run_races(name, race_policies, tasks, job=self.job, executor=self.executor, progress=progress))
 
     def payoffs(self, stage: str, pool: PolicyPool) -> Floats:
         """Race all pairs of a pool, or read what an earlier run of the job has left, shape (T, F, N, N)."""
@@ -137,6 +139,7 @@ class PolicyRaces:
         """Return the share of all racing that is done after a share of a stage."""
         work = self.config.work
         if stage == "search":
+            # A search may end early or resume: what counts are the policies raced so far.
             share *= self.evaluations / self.config.evaluations
         earlier = list(work)[: list(work).index(stage)]
         return (sum(work[name] for name in earlier) + share * work[stage]) / sum(work.values())

@@ -185,6 +185,7 @@ class ArchiveConfig(Settings):
     @property
     def search_crash_limit(self) -> float:
         """The crash limit for races of the search."""
+        # With a constant crash rate, the share that survives is exponential in the length of a race.
         return float(1.0 - (1.0 - self.crash_limit) ** (self.duration / self.final_duration))
 
     @property

@@ -74,17 +74,15 @@ def similarity(points: ArrayLike, scale: float) -> Floats:
 def sample_kdpp(kernel: Floats, k: int, rng: np.random.Generator) -> Indices:
     """Draw a set of ``k`` items from a k-DPP (Kulesza and Taskar, algorithms 1 and 8), shape (k,).
 
-    Parameters
-    ----------
-    kernel : ndarray, shape (K, K)
-        Symmetric, with no negative eigenvalue and at least ``k`` positive ones.
+    The kernel, shape (K, K), is symmetric, with no negative eigenvalue and at least ``k`` positive ones.
     """
     values, vectors = np.linalg.eigh(kernel)
     with np.errstate(divide="ignore"):
         logs = np.log(np.maximum(values, 0.0))
     table = log_elementary_symmetric(logs, k)
     basis: list[int] = []
-    for n in range(len(values), 0, -1):  # which eigenvectors: the n-th with its share of the sets of those up to n
+    # Which eigenvectors: the n-th is in with its share of all sets of those up to n.
+    for n in range(len(values), 0, -1):
         left = k - len(basis)
         if left == 0:
             break
@@ -94,12 +92,15 @@ def sample_kdpp(kernel: Floats, k: int, rng: np.random.Generator) -> Indices:
     items = np.empty(k, np.int64)
     for i in range(k):
         weights = np.sum(space**2, axis=1)
-        weights[items[:i]] = 0.0  # exactly 0, which rounding would not give
+        # Exactly 0, which rounding would not give: no item may be drawn twice.
+        weights[items[:i]] = 0.0
         items[i] = rng.choice(len(weights), p=weights / weights.sum())
+        # The column that is eliminated: the largest entry divides, so that rounding stays small.
         pivot = int(np.argmax(np.abs(space[items[i]])))
         column = space[:, pivot] / space[items[i], pivot]
         space = np.delete(space - np.outer(column, space[items[i]]), pivot, axis=1)
-        space = np.linalg.qr(space)[0]  # an orthonormal basis of what is orthogonal to the item
+        # An orthonormal basis of what is orthogonal to the item.
+        space = np.linalg.qr(space)[0]
     return items
 
 
@@ -128,6 +129,7 @@ def greedy_map(kernel: Floats, k: int) -> Indices:
     for i in range(k):
         items[i] = np.argmax(gains)
         best = items[i]
+        # The next row of the Cholesky factor; a gain may be 0 where points coincide.
         rows[i] = (kernel[best] - rows[:i, best] @ rows[:i]) / np.sqrt(max(gains[best], 1e-300))
         gains = gains - rows[i] ** 2
         gains[items[: i + 1]] = -np.inf

@@ -1,8 +1,7 @@
 """Evaluation of policies by races: the ``eval`` of Algorithm 1, in tasks for any worker."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
-from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -15,6 +14,7 @@ from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.jobs.jobs import run_races
 from pcs_racing_agents.synthesis.scenarios import Scenarios, check_policies
 
 Floats = NDArray[np.float64]
@@ -37,17 +37,15 @@ class Evaluation(NamedTuple):
 def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     """Race some policies in some scenarios; a policy's result does not depend on the others of the task.
 
-    Returns
-    -------
-    dict of ndarray
-        ``totals`` (k, R, G): sums over the segments that each race began; ``segments`` (k, R): how many it began;
-        ``own_crash`` (k, R): whether it ended by a crash of the policy's own fault; ``crashed`` (k, R): whether it
-        ended by a crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none.
+    The arrays are ``totals`` (k, R, G): sums over the segments that each race began; ``segments`` (k, R): how many it
+    began; ``own_crash`` (k, R): whether it ended by a crash of the policy's own fault; ``crashed`` (k, R): whether it
+    ended by a crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none.
     """
     raced = race_segments(task, threads)
     values = raced.pop("values")
     begun = ~np.isnan(values[..., 0])
     totals = np.zeros((*values.shape[:2], values.shape[3]))
+    # Segment after segment, in a fixed order: sums are then the same for every shape of the task.
     for k in range(values.shape[2]):
         totals += np.where(begun[:, :, k, None], values[:, :, k], 0.0)
     return {"totals": totals, "segments": begun.sum(axis=2).astype(np.int16), **raced}
@@ -56,11 +54,8 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
 def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
     """Race some policies in some scenarios, and measure every segment of every race.
 
-    Returns
-    -------
-    dict of ndarray
-        ``values`` (k, R, S, G): characteristics of the policy in each of the S segments of a race; NaN in segments that
-        the race did not begin. The others as :func:`race_policies` returns them.
+    ``values`` (k, R, S, G) are the characteristics of the policy in each of the S segments of a race; NaN in segments
+    that the race did not begin. The other arrays are those of :func:`race_policies`.
     """
     scenarios, parameters = task
     axes = get_characteristics(scenarios.characteristics)
@@ -82,6 +77,7 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
             rivals = scenarios.opponents[scenarios.opponent[which]]
             theta = np.ascontiguousarray(np.stack([parameters[ego], rivals], axis=1))
             for k in range(number):
+                # A segment is measured from the state before it and the state after it.
                 before = state.copy()
                 advance(setup, state, theta, length, threads=threads)
                 segment = Segment.between(before, state, scenarios.segment_seconds)
@@ -93,6 +89,7 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
                         f"characteristic {axes[axis].name!r} is {measured[row, axis]} in race {which[row]} of policy "
                         f"{ego[row]}; it must be finite"
                     )
+                # A race that has crashed stands still: its segments are missing, not 0.
                 values[ego, which, k] = np.where(begun[:, None], measured, np.nan)
             own_crash[ego, which] = state.fault[:, 0] == 1
             crashed[ego, which] = state.crashed
@@ -121,24 +118,13 @@ def evaluate(
     executor: Executor | None = None,
     block: int = 8,
 ) -> Evaluation:
-    """Race every policy in every scenario.
+    """Race every policy, shape (K, P), in every scenario.
 
-    Parameters
-    ----------
-    parameters : ndarray, shape (K, P)
-    executor : Executor, optional
-        Where blocks of policies race; in this thread by default, which shares the races among the cores. It has no
-        influence on the result.
+    Blocks of policies race on the executor; without one in this thread, which shares the races among the cores.
     """
     parameters = check_policies("parameters", parameters, get_planner(scenarios.planner))
     tasks = [(scenarios, parameters[first : first + block]) for first in range(0, len(parameters), block)]
-    run = map if executor is None else executor.map
-    return summarise(join(list(run(on_worker(executor), tasks))))
-
-
-def on_worker(executor: Executor | None) -> Callable[[PolicyTask], Arrays]:
-    """Return :func:`race_policies` for workers: with one thread each where an executor runs several of them."""
-    return race_policies if executor is None else partial(race_policies, threads=1)
+    return summarise(join(run_races("evaluation", race_policies, tasks, executor=executor)))
 
 
 def join(results: Sequence[Arrays]) -> Arrays:

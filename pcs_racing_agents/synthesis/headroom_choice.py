@@ -33,19 +33,9 @@ INTERVALS_PER_GROUP = 4
 def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tuple[Floats, Notes]:
     """Race all pairs of candidates of all speeds, and choose the pool with the most headroom.
 
-    Parameters
-    ----------
-    allowed : ndarray of int
-        Policies of the search that may be candidates.
-    seed : int
-        Root of start lines, noise and of the search for the pool.
-
-    Returns
-    -------
-    parameters : ndarray, shape (config.most, P)
-        Those that vary, in the order of the first axis.
-    notes : Mapping
-        What the choice expects of the pool.
+    Candidates are taken from the ``allowed`` policies of the search; ``seed`` is the root of start lines, noise and of
+    the search for the pool. Returned are the parameters that vary, shape (config.most, P), in the order of the first
+    axis, and what the choice expects of the pool.
     """
     config = races.config
     theta, explored = races.explored()
@@ -96,28 +86,20 @@ def judge_headroom(races: PolicyRaces, parameters: Floats, seed: int) -> Notes:
 
 
 def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: int) -> Indices:
-    """Choose up to ``count`` policies that span an axis: those with the best scores of each of several equal intervals.
+    """Choose up to ``count`` policies that span an axis, in its order: the best scores of each of several equal
+    intervals.
 
-    Parameters
-    ----------
-    axis : ndarray, shape (K,)
-        Coordinates.
-    score : ndarray, shape (K,)
-    count : int
-        Intervals take turns, until so many are chosen or none is left.
-
-    Returns
-    -------
-    ndarray of int
-        In the order of the axis.
+    Intervals take turns, until so many are chosen or none is left.
     """
     edges = np.linspace(axis.min(), axis.max(), intervals + 1)[1:-1]
     interval = np.searchsorted(edges, axis, side="right")
+    # The index decides between equal scores, so that the choice does not depend on the sorting.
     ranked = np.lexsort((np.arange(len(axis)), -score))
     rank = np.zeros(len(axis), np.int64)  # within its interval
     for k in range(intervals):
         inside = ranked[interval[ranked] == k]
         rank[inside] = np.arange(len(inside))
+    # First the best of every interval, then the second best of each, and so on.
     chosen = np.lexsort((-score, rank))[:count]
     return np.asarray(chosen[np.argsort(axis[chosen], kind="stable")], np.int64)
 
@@ -129,5 +111,6 @@ def _pool(config: ArchiveConfig, parameters: Floats, tracks: tuple[str, ...], ra
     policies = tuple(Policy(planner, theta, f"policy {k}") for k, theta in enumerate(complete))
     rules = config.rules_of(config.final_duration)
     lines = races // 2
-    folds = max(k for k in range(2, MOST_FOLDS + 1, 2) if lines % k == 0)  # as many added as subtracted: an even number
+    # As many folds are added as subtracted: an even number.
+    folds = max(k for k in range(2, MOST_FOLDS + 1, 2) if lines % k == 0)
     return PolicyPool(policies, tracks, rules, races=races, folds=folds, seed=seed)

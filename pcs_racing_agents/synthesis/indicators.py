@@ -15,15 +15,10 @@ Floats = NDArray[np.float64]
 
 
 def non_dominated(points: ArrayLike, *, duplicates: bool = True) -> NDArray[np.bool_]:
-    """Which points no other point beats, shape (K,).
+    """Which of K points no other point beats, shape (K,).
 
-    A point beats another if it is at least as large on all axes and larger on one.
-
-    Parameters
-    ----------
-    points : array_like, shape (K, G)
-    duplicates : bool
-        Whether equal points all stay (none beats the other), or only the first of them.
+    A point beats another if it is at least as large on all axes and larger on one. Of equal points all stay, since none
+    beats the other, or without ``duplicates`` only the first.
     """
     points = _points(points)
     if len(points) == 0:
@@ -59,18 +54,12 @@ def contributions(points: ArrayLike, reference: ArrayLike) -> Floats:
 
 
 def total_hypervolume(points: ArrayLike, front: ArrayLike, reference: ArrayLike) -> Floats:
-    """Hypervolume of a set of points with each of some other points added, shape (n,).
-
-    Parameters
-    ----------
-    points : array_like, shape (n, G)
-    front : array_like, shape (K, G)
-    reference : array_like, shape (G,) or ()
-    """
+    """Hypervolume of a front, shape (K, G), with each of n other points added, shape (n,)."""
     points = _points(points)
     front = _front(front, points.shape[1])
     reference = _reference(reference, points.shape[1])
     total = np.full(len(points), _hypervolume(front, reference))
+    # Most points add nothing; only for the others a hypervolume is computed, which is what takes the time.
     better = distance_to_improvement(points, front, reference) == 0.0
     for i in np.flatnonzero(better):
         total[i] = max(total[i], _hypervolume(np.vstack([front, points[i]]), reference))
@@ -123,11 +112,6 @@ def search_corners(front: ArrayLike, reference: ArrayLike) -> Floats:
     A point improves the front if it exceeds one of the corners on all axes: the region is the union of the boxes above
     them (the local bounds of K. Klamroth, R. Lacour and D. Vanderpooten, On the representation of the search region in
     multi-objective optimization, EJOR 2015, for maximisation).
-
-    Parameters
-    ----------
-    front : array_like, shape (K, G)
-    reference : array_like, shape (G,)
     """
     reference = _reference(reference, np.size(reference))
     front = _front(front, len(reference))
@@ -135,11 +119,14 @@ def search_corners(front: ArrayLike, reference: ArrayLike) -> Floats:
     front = front[non_dominated(front, duplicates=False)]
     if len(front) == 0:
         return reference[None]
-    if len(reference) == 2:  # the inner corners of a staircase
+    # With two axes the corners are the inner ones of a staircase.
+    if len(reference) == 2:
         front = front[np.argsort(-front[:, 0])]
         return np.column_stack([np.append(front[:, 0], reference[0]), np.insert(front[:, 1], 0, reference[1])])
     corners = reference[None]
     for point in front:
+        # The point dominates the lower part of these boxes. What is left of each are the boxes in which one axis
+        # exceeds the point.
         inside = np.all(corners < point, axis=1)
         cut = np.repeat(corners[inside], len(reference), axis=0)
         axes = np.tile(np.arange(len(reference)), int(inside.sum()))

@@ -59,14 +59,7 @@ class OptimiserOptions:
 class CubeCMAES:
     """CMA-ES of pycma in the unit cube, drawing from a given generator instead of numpy's global one.
 
-    Parameters
-    ----------
-    mean : ndarray, shape (P,)
-        First mean.
-    largest : float
-        The step size stays below.
-    population, elite : int
-        Points of a generation, and how many of them are recombined.
+    Its step size stays below ``largest``; of ``population`` points of a generation ``elite`` are recombined.
     """
 
     def __init__(
@@ -101,11 +94,14 @@ class CubeCMAES:
     def tell(self, ranks: Floats) -> None:
         """Update the distribution from the points' ranks, which are all that CMA-ES uses."""
         self._es.tell(self._samples, ranks.tolist())
+        # Without a limit the step size may grow until all points lie on the border.
         self._es.sigma = min(self._es.sigma, self._largest)
         self.move(self._es.mean)
 
     def move(self, mean: Floats) -> None:
         """Set the mean."""
+        # Points are moved to the border before they are evaluated, so nothing else would keep the mean from running
+        # away.
         room = 3.0 * self._es.stds
         self._es.mean = np.clip(mean, -room, 1.0 + room)
 
@@ -115,7 +111,8 @@ def cma_options(rng: np.random.Generator) -> dict[str, Any]:
     return {
         "seed": np.nan,
         "randn": lambda *shape: rng.standard_normal(shape),
-        "verbose": -10,  # prints nothing and reads no file of signals
+        # With -10 pycma prints nothing and reads no file of signals.
+        "verbose": -10,
         "verb_log": 0,
     }
 
@@ -154,6 +151,7 @@ class MOCMAES:
         scale = archive.joined(points, objectives, violation).scale(self._setting.ideal, self._setting.nadir)
         loss = hypervolume_loss(self._setting.loss, archive, objectives, violation, scale, self._setting.reference)
         # Line 9: sort. Infeasible points come last, by how much they violate.
+        # The last key counts first. All feasible points violate by 0, so among them the loss decides.
         order = np.lexsort((loss, np.maximum(violation, 0.0)))
         # Line 10: the best lambda join the archive.
         elite = np.zeros(len(points), np.bool_)
@@ -189,7 +187,8 @@ class MOCMAES:
             self._es = self._started(self._rng.random(setting.dimension), setting.step_size)
             return
         share = contributions(scale(after.objectives[after.front]), setting.reference)
-        share = share + max(1e-9, 1e-3 * float(share.mean()))  # points below the reference have a chance too
+        # Points below the reference have a chance, too.
+        share = share + max(1e-9, 1e-3 * float(share.mean()))
         row = self._rng.choice(after.front, p=share / share.sum())
         self._es = self._started(after.parameters[row], 0.5 * setting.step_size)
 
@@ -219,17 +218,10 @@ def hypervolume_loss(
     scale: Scale,
     reference: float | Floats,
 ) -> Floats:
-    """Loss of points against the Pareto front of an archive (line 8 of Algorithm 1), shape (n,).
+    """Loss of n points against the Pareto front of an archive (line 8 of Algorithm 1), shape (n,).
 
-    That of infeasible points is infinite.
-
-    Parameters
-    ----------
-    kind : {"uhvi", "total_hypervolume"}
-    objectives : ndarray, shape (n, G)
-    violation : ndarray, shape (n,)
-    reference : float or ndarray, shape (G,)
-        In units of the scale.
+    The loss of infeasible points is infinite. The reference point is in units of the scale; ``kind`` is one of
+    :data:`LOSSES`.
     """
     loss = np.full(len(objectives), np.inf)
     feasible = violation <= 0.0

@@ -7,7 +7,7 @@ them.
 - ``nsga2``: pymoo's NSGA-II with its default operators.
 - ``random``: uniform in the box.
 
-``nsga2`` needs ``pip install "pcs-racing[baselines]"``. ``benchmarks/adapters`` has two more, to compare with.
+``nsga2`` needs ``pip install "pcs-racing[baselines]"``.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,6 @@
 """The archive of a search: all evaluated points, and the Pareto front of its members."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -28,9 +28,8 @@ class ParetoArchive:
     """All points of a search so far; adding points returns a new archive."""
 
     parameters: Floats  #: shape (N, P)
-    objectives: Floats  #: shape (N, G): To maximise; means where a point was evaluated several times.
-    violation: Floats  #: shape (N,): Up to 0 where the point is feasible; means likewise.
-    evaluations: Indices  #: shape (N,): How often each was evaluated.
+    objectives: Floats  #: shape (N, G): To maximise.
+    violation: Floats  #: shape (N,): Up to 0 where the point is feasible.
     #: shape (N,): Whether the point was added to the archive (the population archive of Algorithm 1).
     member: NDArray[np.bool_]
     #: shape (K,): Indices of the archive's Pareto front, ascending: feasible members that no other feasible member
@@ -45,8 +44,7 @@ class ParetoArchive:
     @classmethod
     def empty(cls, parameters: int) -> "ParetoArchive":
         """Return an archive without points."""
-        none = np.zeros(0)
-        return cls(np.zeros((0, parameters)), np.zeros((0, 0)), none, none.astype(np.int64), none.astype(np.bool_))
+        return cls(np.zeros((0, parameters)), np.zeros((0, 0)), np.zeros(0), np.zeros(0, np.bool_))
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -61,18 +59,8 @@ class ParetoArchive:
             np.concatenate([self.parameters, parameters]),
             np.concatenate([known, objectives]),
             np.concatenate([self.violation, violation]),
-            np.concatenate([self.evaluations, np.ones(count, np.int64)]),
             np.concatenate([self.member, np.ones(count, np.bool_) if member is None else member]),
         )
-
-    def averaged(self, rows: Indices, objectives: Floats, violation: Floats) -> "ParetoArchive":
-        """Return this with one more evaluation of some points in their means; a point may be there several times."""
-        means, violations, counts = self.objectives.copy(), self.violation.copy(), self.evaluations.copy()
-        for row, value, excess in zip(rows, objectives, violation, strict=True):
-            counts[row] += 1
-            means[row] += (value - means[row]) / counts[row]
-            violations[row] += (excess - violations[row]) / counts[row]
-        return replace(self, objectives=means, violation=violations, evaluations=counts)
 
     def scale(self, ideal: Floats | None = None, nadir: Floats | None = None) -> Scale:
         """Return the range of the front, or what is stated instead.
@@ -85,6 +73,7 @@ class ParetoArchive:
         if len(feasible) == 0:
             return Scale(np.ones(self.objectives.shape[1]), np.zeros(self.objectives.shape[1]))
         low, high = feasible.min(axis=0), feasible.max(axis=0)
+        # Nothing may be divided by an extent of 0.
         high = np.where(low < high, high, low + 1.0)
         if len(self.front):
             least, largest = self.objectives[self.front].min(axis=0), self.objectives[self.front].max(axis=0)

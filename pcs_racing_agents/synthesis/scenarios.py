@@ -85,6 +85,7 @@ def draw_scenarios(
     line, opponent, side = (indices.ravel() for indices in np.mgrid[:starts, : len(opponents), :2])
     start_s, seeds = [], []
     for index, track in enumerate(tracks):
+        # A root of its own for each circuit: another circuit in the list does not change the races on this one.
         root = np.random.SeedSequence(seed, spawn_key=(index,))
         lines, noise = root.spawn(2)
         start_s.append(start_lines(as_track(track), rules, lines)[line])

@@ -13,13 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_array, check_choice, check_number, check_seed, check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.synthesis.indicators import contributions, hypervolume
+from pcs_racing_agents.synthesis.indicators import hypervolume
 from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS, OptimiserOptions
 from pcs_racing_agents.synthesis.optimisers import Optimiser, make_optimiser
 from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
 
 Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 class Generation(NamedTuple):
@@ -38,7 +37,6 @@ class Generation(NamedTuple):
     front: Floats  #: shape (K, G): Objectives of the archive's front.
     front_parameters: Floats  #: shape (K, P): Its points.
     parameters: Floats  #: shape (n, P): The points evaluated.
-    repeats: Indices  #: shape (n,): How often each had been evaluated before.
     objectives: Floats  #: shape (n, G)
     violation: Floats  #: shape (n,)
 
@@ -51,11 +49,9 @@ class Synthesis:
     #: feasible was.
     parameters: Floats
     objectives: Floats  #: shape (K, G)
-    evaluations: Indices  #: shape (K,): How often each was evaluated; objectives are means.
     explored_parameters: Floats  #: shape (N, P): Everything evaluated.
     explored_objectives: Floats  #: shape (N, G)
     explored_violation: Floats  #: shape (N,)
-    explored_evaluations: Indices  #: shape (N,)
     generations: tuple[Generation, ...]
     ideal: Floats  #: shape (G,): ``ideal``, ``nadir``: Of the final front, or what was stated.
     nadir: Floats
@@ -144,10 +140,7 @@ class Search:
         self._generations: list[Generation] = []
         self._evaluations = 0
         self._asked = np.zeros((0, dimension))
-        self._new: Floats | None = None  # the points asked for in the unit cube; None where they are old ones
-        self._rows = np.zeros(0, np.int64)
-        #: shape (n,): How often each of the points asked for last had been evaluated before.
-        self.repeats: Indices = self._rows
+        self._unit = self._asked  # the same points in the unit cube, as the optimiser knows them
 
     @property
     def archive(self) -> Floats:
@@ -157,29 +150,9 @@ class Search:
     def ask(self) -> Floats:
         """Return the points to evaluate next, shape (n, P)."""
         self._check_results_in()
-        self._new = np.clip(self._optimiser.ask(), 0.0, 1.0)
+        self._unit = np.clip(self._optimiser.ask(), 0.0, 1.0)
         # Rounding may lead beyond the upper bound.
-        self._asked = np.minimum(self._low + self._new * (self._high - self._low), self._high)
-        self.repeats = np.zeros(len(self._asked), np.int64)
-        return self._asked.copy()
-
-    def ask_again(self) -> Floats:
-        """Return points of the archive's front to evaluate once more, shape (n, P), for noisy objectives.
-
-        As many as a generation has, the front's points in turn: those evaluated least often first, and of these the
-        ones that contribute most hypervolume, which are the likeliest to be there by luck. Their objectives become
-        means; the optimiser does not see these results.
-        """
-        self._check_results_in()
-        explored, front = self._explored, self._explored.front
-        if len(front) == 0:
-            raise InputError("no point of the archive is feasible; there is nothing to evaluate again")
-        lost = contributions(explored.scale(*self._scale_from)(explored.objectives[front]), self._reference)
-        order = front[np.lexsort((-lost, explored.evaluations[front]))]
-        places = np.arange(self.population)
-        self._rows = order[places % len(order)]
-        self.repeats = explored.evaluations[self._rows] + places // len(order)
-        self._asked = self._parameters[self._rows]
+        self._asked = np.minimum(self._low + self._unit * (self._high - self._low), self._high)
         return self._asked.copy()
 
     def tell(self, objectives: ArrayLike, violation: ArrayLike | None = None) -> Generation:
@@ -191,19 +164,15 @@ class Search:
             To maximise.
         violation : array_like, shape (n,), optional
             Up to 0 where a point is feasible. Infeasible points never enter the archive and rank behind all others, the
-            more the larger it is. Of points evaluated several times it is averaged, so let it be negative where a
-            constraint is kept with room to spare.
+            more the larger it is.
         """
         asked = self._asked
         if len(asked) == 0:
             raise InputError("no points were asked for; ask first")
         values, violations = self._checked(objectives, violation, asked)
-        if self._new is None:
-            self._explored = self._explored.averaged(self._rows, values, violations)
-        else:
-            self._explored = self._optimiser.tell(self._new, values, violations, self._explored)
-            self._parameters = np.concatenate([self._parameters, asked])
-        self._new, self._asked = None, asked[:0]
+        self._explored = self._optimiser.tell(self._unit, values, violations, self._explored)
+        self._parameters = np.concatenate([self._parameters, asked])
+        self._asked = asked[:0]
         self._evaluations += len(asked)
         generation = self._generation(len(self._generations) + 1, asked, values, violations)
         self._generations.append(generation)
@@ -222,7 +191,6 @@ class Search:
         self._explored = self._explored.joined(unit, values, violations)
         self._parameters = np.concatenate([self._parameters, points])
         self._evaluations += len(points)
-        self.repeats = np.zeros(len(points), np.int64)
         return self._generation(len(self._generations), points, values, violations)
 
     def check_points(self, name: str, points: ArrayLike) -> Floats:
@@ -239,11 +207,9 @@ class Search:
         return Synthesis(
             parameters=self._parameters[front],
             objectives=explored.objectives[front],
-            evaluations=explored.evaluations[front],
             explored_parameters=self._parameters,
             explored_objectives=explored.objectives,
             explored_violation=explored.violation,
-            explored_evaluations=explored.evaluations,
             generations=tuple(self._generations),
             ideal=scale.ideal,
             nadir=scale.nadir,
@@ -265,7 +231,6 @@ class Search:
             front=front,
             front_parameters=self.archive,
             parameters=points,
-            repeats=self.repeats,
             objectives=objectives,
             violation=violation,
         )

@@ -32,47 +32,36 @@ def front_layers(points: Floats) -> Indices:
 def difference_errors(raced: Arrays) -> Floats:
     """Standard errors of the differences between the coordinates of K policies, shape (K, K, G).
 
-    Parameters
-    ----------
-    raced : dict of ndarray
-        What :func:`~pcs_racing_agents.synthesis.evaluate.race_policies` returned: the same R races for all of them.
+    ``raced`` is what :func:`~pcs_racing_agents.synthesis.evaluate.race_policies` returned: the same R races for all of
+    them.
     """
     totals, segments = raced["totals"], raced["segments"].astype(np.float64)
     races = totals.shape[1]
     coordinates = totals.sum(axis=1) / segments.sum(axis=1)[:, None]
     # What each race contributes to the error of a ratio of sums, linearised.
     shares = (totals - coordinates[:, None] * segments[..., None]) / segments.sum(axis=1)[:, None, None]
-    products = np.einsum("irg,jrg->ijg", shares, shares)  # not BLAS: the same bits whatever its threads
+    # Not BLAS, which chooses the order of a sum by its threads and the processor.
+    products = np.einsum("irg,jrg->ijg", shares, shares)
     own = np.einsum("iig->ig", products)
     squares = own[:, None] + own[None] - 2.0 * products
     return np.asarray(np.sqrt(np.maximum(squares, 0.0) * races / max(races - 1, 1)), np.float64)
 
 
 def beaten(coordinates: Floats, errors: Floats, error_bars: float) -> NDArray[np.bool_]:
-    """Whether each policy is beaten: another one is better on all axes, by more than its error bars, shape (K,).
+    """Whether each of K policies is beaten: another one is better on all axes, by more than its error bars, shape (K,).
 
-    Parameters
-    ----------
-    coordinates : ndarray, shape (K, G)
-    errors : ndarray, shape (K, K, G)
-        Of the differences.
-    error_bars : float
-        Smaller differences, in standard errors, do not count; with 0 every policy that is smaller on all axes is
-        beaten.
+    Differences below ``error_bars`` standard errors (``errors``, shape (K, K, G)) do not count; with 0 every policy
+    that is smaller on all axes is beaten.
     """
-    ahead = coordinates[None] - coordinates[:, None]  # of j over i, at (i, j)
+    # Of j over i, at (i, j).
+    ahead = coordinates[None] - coordinates[:, None]
     return np.asarray(np.all(ahead > error_bars * errors, axis=-1).any(axis=1))
 
 
 def spread_first(points: Floats, spacing: float, count: int) -> Indices:
-    """The best ``count`` points that keep a distance from each other, by layers of the front, shape (up to count,).
+    """The best ``count`` of K normalised points that keep a distance from each other, by layers of the front.
 
     Points of one layer come by their index; one that is nearer than ``spacing`` to a better one is passed over.
-
-    Parameters
-    ----------
-    points : ndarray, shape (K, G)
-        Normalised coordinates.
     """
     kept: list[int] = []
     for candidate in np.lexsort((np.arange(len(points)), front_layers(points))).tolist():
@@ -83,15 +72,11 @@ def spread_first(points: Floats, spacing: float, count: int) -> Indices:
 
 
 def thin_out(points: Floats, spacing: float, most: int) -> Indices:
-    """Choose points that keep a distance from each other, ascending indices.
+    """Choose normalised points that keep a distance from each other, ascending indices.
 
     All are taken that :func:`spread_first` would take; the spacing is widened until no more than ``most`` remain.
-
-    Parameters
-    ----------
-    points : ndarray, shape (K, G)
-        Normalised coordinates.
     """
     while len(kept := spread_first(points, spacing, len(points))) > most:
+        # A spacing of 0 would never grow.
         spacing = max(1.05 * spacing, 1e-4)
     return np.sort(kept)

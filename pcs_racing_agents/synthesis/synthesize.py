@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_array, check_number, check_whole
+from pcs_racing.base.checks import check_array, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.synthesis.search import Generation, Search, Synthesis
 
@@ -36,7 +36,6 @@ def synthesize(
     executor: Executor | None = None,
     evaluated: Sequence[Any] = (),
     callback: Callable[[Generation], object] | None = None,
-    reevaluation: float = 0.0,
     **options: Any,
 ) -> Synthesis:
     """Search the Pareto set of a function.
@@ -46,9 +45,7 @@ def synthesize(
     evaluate : callable
         ``evaluate(parameters)`` takes points, shape (n, P), and returns their objectives, shape (n, G), all to be
         **maximised**; or ``(objectives, violation)`` with a violation for each, up to 0 where the point is feasible
-        (:meth:`Search.tell`). With ``reevaluation`` it is called as ``evaluate(parameters, repeats)``, where
-        ``repeats``, shape (n,), says how often each point was evaluated before: draw other noise for each. A row's
-        result must not depend on the other rows.
+        (:meth:`Search.tell`). A row's result must not depend on the other rows.
     bounds : array_like, shape (P, 2)
         Smallest and largest value of each parameter.
     generations : int
@@ -66,31 +63,29 @@ def synthesize(
         for calls of ``evaluate``, and the search goes on from there as if it had never stopped.
     callback : callable, optional
         Called with the :class:`Generation` after each, and after the initial sample.
-    reevaluation : float
-        Share of the generations, the last ones, that evaluate the archive's points once more instead of new ones
-        (:meth:`Search.ask_again`), 0 to 0.9: for noisy objectives.
     **options
         Of :class:`Search`: ``population``, ``elite_ratio``, ``loss``, ``mean``, ``seed``, ``method``, ``reference``,
         ``ideal``, ``nadir``, ``start``, ``step_size``.
     """
     check_whole("generations", generations, 1 if initial is None else 0, 1_000_000)
     most = np.inf if evaluations is None else check_whole("evaluations", evaluations, 1)
-    check_number("reevaluation", reevaluation, 0.0, 0.9)
     most_results = generations + (initial is not None)
     if len(evaluated) > most_results:
         raise InputError(f"evaluated holds {len(evaluated)} results; this search needs at most {most_results}")
-    search = Search(bounds, **options)  # checks the options before anything is evaluated
+    # Made before anything is evaluated, so that impossible options are told at once.
+    search = Search(bounds, **options)
     stored = iter(evaluated)
     spent = 0
 
-    def results(points: NDArray[np.float64], repeats: NDArray[np.int64]) -> Evaluated:
+    def results(points: NDArray[np.float64]) -> Evaluated:
         """Evaluate points, or return their stored results."""
         nonlocal spent
         spent += len(points)
         stored_value = next(stored, None)
         if stored_value is None:
-            return _evaluate(evaluate, (points, repeats) if reevaluation > 0.0 else (points,), executor)
+            return _evaluate(evaluate, points, executor)
         result = _evaluated(stored_value)
+        # Results of other points would lead the search astray without any sign of it.
         if result.parameters is not None and not np.array_equal(np.asarray(result.parameters), points):
             raise InputError(
                 f"stored results belong to other points than those after {spent - len(points)} evaluations: they were "
@@ -104,27 +99,25 @@ def synthesize(
 
     if initial is not None:
         sample = search.check_points("initial", initial)
-        result = results(sample, np.zeros(len(sample), np.int64))
-        if options.get("ideal") is None:  # the range of the sample normalises all that follows
+        result = results(sample)
+        # The range of the sample normalises all that follows.
+        if options.get("ideal") is None:
             values = check_array("objectives", result.objectives, (len(sample), None))
             search = Search(bounds, **{**options, "ideal": values.max(axis=0), "nadir": values.min(axis=0)})
         tell(search.add(sample, result.objectives, result.violation))
-    proposing = generations - round(reevaluation * generations)
-    for number in range(generations):
+    for _ in range(generations):
         if spent + search.population > most:
             break
-        old = number >= max(proposing, 1) and len(search.archive) > 0
-        asked = search.ask_again() if old else search.ask()
-        result = results(asked, search.repeats)
+        result = results(search.ask())
         tell(search.tell(result.objectives, result.violation))
     return search.result()
 
 
-def _evaluate(evaluate: Callable[..., Any], arguments: tuple[Any, ...], executor: Executor | None) -> Evaluated:
+def _evaluate(evaluate: Callable[..., Any], points: NDArray[np.float64], executor: Executor | None) -> Evaluated:
     if executor is None:
-        return _evaluated(evaluate(*arguments))
-    count = min(BLOCKS, len(arguments[0]))
-    blocks = [_evaluated(block) for block in executor.map(evaluate, *(np.array_split(a, count) for a in arguments))]
+        return _evaluated(evaluate(points))
+    parts = np.array_split(points, min(BLOCKS, len(points)))
+    blocks = [_evaluated(block) for block in executor.map(evaluate, parts)]
     stated = [block.violation is not None for block in blocks]
     try:
         values = np.concatenate([np.asarray(block.objectives, np.float64) for block in blocks])

@@ -3,7 +3,6 @@
 from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.race_files import write_results
 from pcs_racing_agents.results.races import RaceRow, RaceTable
-from pcs_racing_agents.tournament.games import PlayedGames, play_each, play_games
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.play import (
     Tournament,
@@ -15,13 +14,11 @@ from pcs_racing_agents.tournament.play import (
     record_row,
     tournament_settings,
 )
-from pcs_racing_agents.tournament.runner import play_pairing
+from pcs_racing_agents.tournament.runner import play_games, play_pairing, play_pairings, record_game
 from pcs_racing_agents.tournament.table import payoff_matrix, payoff_picture, standings, tournament_text
-from pcs_racing_agents.tournament.watching import record_game
 
 __all__ = [
     "Pairing",
-    "PlayedGames",
     "RaceRow",
     "RaceTable",
     "Tournament",
@@ -31,9 +28,9 @@ __all__ = [
     "payoff_matrix",
     "payoff_picture",
     "plan_tournament",
-    "play_each",
     "play_games",
     "play_pairing",
+    "play_pairings",
     "play_plan",
     "play_tournament",
     "record_game",

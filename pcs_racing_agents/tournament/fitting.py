@@ -7,10 +7,9 @@ agent's result is a :class:`pcs_racing_agents.agents.fits.Fit`, a small file for
 """
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,19 +22,12 @@ from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import LEAD_PLAN, best_fixed, best_lead_plan, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.progress import Progress
-from pcs_racing_agents.tournament.games import PlayedGames
-from pcs_racing_agents.tournament.pairings import Pairing, draw_schedule, schedule_pairing
+from pcs_racing_agents.jobs.jobs import Run
+from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
+from pcs_racing_agents.tournament.pairings import Pairing, RaceSchedule, draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
 
 Choices = tuple[int, ...]
-
-OBJECTIVES: dict[str, Callable[[PlayedGames], NDArray[np.float64]]] = {
-    "score": lambda games: games.score,
-    "utility": lambda games: games.utility,
-}
-"""Objectives to maximise: races won (a tie counts half), or the game's utility."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +39,8 @@ class TrainingRaces:
     setting: Setting
     races: int = 100  #: Races against each opponent on each track; even.
     seed: int = 1_000_003  #: Of starts, start policies and noise: another one than that of the test races.
-    objective: str = "score"  #: "score" or "utility"
 
     def __post_init__(self) -> None:
-        if self.objective not in OBJECTIVES:
-            raise InputError(f"objective is {self.objective!r}; it must be one of {', '.join(OBJECTIVES)}")
         if len(self.tracks) == 0 or len(self.opponents) == 0:
             raise InputError("training races need at least one track and one opponent")
         object.__setattr__(self, "tracks", tuple(self.tracks))
@@ -65,121 +54,88 @@ class TrainingRaces:
             "races": self.races * len(self.tracks) * len(self.opponents),
             "candidates": candidates,
             "seed": self.seed,
-            "objective": self.objective,
             "reached": round(reached, 4),
         }
 
 
-class RunOptions(NamedTuple):
-    """Where training races are simulated, and who is told of their progress: options of :func:`play_pairings`."""
-
-    job: Job | None = None
-    executor: Executor | None = None
-    progress: Progress | None = None
-
-
-def evaluate(training: TrainingRaces, candidates: Sequence[Agent], run: RunOptions, name: str) -> NDArray[np.float64]:
-    """Return the mean objective of each candidate over the training races, shape (len(candidates),)."""
-    setting = training.setting
+def evaluate(
+    training: TrainingRaces, candidates: Sequence[Agent], name: str = "candidates", **run: Unpack[Run]
+) -> NDArray[np.float64]:
+    """Return the mean score of each candidate over the training races, shape (len(candidates),)."""
     common: list[Pairing] = []
-    for track in training.tracks:
-        schedule = draw_schedule(track, setting.config.race_rules, training.races, training.seed)
-        game = RaceGame(track, setting.archive, setting.config)
+    for game, schedule in _games(training):
         for k, opponent in enumerate(training.opponents):
             # Different start policies against each opponent, the same for all candidates.
             rolled = schedule._replace(draws=np.roll(schedule.draws, 2 * k, axis=0))
             common.append(schedule_pairing(game, candidates[0], opponent, rolled, training.seed))
+    # Pairings that differ in their ego alone: what candidates have in common is driven once, most of it.
     pairings = [replace(pairing, ego=candidate) for candidate in candidates for pairing in common]
-    played = play_pairings(pairings, name=name, **run._asdict())
-    means = np.array([OBJECTIVES[training.objective](games).mean() for games in played])
+    means = np.array([races.score.mean() for races in play_pairings(pairings, name=name, **run)])
     return means.reshape(len(candidates), -1).mean(axis=1)
 
 
-def fit_best_schedule(
-    training: TrainingRaces,
-    *,
-    method: str = "ascent",
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-) -> Fit:
-    """Find the open-loop sequence of moves with the highest mean objective.
+def _games(training: TrainingRaces) -> list[tuple[RaceGame, RaceSchedule]]:
+    """Return the game on each track, and its races."""
+    setting, rules = training.setting, training.setting.config.race_rules
+    return [
+        (
+            RaceGame(track, setting.archive, setting.config),
+            draw_schedule(track, rules, training.races, training.seed),
+        )
+        for track in training.tracks
+    ]
 
-    Parameters
-    ----------
-    method : {"ascent", "all"}
-        "all" evaluates every sequence: M to the power of the number of moves, 625 for 5 moves and 4 steps. "ascent"
-        begins with the best constant sequence and takes the best change of one step, until none is an improvement.
+
+def fit_best_schedule(training: TrainingRaces, **run: Unpack[Run]) -> Fit:
+    """Find the open-loop sequence of moves with the highest mean score.
+
+    The search begins with the best constant sequence and takes the best change of one step, until none is an
+    improvement.
     """
-    setting, run = training.setting, RunOptions(job, executor, progress)
-    count, steps = len(setting.moves), setting.config.moves
-    if method not in ("ascent", "all"):
-        raise InputError(f"method is {method!r}; it must be 'ascent' or 'all'")
-    if method == "all" and count**steps > 10_000:
-        raise InputError(f"method 'all' would try {count**steps} sequences; take 'ascent'")
+    setting = training.setting
 
     def raced(sequences: Sequence[Choices], before: int) -> NDArray[np.float64]:
         plans = [best_schedule(setting, moves=[setting.moves[i] for i in sequence]) for sequence in sequences]
-        return evaluate(training, plans, run, f"schedule-{before}")
+        return evaluate(training, plans, f"schedule-{before}", **run)
 
-    best, scores = _search(raced, range(count), steps, method == "all")
-    facts = {"method": method, **training.facts(scores[best], len(scores))}
-    return make_fit("best-schedule", [setting.moves[i] for i in best], setting, facts)
+    best, scores = _search(raced, range(len(setting.moves)), setting.config.moves)
+    return make_fit(
+        "best-schedule", [setting.moves[i] for i in best], setting, training.facts(scores[best], len(scores))
+    )
 
 
 def _search(
-    raced: Callable[[Sequence[Choices], int], NDArray[np.float64]],
-    options: Sequence[int],
-    places: int,
-    every: bool = False,
+    raced: Callable[[Sequence[Choices], int], NDArray[np.float64]], options: Sequence[int], places: int
 ) -> tuple[Choices, dict[Choices, float]]:
-    """Search the best choice of an option for each of some places.
+    """Search the best choice of an option for each of some places, and return it with the scores of all that raced.
+
+    The search begins with the best of the choices with one option at all places, and takes the best change of one place
+    until none is an improvement. Of equals the one with the lowest numbers is best.
 
     Parameters
     ----------
     raced : callable
-        ``raced(choices, before)`` returns what choices reach; ``before`` were raced earlier.
-    every : bool
-        Whether to race every choice; otherwise the search begins with the best of those with one option at all places,
-        and takes the best change of one place until none is an improvement.
-
-    Returns
-    -------
-    best : tuple of int
-        Of equals the one with the lowest numbers.
-    scores : dict of tuple of int to float
-        What was raced.
+        ``raced(choices, before)`` returns the scores of choices; ``before`` were raced earlier.
     """
     scores: dict[Choices, float] = {}
 
-    def race_new(choices: Sequence[Choices]) -> None:
+    def race_new(choices: Sequence[Choices]) -> Choices:
         new = [choice for choice in dict.fromkeys(choices) if choice not in scores]
         if new:
             scores.update(zip(new, raced(new, len(scores)).tolist(), strict=True))
-
-    def best() -> Choices:
         return max(scores, key=lambda choice: (scores[choice], [-i for i in choice]))
 
-    if every:
-        race_new(list(product(options, repeat=places)))
-        return best(), scores
-    race_new([(option,) * places for option in options])
-    current: Choices | None = None
-    while current != best():
-        current = best()
-        race_new([(*current[:k], option, *current[k + 1 :]) for k in range(places) for option in options])
-    return current, scores
+    # Every choice is raced once, so a round without a better one is the last: the search ends.
+    current: Choices = ()
+    best = race_new([(option,) * places for option in options])
+    while current != best:
+        current = best
+        best = race_new([(*current[:k], option, *current[k + 1 :]) for k in range(places) for option in options])
+    return best, scores
 
 
-def fit_best_fixed(
-    training: TrainingRaces,
-    *,
-    targets: Sequence[int] | None = None,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-) -> Fit:
-    """Find the target policy with the highest mean objective, for an agent that goes there and keeps it.
+def fit_best_fixed(training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]) -> Fit:
+    """Find the target policy with the highest mean score, for an agent that goes there and keeps it.
 
     Parameters
     ----------
@@ -189,20 +145,13 @@ def fit_best_fixed(
     setting = training.setting
     candidates = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]
     walkers = [best_fixed(setting, target=target) for target in candidates]
-    values = evaluate(training, walkers, RunOptions(job, executor, progress), "fixed")
+    values = evaluate(training, walkers, "fixed", **run)
     index = int(np.argmax(values))
     return make_fit("best-fixed", candidates[index], setting, training.facts(float(values[index]), len(candidates)))
 
 
-def fit_best_lead_plan(
-    training: TrainingRaces,
-    *,
-    targets: Sequence[int] | None = None,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-) -> Fit:
-    """Find two target policies with the highest mean objective, for an agent that goes to one behind and one ahead.
+def fit_best_lead_plan(training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]) -> Fit:
+    """Find two target policies with the highest mean score, for an agent that goes to one behind and one ahead.
 
     The search begins with the best fixed policy, the same behind and ahead, and takes the best change of one of the
     two until none is an improvement: on the training races the plan is at least as good as the best fixed policy.
@@ -212,12 +161,12 @@ def fit_best_lead_plan(
     targets : sequence of int, optional
         Candidates; all policies of the archive by default.
     """
-    setting, run = training.setting, RunOptions(job, executor, progress)
+    setting = training.setting
     candidates = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]
 
     def raced(plans: Sequence[Choices], before: int) -> NDArray[np.float64]:
         agents = [best_lead_plan(setting, targets=dict(zip(LEAD_PLAN, plan, strict=True))) for plan in plans]
-        return evaluate(training, agents, run, f"lead-plan-{before}")
+        return evaluate(training, agents, f"lead-plan-{before}", **run)
 
     best, scores = _search(raced, candidates, len(LEAD_PLAN))
     choice = dict(zip(LEAD_PLAN, best, strict=True))
@@ -228,7 +177,7 @@ class MetaStrategy(NamedTuple):
     """An equilibrium of the zero-sum game in which both players choose one of N agents."""
 
     weights: NDArray[np.float64]  #: shape (N,): Probability of each agent.
-    payoffs: NDArray[np.float64]  #: shape (N, N): Mean excess of each agent's objective over each other's.
+    payoffs: NDArray[np.float64]  #: shape (N, N): Share of races that each agent won minus each other's.
 
 
 def fit_psro(
@@ -236,13 +185,11 @@ def fit_psro(
     members: Sequence[Agent],
     *,
     known: MetaStrategy | None = None,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **run: Unpack[Run],
 ) -> MetaStrategy:
     """Find the equilibrium probabilities of agents, in the zero-sum game in which both players choose an agent.
 
-    The payoff of one agent against another is its mean objective minus the other's, over the same races from both
+    The payoff of one agent against another is its share of races won minus the other's, over the same races from both
     sides of the grid (empirical game of PSRO, Lanctot et al. 2017).
 
     Parameters
@@ -254,37 +201,24 @@ def fit_psro(
     known : MetaStrategy, optional
         Of the first members: their payoffs are taken from it.
     """
-    from pcs_racing_agents.tournament.round_robin import zero_sum_equilibrium
-
     names = [member.name for member in members]
     if len(members) < 2 or len(set(names)) < len(names):
         raise InputError(f"members are {', '.join(names) or 'nobody'}; psro needs at least two, with different names")
     first = 0 if known is None else len(known.payoffs)
     if first > len(members):
         raise InputError(f"payoffs of {first} agents are known, and there are {len(members)} members; give all of them")
-    setting = training.setting
     pairs = [(i, j) for i, j in combinations(range(len(members)), 2) if j >= first]
-    games_and_schedules = []
-    for track in training.tracks:
-        schedule = draw_schedule(track, setting.config.race_rules, training.races, training.seed)
-        games_and_schedules.append((RaceGame(track, setting.archive, setting.config), schedule))
     pairings = [
         schedule_pairing(game, members[i], members[j], schedule, training.seed)
-        for (i, j), (game, schedule) in product(pairs, games_and_schedules)
+        for (i, j), (game, schedule) in product(pairs, _games(training))
     ]
-    name = f"psro-{first}-{len(members)}"
-    played = play_pairings(pairings, name=name, job=job, executor=executor, progress=progress)
-    excess = [_excess(games, training.objective) for games in played]
+    played = play_pairings(pairings, name=f"psro-{first}-{len(members)}", **run)
+    # Won minus lost: a race that pays nobody counts as 0, like a tie.
+    excess = [np.mean(1.0 * (races.winner == 0) - 1.0 * (races.winner == 1)) for races in played]
+    # The game is zero-sum, so that one of the two directions of a pair is enough.
     payoffs = np.zeros((len(members), len(members)))
     if known is not None:
         payoffs[:first, :first] = known.payoffs
     for (i, j), value in zip(pairs, np.reshape(excess, (len(pairs), -1)).mean(axis=1), strict=True):
         payoffs[i, j], payoffs[j, i] = value, -value
-    return MetaStrategy(zero_sum_equilibrium(payoffs).row, payoffs)
-
-
-def _excess(games: PlayedGames, objective: str) -> float:
-    """Return the ego's mean objective minus the opponent's."""
-    if objective == "utility":
-        return float(games.utility.mean())  # of a zero-sum game
-    return float(np.mean(1.0 * (games.winner == 0) - 1.0 * (games.winner == 1)))
+    return MetaStrategy(solve_matrix_games(payoffs).rows[0], payoffs)

@@ -1,66 +1,33 @@
-"""Batches of games between two competitors, from given starts.
+"""Games of several egos from the same starts against one opponent, driven once for as long as they are the same.
 
-Tournaments, studies and fits all play through :func:`play_each`. The result of a game does not depend on the batch
-that it is played in, on the number of threads, or on earlier games.
+A step of a race follows from the state before it and from the policies that drive it. All egos begin with the same
+policies, so the first step of a game is the same for all of them; later ones are the same for those whose policies
+were the same so far. Their games are the branches of a tree, and each of its steps is driven once. The results are
+those of games that are driven one by one, to the bit: they do not depend on the batch that a game is driven in, on the
+number of threads, or on earlier games.
 """
 
+import copy
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.competitor import check_competitor, competitor_name
+from pcs_racing.game.competitor import ask_moves, check_competitor, competitor_name
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.game.state import take_games
-from pcs_racing.planners.planner import Policy
+from pcs_racing.game.state import GameState, take_games
 from pcs_racing.race.rates import DT
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
-from pcs_racing_agents.tournament.shared_driving import SharedGames, drive_shared
+from pcs_racing_agents.agents.agent import Competitor, Driver
+from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.results.races import narrow
 
-BATCH = 4096  # games advanced together: bounded memory
+Indices = NDArray[np.int64]
 
 CARS = ("ego", "opponent")
-
-
-class PlayedGames(NamedTuple):
-    """Results of a batch of B games of m moves; the ego drove car 0."""
-
-    lead: NDArray[np.float64]  #: shape (B,): Progress of the ego minus that of the opponent at the end, m.
-    #: shape (B,): 0 for the ego, 1 for the opponent, -1 for a tie and for a crash without a winner.
-    winner: NDArray[np.int8]
-    utility: NDArray[np.float64]  #: shape (B,): Utility of the ego.
-    crash: NDArray[np.int8]  #: shape (B, 2): 0 none, 1 into a wall, 2 with the other car.
-    fault: NDArray[np.int8]  #: shape (B, 2): 1 for a car that is to blame for the crash.
-    overtakes: NDArray[np.int64]  #: shape (B, 2): How often each passed the other.
-    duration: NDArray[np.float64]  #: shape (B,): Length of the race, s; shorter after a crash.
-    #: shape (B, 2, m + 1): Policy of the archive that was driven in each step; -1 for a driver and for steps after a
-    #: crash.
-    policy: NDArray[np.int64]
-    moves: NDArray[np.int64]  #: shape (B, 2, m): Moves made; -1 for a driver and after a crash.
-    #: shape (B,): Key of the noise, with which :func:`pcs_racing_agents.tournament.watching.record_game` drives a game
-    #: again.
-    noise: NDArray[np.uint64]
-    #: shape (B, 2, D): Last observations of both cars; they include the earlier ones.
-    observations: NDArray[np.float32]
-
-    @property
-    def tie(self) -> NDArray[np.bool_]:
-        """Whether a game ended level, without a crash, shape (B,)."""
-        return (self.winner < 0) & ~self.crash.any(axis=1)
-
-    @property
-    def score(self) -> NDArray[np.float64]:
-        """Score of the ego, shape (B,): 1 for a win, a half for a tie, else 0 (also for a crash without a winner)."""
-        return (self.winner == 0) + 0.5 * self.tie
-
-
-def join_played(parts: "list[PlayedGames]") -> PlayedGames:
-    """Join batches into one."""
-    return PlayedGames._make(np.concatenate(arrays) for arrays in zip(*parts, strict=True))
 
 
 def variant_count(game: RaceGame, competitor: Competitor) -> int:
@@ -78,107 +45,155 @@ def game_between(game: RaceGame, ego: Competitor, opponent: Competitor) -> RaceG
     return arena
 
 
-def play_games(
+def race_columns(
     game: RaceGame,
-    ego: Competitor | Policy,
-    opponent: Competitor | Policy,
-    *,
+    egos: Sequence[Competitor],
+    opponent: Competitor,
     policies: ArrayLike,
     starts: Starts,
     seeds: ArrayLike,
-) -> PlayedGames:
-    """Play games between two competitors.
+) -> list[Arrays]:
+    """Play the same B games with each of K egos, several of them only if none is a driver.
 
     Parameters
     ----------
-    game : RaceGame
-        Track, archive and rules. The move "stay" is added if the rules do not offer it.
-    ego, opponent : Agent, Driver, Policy, or object with ``predict`` or ``decide``
-        Who drives car 0 and car 1.
     policies : array_like of int, shape (B, 2)
-        Variant of each: the policy of the archive to start with; for a driver which of its policies.
-    starts : Starts
-        B of them.
+        Variant of each car: the policy of the archive to start with; for a driver which of its policies.
     seeds : array_like of int, shape (B,)
-        Keys of the games' noise.
-    """
-    (played,) = play_each(game, [ego], opponent, policies=policies, starts=starts, seeds=seeds)
-    return played
-
-
-def play_each(
-    game: RaceGame,
-    egos: Sequence[Competitor | Policy],
-    opponent: Competitor | Policy,
-    *,
-    policies: ArrayLike,
-    starts: Starts,
-    seeds: ArrayLike,
-) -> list[PlayedGames]:
-    """Play the same games with each of several egos, in less time than one after the other.
-
-    What is the same in the games of two egos is driven once (:mod:`pcs_racing_agents.tournament.shared_driving`).
-
-    Parameters
-    ----------
-    egos : sequence of K competitors
-        Several of them only if none is a driver.
-    game, opponent, policies, starts, seeds
-        As for :func:`play_games`.
+        Keys of the games.
 
     Returns
     -------
-    list of K PlayedGames
-        What :func:`play_games` returns for each.
+    list of K dict of ndarray
+        By name what a :class:`pcs_racing_agents.results.races.RaceTable` says of how the races went. ``moves`` are
+        indices of moves, and ``noise`` (which it lacks) the keys of the steering noise.
     """
-    players = [as_competitor(ego) for ego in egos]
-    other = as_competitor(opponent)
-    if not players or (len(players) > 1 and any(isinstance(ego, Driver) for ego in players)):
+    if not egos or (len(egos) > 1 and any(isinstance(ego, Driver) for ego in egos)):
         raise InputError(
-            f"egos are {', '.join(map(competitor_name, players)) or 'nobody'}; give one or more, a driver only alone"
+            f"egos are {', '.join(map(competitor_name, egos)) or 'nobody'}; give one or more, a driver only alone"
         )
-    arena = game_between(game, players[0], other)
-    for ego in players[1:]:
+    arena = game_between(game, egos[0], opponent)
+    for ego in egos[1:]:
         check_competitor(arena, ego)
-    keys = np.asarray(seeds)
-    variants = np.asarray(policies)
+    # No conversion to whole numbers here: policies given as 2.7 or True would become others without a word.
+    keys, variants = np.asarray(seeds), np.asarray(policies)
     if variants.shape != (len(starts), 2) or variants.dtype.kind not in "iu" or keys.shape != (len(starts),):
         raise InputError(
             f"there are {len(starts)} starts, policies of shape {variants.shape} and seeds of shape {keys.shape}; they "
             f"must be whole numbers of shape ({len(starts)}, 2) and ({len(starts)},)"
         )
-    for car, competitor in enumerate((players[0], other)):
+    for car, competitor in enumerate((egos[0], opponent)):
         count = variant_count(arena, competitor)
         wrong = np.flatnonzero((variants[:, car] < 0) | (variants[:, car] >= count))
         if len(wrong):
-            name = competitor_name(competitor)
             raise InputError(
-                f"game {wrong[0]}: the {CARS[car]}'s variant is {variants[wrong[0], car]}; {name!r} has variants 0 to "
-                f"{count - 1}"
+                f"game {wrong[0]}: the {CARS[car]}'s variant is {variants[wrong[0], car]}; "
+                f"{competitor_name(competitor)!r} has variants 0 to {count - 1}"
             )
-    parts = []
-    size = max(1, BATCH // len(players))
-    for first in range(0, max(len(starts), 1), size):
-        rows = np.arange(first, min(first + size, len(starts)))
-        shared = drive_shared(arena, players, other, variants[rows].astype(np.int64), starts.take(rows), keys[rows])
-        parts.append([_played(arena, shared, k) for k in range(len(players))])
-    return [join_played(list(of_ego)) for of_ego in zip(*parts, strict=True)]
+    games = _drive(arena, egos, opponent, variants.astype(np.int64), starts, keys)
+    return [_columns(arena, games, k) for k in range(len(egos))]
 
 
-def _played(arena: RaceGame, shared: SharedGames, ego: int) -> PlayedGames:
+class _SharedGames(NamedTuple):
+    """B games of each of K egos, of m moves."""
+
+    state: GameState  #: The ends of all different games.
+    branch: Indices  #: shape (K, B): Where in ``state`` each ego's games are.
+    path: Indices  #: shape (K, B, 2, m + 1): Policy driven in each step; -1 for a driver and after a crash.
+    moves: Indices  #: shape (K, B, 2, m): Moves made; -1 for a driver and after a crash.
+
+
+def _drive(
+    arena: RaceGame,
+    egos: Sequence[Competitor],
+    opponent: Competitor,
+    variants: Indices,
+    starts: Starts,
+    keys: NDArray[Any],
+) -> _SharedGames:
+    """Drive the branches of all games, step by step."""
+    games, steps = len(variants), arena.config.moves
+    drivers = [
+        [car.policies[i] for i in variants[:, place]] if isinstance(car, Driver) else None
+        for place, car in enumerate((egos[0], opponent))
+    ]
+    # A driver's variant is no policy of the archive; -1 leaves its place to it.
+    first = np.where([driver is None for driver in drivers], variants, -1)
+    state = arena.reset(keys, policies=first, starts=starts, egos=drivers[0], opponents=drivers[1])
+    # At first every ego's game k is row k of the state. A row is copied only when its egos part, so the state grows
+    # with the number of different games; rows never join again, since what was driven differs from there on.
+    branch = np.tile(np.arange(games), (len(egos), 1))
+    path = np.full((len(egos), games, 2, steps + 1), -1, np.int64)
+    moves = np.full((len(egos), games, 2, steps), -1, np.int64)
+    path[..., 0] = first
+    # A model's memory belongs to a game. The egos have one for each of their games, the opponent one for each branch,
+    # because in one branch it cannot know which of the egos it meets.
+    memories: list[list[Any]] = [[None] * games for _ in egos]
+    opponent_memories: list[Any] = [None] * games
+    for step in range(steps):
+        over = arena.done(state)
+        if over.all():
+            break
+        running = ~over[branch]
+        seen = arena.observation(state)
+        own = np.zeros(branch.shape, np.int64)
+        for k, ego in enumerate(egos):
+            if not isinstance(ego, Driver):
+                own[k], memories[k] = _ask_ego(ego, arena, state, branch[k], seen, memories[k])
+                moves[k, running[k], 0, step] = own[k, running[k]]
+        replies = np.zeros(state.games, np.int64)
+        if drivers[1] is None:
+            replies = ask_moves(opponent, arena, state, 1, observation=seen[:, 1], memories=opponent_memories)
+            moves[running, 1, step] = replies[branch][running]
+        # Two egos with different moves that lead to the same policy go on together. Games that are over count as
+        # policy 0: they are not driven, and must not multiply.
+        policies = np.where(running, arena.next_policy(state.policy[branch, 0], own), 0)
+        _, chosen, after = np.unique(branch * len(arena.archive) + policies, return_index=True, return_inverse=True)
+        parents = branch.reshape(-1)[chosen]
+        both = np.stack([own.reshape(-1)[chosen], replies[parents]], axis=1)
+        opponent_memories = _branched(opponent_memories, parents)
+        state = arena.apply(take_games(state, parents), both)
+        branch = after.reshape(branch.shape)
+        path[running, :, step + 1] = state.policy[branch][running]
+    return _SharedGames(state, branch, path, moves)
+
+
+def _ask_ego(
+    ego: Competitor, arena: RaceGame, state: GameState, rows: Indices, seen: NDArray[np.float32], memories: list[Any]
+) -> tuple[Indices, list[Any]]:
+    """Moves of an ego in its games, which are some rows of a state, and what it remembers of each of them after it."""
+    # ask_moves knows memories by the row of the state; several egos' games may lie in the same row, so each ego has
+    # a list of its own.
+    remembered: list[Any] = [None] * state.games
+    for row, memory in zip(rows, memories, strict=True):
+        remembered[row] = memory
+    moves = ask_moves(ego, arena, state, 0, rows=rows, observation=seen[:, 0], memories=remembered)
+    return moves[rows], [remembered[row] for row in rows]
+
+
+def _branched(memories: list[Any], parents: Indices) -> list[Any]:
+    """What is remembered in each branch; branches that part do not share what may be changed in place."""
+    if all(memory is None for memory in memories):
+        return [None] * len(parents)
+    # Copied only where games part: in all others the model goes on with its own object.
+    parted = np.bincount(parents) > 1
+    return [copy.deepcopy(memories[parent]) if parted[parent] else memories[parent] for parent in parents]
+
+
+def _columns(arena: RaceGame, games: _SharedGames, ego: int) -> Arrays:
     """Results of the games of one of several egos."""
-    state = take_games(shared.state, shared.branch[ego])
+    state = take_games(games.state, games.branch[ego])
     race = state.race
-    return PlayedGames(
-        lead=race.lead,
-        winner=arena.winner(state),
-        utility=arena.reward(state)[:, 0],
-        crash=race.crash,
-        fault=race.fault,
-        overtakes=race.overtakes,
-        duration=np.asarray(race.tick * DT, np.float64),
-        policy=shared.policy[ego],
-        moves=shared.moves[ego],
-        noise=race.seed,
-        observations=arena.observation(state),
-    )
+    return {
+        "lead": race.lead,
+        "winner": arena.winner(state),
+        # A race has one code. That of a contact of the cars is the higher one: it may end at a wall for one of them.
+        "crash": race.crash.max(axis=1),
+        "fault": race.fault,
+        "overtakes": narrow(race.overtakes),
+        "duration": np.asarray(race.tick * DT, np.float64),
+        "path": narrow(games.path[ego]),
+        "moves": narrow(games.moves[ego]),
+        "noise": race.seed,
+        "observations": arena.observation(state),
+    }

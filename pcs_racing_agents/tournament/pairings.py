@@ -19,7 +19,6 @@ from pcs_racing.base.checks import check_whole, check_whole_array, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.competitor import competitor_name
-from pcs_racing.game.moves import move_names
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig
@@ -27,8 +26,8 @@ from pcs_racing.race.races import draw_starts, start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor
-from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
-from pcs_racing_agents.tournament.games import PlayedGames, game_between, play_each, variant_count
+from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.tournament.games import game_between, race_columns, variant_count
 
 MOST_RACES = 2000
 
@@ -63,6 +62,8 @@ def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Ra
             "driven from both sides"
         )
     starts = draw_starts(track, replace(config, start_lines=races // 2), races, seed)
+    # Large numbers, of which the remainder selects a variant: a schedule is drawn before anybody knows who races, and
+    # pairs with equally many variants start alike.
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     draws = generator.integers(2**63, size=(races // 2, 2), dtype=np.uint64)
     swapped = np.stack([draws, draws[:, ::-1]], axis=1).reshape(races, 2)
@@ -106,36 +107,26 @@ class Pairing:
             raise InputError(f"there is no race {race} in this pairing; there are races 0 to {len(self) - 1}")
         return {"policies": self.variants[race], "start": self.starts.take([race]), "seed": int(self.noise[race])}
 
-    def play(self) -> PlayedGames:
-        """Simulate the races."""
-        (played,) = self.play_each([self.ego])
-        return played
+    def race(self, egos: Sequence[Competitor]) -> list[Arrays]:
+        """Drive the races with each of several egos; see :func:`pcs_racing_agents.tournament.games.race_columns`."""
+        return race_columns(self.game, egos, self.opponent, self.variants, self.starts, self.noise)
 
-    def play_each(self, egos: Sequence[Competitor]) -> list[PlayedGames]:
-        """Simulate the same races with each of several egos in place of its own."""
-        return play_each(self.game, egos, self.opponent, policies=self.variants, starts=self.starts, seeds=self.noise)
 
-    def table(self, games: PlayedGames) -> RaceTable:
-        """Return the results of the races as a table, in their order."""
-        count, config = len(self), self.game.config
-        return RaceTable(
-            preset=Categorical.constant(config.race.name, count),
-            agents=Categorical.concatenate([Categorical.constant(name, count) for name in self.names], axis=1),
-            track=Categorical.constant(self.game.track.name, count),
-            race=narrow(np.arange(count)),
-            start_s=self.starts.s,
-            side=narrow(self.starts.side),
-            seed=Categorical.constant(str(self.seed), count),
-            lead=games.lead,
-            winner=games.winner,
-            crash=games.crash.max(axis=1),
-            fault=games.fault,
-            overtakes=narrow(games.overtakes),
-            duration=games.duration,
-            variants=narrow(self.variants),
-            path=narrow(games.policy),
-            moves=Categorical(move_names(self.game.archive, config.epsilon, True), narrow(games.moves)),
-        )
+class RaceBlock(NamedTuple):
+    """Some races of a group of pairings, which differ in nothing but their egos."""
+
+    content_hash: str  #: Hash of everything that their result depends on.
+    group: int  #: Number of the group.
+    first: int  #: ``first``, ``last``: The races of each pairing from ``first`` to before ``last``.
+    last: int
+
+
+def race_block(groups: Sequence[Sequence[Pairing]], observations: bool, block: RaceBlock) -> Arrays:
+    """Drive a block of races: arrays by name, whose first axis is that of the egos; observations only if wanted."""
+    group = groups[block.group]
+    raced = group[0].take(np.arange(block.first, block.last)).race([pairing.ego for pairing in group])
+    left_out = {"noise"} if observations else {"noise", "observations"}
+    return {name: np.stack([own[name] for own in raced]) for name in raced[0] if name not in left_out}
 
 
 def schedule_pairing(
@@ -173,11 +164,13 @@ def cross_pairing(
     cars = (as_competitor(ego), as_competitor(opponent))
     arena = game_between(game, *cars)
     check_whole("lines", lines, 1, 1000)
-    race_seeds(seed, 1)  # checks the seed
+    # A wrong seed is refused here, in the words of the function that will use it, before anything is drawn with it.
+    race_seeds(seed, 1)
     first = _variants("egos", egos, variant_count(arena, cars[0]), seed, 3)
     second = _variants("opponents", opponents, variant_count(arena, cars[1]), seed, 4)
     rules = replace(arena.setup.config, start_lines=lines * LINE_SETS)
     positions = start_lines(arena.track, rules, np.random.SeedSequence(seed, spawn_key=(0,)))
+    # The side changes fastest: races 2j and 2j + 1 are the two sides of one line, as in a schedule.
     grid = np.meshgrid(first, second, np.arange(lines), np.arange(2), indexing="ij")
     a, b, own_line, side = (axis.reshape(-1).astype(np.int64) for axis in grid)
     pairs = len(first) * len(second)
@@ -191,6 +184,7 @@ def cross_pairing(
 
 
 def _variants(noun: str, requested: int | Sequence[int], available: int, seed: int, stream: int) -> NDArray[np.int64]:
+    # The streams 0, 3, 4 and 5 are the draws of one pairing: another number of egos leaves the opponents as they are.
     if is_whole(requested):
         if requested < 1:
             raise InputError(f"{noun} is {requested}; a pairing needs at least one variant")

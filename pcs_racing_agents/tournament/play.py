@@ -1,12 +1,11 @@
 """Tournaments: every pair of competitors drives the same races, each start from both sides of the grid."""
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
@@ -19,13 +18,11 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_races
 from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import Pairing, RaceSchedule, draw_schedule, schedule_pairing
-from pcs_racing_agents.tournament.runner import play_pairings
-from pcs_racing_agents.tournament.watching import Recording, record_game
+from pcs_racing_agents.tournament.runner import Recording, play_pairings, record_game
 
 Entrant = str | Policy | Competitor
 Rules = GameConfig | RaceConfig | str | Path
@@ -86,6 +83,7 @@ def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
     rules = load_race_config(race)
     steps = load_game_config(rules, **settings).moves + 1
     if "step_seconds" not in settings:
+        # In whole tenths, the time between two plans: a step of 8.1666 s would end between them.
         tenths = round(rules.duration * 10.0)
         if tenths % steps:
             raise InputError(
@@ -119,7 +117,8 @@ def plan_tournament(
     for track in circuits:
         game = RaceGame(track, setting.archive, setting.config)
         for entrant in competitors:
-            game_between(game, entrant, entrant)  # raises before any race is simulated
+            # Against itself: whoever does not fit is refused before any race is simulated, not in the middle of them.
+            game_between(game, entrant, entrant)
     return plan
 
 
@@ -131,9 +130,7 @@ def play_tournament(
     archive: PolicyArchive | str | Path = "default",
     races_per_pair: int = 20,
     seed: int = 0,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **run: Unpack[Run],
 ) -> Tournament:
     """Play every pair of competitors against each other.
 
@@ -152,27 +149,17 @@ def play_tournament(
         Races of each pair on each track; even, from 2 to 2000.
     seed : int
         Seed of start lines, start policies and noise, and of the draws of agents that are given by name.
-    job : Job, optional
-        Stores results, so that a stopped tournament can be resumed; opened with :func:`tournament_settings`.
-    progress : callable, optional
-        Called as ``progress(done, total, label)``, counting races;
-        :func:`pcs_racing_agents.jobs.progress.show_progress` prints a line.
+    **run
+        ``job``, ``executor``, ``progress`` as for :func:`pcs_racing_agents.tournament.play_pairings`; a job is opened
+        with :func:`tournament_settings`.
     """
     plan = plan_tournament(tracks, entrants, race, archive=archive, races_per_pair=races_per_pair, seed=seed)
-    return play_plan(plan, job=job, executor=executor, progress=progress)
+    return play_plan(plan, **run)
 
 
-def play_plan(
-    plan: TournamentPlan,
-    *,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-) -> Tournament:
+def play_plan(plan: TournamentPlan, **run: Unpack[Run]) -> Tournament:
     """Play a tournament that was planned; see :func:`play_tournament`."""
-    played = play_pairings(plan.pairings, job=job, executor=executor, progress=progress)
-    tables = (pairing.table(games) for pairing, games in zip(plan.pairings, played, strict=True))
-    return Tournament(plan, concatenate_races(tables))
+    return Tournament(plan, concatenate_races(play_pairings(plan.pairings, **run)))
 
 
 def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:

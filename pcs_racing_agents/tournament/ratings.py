@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament.statistics.clusters import check_level
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +27,7 @@ class Ratings:
     names: tuple[str, ...]  #: Sorted. N agents.
     #: shape (N,): Natural log-odds, mean 0: a difference of 1 means winning 2.7 times as often as losing.
     strength: Floats
-    low: Floats  #: shape (N,): ``low``, ``high``: Bootstrap interval of the strength; NaN without a generator.
+    low: Floats  #: shape (N,): ``low``, ``high``: 95 % bootstrap interval of the strength; NaN without a generator.
     high: Floats
     tie: float  #: Weight of ties: between equal agents the share of ties is ``tie / (2 + tie)``.
     races: NDArray[np.intp]  #: shape (N,): Races that counted.
@@ -44,16 +43,6 @@ class Ratings:
         """Return natural log-odds on the scale of chess ratings."""
         return ELO * np.asarray(strength, np.float64)
 
-    def probabilities(self, first: str, second: str) -> tuple[float, float, float]:
-        """Return the probabilities that the first of two agents wins, ties and loses."""
-        for name in (first, second):
-            if name not in self.names:
-                raise InputError(f"{name!r} was not rated; these were: {', '.join(self.names)}")
-        half = 0.5 * (self.strength[self.names.index(first)] - self.strength[self.names.index(second)])
-        parts = np.array([np.exp(half), self.tie, np.exp(-half)])
-        win, tie, loss = parts / parts.sum()
-        return float(win), float(tie), float(loss)
-
 
 def rate(
     first: Sequence[str],
@@ -64,7 +53,6 @@ def rate(
     unit: ArrayLike | None = None,
     rng: np.random.Generator | None = None,
     replicates: int = 500,
-    level: float = 0.95,
     prior_sd: float = 3.0,
 ) -> Ratings:
     """Fit the strengths of agents to their races.
@@ -89,7 +77,6 @@ def rate(
         Standard deviation of the prior on the log-odds scale. 3 is weak: after 73 wins in 100 races between two agents
         it moves their strengths from 0.497 to 0.496.
     """
-    check_level(level)
     if not 0.0 < prior_sd < np.inf:
         raise InputError(f"prior_sd is {prior_sd!r}; it must be positive and finite")
     if rng is not None and not replicates >= 100:
@@ -98,6 +85,7 @@ def rate(
         raise InputError(f"first names {len(first)} agents and second {len(second)}; every race needs one of each")
     if not len(first):
         raise InputError("there are no races; ratings need at least one")
+    # numpy sorts the names, so that a rating does not depend on who raced first.
     names, pairs = np.unique(np.array([list(first), list(second)], dtype=np.str_), return_inverse=True)
     number = len(names)
     first_agent, second_agent = pairs.reshape(2, -1)
@@ -111,6 +99,8 @@ def rate(
     tied = outcome[counted] == 0.0
     # A race's index in the table of wins (N x N) followed by that of ties (N x N).
     cell = winner * number + loser + tied * number**2
+    # Who won is of no matter here, only who met: the prior keeps a rating finite where somebody won everything, but
+    # between groups that never met it would be the prior alone that decides.
     _check_connected(names, winner, loser)
 
     def fit(weights: Iterable[NDArray[Any]]) -> tuple[Floats, Floats]:
@@ -124,7 +114,7 @@ def rate(
     if rng is not None:
         units = np.arange(races) if unit is None else _per_race("unit", unit, races, None)
         replicated = np.concatenate([fit(weights)[0] for weights in _bootstrap(units[counted], replicates, rng)])
-        low, high = np.quantile(replicated, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
+        low, high = np.quantile(replicated, [0.025, 0.975], axis=0)
     both = np.concatenate([first_agent, second_agent])
     out = np.concatenate([uncounted, uncounted])
     return Ratings(
@@ -146,7 +136,8 @@ def _bootstrap(units: NDArray[Any], replicates: int, rng: np.random.Generator) -
     for begin in range(0, replicates, BATCH):
         size = min(BATCH, replicates - begin)
         counts = rng.multinomial(len(labels), np.full(len(labels), 1.0 / len(labels)), size=size)
-        yield (row[codes] for row in counts)  # one row at a time: there may be many races
+        # One row at a time: there may be many races.
+        yield (row[codes] for row in counts)
 
 
 def _fit(wins: Floats, ties: Floats, prior_sd: float, with_ties: bool) -> tuple[Floats, Floats]:
@@ -157,7 +148,8 @@ def _fit(wins: Floats, ties: Floats, prior_sd: float, with_ties: bool) -> tuple[
     batch, number = wins.shape[:2]
     games = wins + wins.swapaxes(1, 2) + ties
     precision = 1.0 / prior_sd**2
-    x = np.zeros((batch, number + 1))  # strengths and the logarithm of the weight of ties
+    # The last unknown is the logarithm of the weight of ties: it is free of bounds, and the posterior concave in it.
+    x = np.zeros((batch, number + 1))
     diagonal = np.arange(number)
     for _ in range(100):
         chance, tie = _chances(x, with_ties)
@@ -176,6 +168,7 @@ def _fit(wins: Floats, ties: Floats, prior_sd: float, with_ties: bool) -> tuple[
             curvature[:, number, number] = 0.5 * (games * tie * (1.0 - tie)).sum(axis=(1, 2))
         curvature[:, np.arange(number + 1), np.arange(number + 1)] += precision
         step = np.linalg.solve(curvature, gradient[..., None])[..., 0]
+        # Full steps can overshoot where an agent won nearly everything. What rounding takes away is no downhill.
         before = _log_posterior(x, wins, ties, precision, with_ties)
         for _ in range(40):
             after = _log_posterior(x + step, wins, ties, precision, with_ties)
@@ -191,6 +184,7 @@ def _fit(wins: Floats, ties: Floats, prior_sd: float, with_ties: bool) -> tuple[
 
 def _chances(x: Floats, with_ties: bool) -> tuple[Floats, Floats]:
     """Return the probabilities that the row's agent beats the column's, and that they tie, both (B, N, N)."""
+    # Divided by the largest of the three, so that no exponential overflows.
     half = 0.5 * (x[:, :-1, None] - x[:, None, :-1])
     tie = np.broadcast_to(x[:, -1, None, None], half.shape) if with_ties else np.full_like(half, -np.inf)
     top = np.maximum(np.abs(half), tie)
@@ -201,6 +195,7 @@ def _chances(x: Floats, with_ties: bool) -> tuple[Floats, Floats]:
 
 def _log_posterior(x: Floats, wins: Floats, ties: Floats, precision: float, with_ties: bool) -> Floats:
     chance, tie = _chances(x, with_ties)
+    # A count of 0 times the logarithm of a chance of 0 is 0, whatever numpy says about it.
     with np.errstate(divide="ignore", invalid="ignore"):
         log = np.where(wins > 0.0, wins * np.log(chance), 0.0) + np.where(ties > 0.0, 0.5 * ties * np.log(tie), 0.0)
     return log.sum(axis=(1, 2)) - 0.5 * precision * (x**2).sum(axis=1)

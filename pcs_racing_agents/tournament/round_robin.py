@@ -6,7 +6,6 @@ represent cycles (a beats b, b beats c, c beats a); the equilibrium of this game
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,15 +19,6 @@ from pcs_racing_agents.tournament.ratings import Ratings, rate
 Floats = NDArray[np.float64]
 
 
-class Equilibrium(NamedTuple):
-    """An equilibrium of a two-player zero-sum game."""
-
-    value: float  #: Payoff of the row player.
-    row: Floats  #: shape (R,): Probabilities of the row player.
-    column: Floats  #: shape (C,): Probabilities of the column player.
-    exploitability: float  #: Sum of both players' gains from a best response: 0 up to rounding.
-
-
 def excess(scores: ArrayLike) -> Floats:
     """Return the zero-sum payoffs of a score matrix: half of ``scores - scores.T``.
 
@@ -37,74 +27,44 @@ def excess(scores: ArrayLike) -> Floats:
     scores : array_like, shape (N, N)
         Score of the row's agent against the column's. The diagonal is not used.
     """
-    matrix = _matrix(scores, square=True)
+    try:
+        matrix = np.array(scores, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("the scores must be a matrix of numbers") from None
+    if matrix.ndim != 2 or matrix.size == 0 or matrix.shape[0] != matrix.shape[1]:
+        raise InputError(f"the scores have shape {matrix.shape}; they must be a square matrix")
+    np.fill_diagonal(matrix, 0.0)
+    wrong = np.argwhere(~np.isfinite(matrix))
+    if len(wrong):
+        i, j = wrong[0]
+        raise InputError(f"the score of row {i} against column {j} is {matrix[i, j]}; it must be a finite number")
     return 0.5 * (matrix - matrix.T)
 
 
-def zero_sum_equilibrium(payoffs: ArrayLike) -> Equilibrium:
-    """Solve a matrix game exactly (:func:`pcs_racing_agents.solvers.solve_matrix_games`).
+def alpha_rank(scores: ArrayLike, *, tolerance: float = 0.0) -> Floats:
+    """Return the stationary distribution over agents of alpha-rank (Omidshafiei et al. 2019), by OpenSpiel, shape (N,).
 
-    If several equilibria exist, for instance because two agents are equal, it is one of them; the value is the same for
-    all.
-
-    Parameters
-    ----------
-    payoffs : array_like, shape (R, C)
-        Payoff of the row player, who maximises it; the column player minimises it.
-    """
-    solution = solve_matrix_games(_matrix(payoffs))
-    return Equilibrium(float(solution.values[0]), solution.rows[0], solution.columns[0], float(solution.gaps[0]))
-
-
-def alpha_rank(scores: ArrayLike, *, epsilon: float = 0.001, tolerance: float = 0.0) -> Floats:
-    """Return the stationary distribution over agents of alpha-rank (Omidshafiei et al. 2019), by OpenSpiel.
-
-    A population of one agent changes to another one that beats it, or, with probability ``epsilon``, to one that it
+    A population of one agent changes to another one that beats it, or, with a probability of 0.001, to one that it
     beats (the limit of strong selection). Only the sign of a difference in score counts, so differences within the
     noise should count as none.
 
     Parameters
     ----------
     scores : array_like, shape (N, N)
-        Score of the row's agent against the column's, N at least 2; the diagonal is not used.
-    epsilon : float
-        From 1e-6 to 0.5.
+        As for :func:`excess`, N at least 2.
     tolerance : float
         Differences in score up to this one count as none.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Shares, which sum up to 1.
     """
     gain = 2.0 * excess(scores)
     if len(gain) < 2:
         raise InputError("there is 1 agent; a ranking needs at least 2")
-    if not 1e-6 <= epsilon <= 0.5:
-        raise InputError(f"epsilon is {epsilon!r}; it must be from 1e-6 to 0.5")
     if not 0.0 <= tolerance < np.inf:
         raise InputError(f"tolerance is {tolerance!r}; it must be a difference in score, 0 or more")
     require("pyspiel", "networkx", extra="games")
     from open_spiel.python.egt import alpharank
 
     decided = np.where(np.abs(gain) > tolerance, gain, 0.0)
-    return np.asarray(alpharank.compute([decided], use_inf_alpha=True, inf_alpha_eps=epsilon)[2], dtype=np.float64)
-
-
-def _matrix(values: ArrayLike, *, square: bool = False) -> Floats:
-    try:
-        matrix = np.array(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError("the payoffs must be a matrix of numbers") from None
-    if matrix.ndim != 2 or matrix.size == 0 or (square and matrix.shape[0] != matrix.shape[1]):
-        raise InputError(f"the payoffs have shape {matrix.shape}; they must be a {'square ' if square else ''}matrix")
-    if square:
-        np.fill_diagonal(matrix, 0.0)
-    wrong = np.argwhere(~np.isfinite(matrix))
-    if len(wrong):
-        i, j = wrong[0]
-        raise InputError(f"the payoff of row {i} against column {j} is {matrix[i, j]}; it must be a finite number")
-    return matrix
+    return np.asarray(alpharank.compute([decided], use_inf_alpha=True, inf_alpha_eps=0.001)[2], dtype=np.float64)
 
 
 FEWEST_LINES = 5
@@ -147,7 +107,9 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
         All pairs shared the start lines. A crash without a winner is no tie.
     """
     first, second = drivers(names, races).T
+    # The winner -1, of a tie or of nobody, takes the last place.
     won = np.array([1.0, -1.0, 0.0])[races.winner]
+    # Such races count in a score (as lost for both), but say nothing about who of the two is stronger.
     unpaid = races.crashed & (won == 0.0)
     total, count = np.zeros((len(names),) * 2), np.zeros((len(names),) * 2)
     paid = np.where(unpaid, 0.0, 0.5)
@@ -158,13 +120,14 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
     scores = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0.0)
     places = races.places
     noise = _noise(np.minimum(first, second), np.maximum(first, second), np.where(first < second, won, -won), places)
+    # A game with a missing payoff has no equilibrium; a mean in its place would invent a result.
     met = bool((count[~np.eye(len(names), dtype=bool)] > 0.0).all())
     return RoundRobin(
         names=tuple(names),
         scores=scores,
         noise=noise,
         ratings=_ratings(np.array(names)[first], np.array(names)[second], won, unpaid, places, seed),
-        equilibrium=zero_sum_equilibrium(excess(scores)).row if met else None,
+        equilibrium=solve_matrix_games(excess(scores)).rows[0] if met else None,
         alpha_rank=_alpha_rank(scores, noise) if met else None,
     )
 
@@ -184,6 +147,7 @@ def _noise(first: NDArray[np.intp], second: NDArray[np.intp], won: Floats, line:
     variances = []
     for i, j in sorted(set(zip(first.tolist(), second.tolist(), strict=True))):
         rows = (first == i) & (second == j)
+        # Races from one line, from both sides, are not independent: a line is what was drawn.
         codes = np.unique(line[rows], return_inverse=True)[1]
         means = np.bincount(codes, won[rows]) / np.bincount(codes)
         if len(means) > 1:
@@ -200,6 +164,7 @@ def _ratings(
     seed: int,
 ) -> Ratings | None:
     """Fit the ratings, with intervals if there are enough start lines."""
+    # A bootstrap over few lines draws much the same ones again, and its interval is too short.
     several = len(np.unique(line[~unpaid])) >= FEWEST_LINES
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6_000_000,))) if several else None
     try:

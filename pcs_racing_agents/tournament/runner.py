@@ -1,63 +1,132 @@
-"""Simulation of pairings as tasks (:mod:`pcs_racing_agents.jobs.jobs`): in parallel, resumable, reproducible.
+"""Races of pairings and what comes of them: at once (:func:`play_games`), recorded, or as tasks of a job.
 
 Pairings with the same races against the same opponent are simulated together, since what their egos have in common must
-be driven only once (:mod:`pcs_racing_agents.tournament.shared_driving`).
+be driven only once (:mod:`pcs_racing_agents.tournament.games`).
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.track.track import Track, calibration_values
-from pcs_racing_agents.agents.agent import Driver, competitor_hash
-from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.moves import move_names
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.recording import record_drive
+from pcs_racing.race.replay import Replay
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.track import calibration_values
+from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor, competitor_hash
 from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.jobs.jobs import Job
+from pcs_racing_agents.jobs.jobs import Job, Run, run_with_or_without
 from pcs_racing_agents.jobs.progress import Progress
-from pcs_racing_agents.jobs.tasks import numbered_tasks, run_tasks
-from pcs_racing_agents.results.races import RaceTable
-from pcs_racing_agents.tournament.games import PlayedGames, join_played
-from pcs_racing_agents.tournament.pairings import Pairing
+from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
+from pcs_racing_agents.tournament.games import game_between
+from pcs_racing_agents.tournament.pairings import Pairing, RaceBlock, race_block
 
 BLOCK = 400  # races of one task: about a second of work
 
 
-class RaceBlock(NamedTuple):
-    """The races of one task."""
-
-    content_hash: str  #: Hash of everything that their result depends on.
-    group: int  #: Number of the group of pairings.
-    first: int  #: ``first``, ``last``: The races of each pairing from ``first`` to before ``last``.
-    last: int
-
-
-@dataclass(frozen=True, eq=False)
-class RaceWorker:
-    """A function that simulates blocks of races; it is sent to other processes once, with games and competitors."""
-
-    groups: Sequence[Sequence[Pairing]]  #: The pairings of a group differ in nothing but their egos.
-    observations: bool  #: Whether to return observations.
-
-    def __call__(self, block: RaceBlock) -> dict[str, NDArray[Any]]:
-        """Race a block of a group, and return the columns of its table."""
-        group = self.groups[block.group]
-        races = group[0].take(np.arange(block.first, block.last))
-        played = join_played(races.play_each([pairing.ego for pairing in group]))
-        return {key: value for key, value in played._asdict().items() if self.observations or key != "observations"}
-
-
-def play_pairing(
-    pairing: Pairing, *, job: Job | None = None, executor: Executor | None = None, progress: Progress | None = None
+def play_games(
+    game: RaceGame,
+    ego: Competitor | Policy,
+    opponent: Competitor | Policy,
+    *,
+    policies: ArrayLike,
+    starts: Starts,
+    seeds: ArrayLike,
 ) -> RaceTable:
-    """Simulate the races of a pairing; options as for :func:`play_pairings`."""
-    name = "-".join((pairing.game.track.name, *pairing.names))
-    (games,) = play_pairings([pairing], name=name, job=job, executor=executor, progress=progress)
-    return pairing.table(games)
+    """Play games between two competitors, all at once and in this process; with the observations of both cars.
+
+    Parameters
+    ----------
+    game : RaceGame
+        Track, archive and rules. The move "stay" is added if the rules do not offer it.
+    ego, opponent : Agent, Driver, Policy, or object with ``predict`` or ``decide``
+        Who drives car 0 and car 1.
+    policies : array_like of int, shape (B, 2)
+        Variant of each: the policy of the archive to start with; for a driver which of its policies.
+    starts : Starts
+        B of them.
+    seeds : array_like of int, shape (B,)
+        Keys of the games' noise.
+    """
+    cars = (as_competitor(ego), as_competitor(opponent))
+    pairing = Pairing(game, *cars, np.asarray(policies), starts, np.asarray(seeds), 0)
+    (columns,) = pairing.race([pairing.ego])
+    return race_table(pairing, columns)
+
+
+class Recording(NamedTuple):
+    """A recorded game."""
+
+    replay: Replay
+    played: RaceTable  #: Result of the one game, with the observations of both cars.
+    game: RaceGame  #: The game as it was played, with the planners of both cars.
+
+
+def record_game(
+    game: RaceGame,
+    ego: Competitor | Policy,
+    opponent: Competitor | Policy,
+    *,
+    policies: ArrayLike,
+    start: Starts,
+    seed: int,
+    candidates: bool = True,
+) -> Recording:
+    """Play one game as :func:`pcs_racing_agents.tournament.play_games` does, and record its race.
+
+    Parameters
+    ----------
+    policies : array_like of int, shape (2,)
+    start : Starts
+        Of one game.
+    seed : int
+        Key of its noise.
+    candidates : bool
+        Whether to keep the candidate paths of each planner.
+    """
+    variants = np.asarray(policies)
+    if variants.shape != (2,):
+        raise InputError(f"policies have shape {variants.shape}; one game has two")
+    cars = (as_competitor(ego), as_competitor(opponent))
+    pairing = Pairing(game, *cars, variants[None], start, np.array([seed], np.uint64), 0)
+    (columns,) = pairing.race([cars[0]])
+    path = columns["path"][0]
+    arena = game_between(game, *cars)
+    # A step without a policy follows a crash; two drivers have none in any step, and drive in a single one.
+    driven = int((path >= 0).any(axis=0).sum()) or 1
+    theta = np.zeros((driven, 2, arena.setup.theta_size))
+    for car, competitor in enumerate(cars):
+        for step in range(driven):
+            if isinstance(competitor, Driver):
+                parameters = competitor.policies[variants[car]].parameters
+            else:
+                parameters = arena.archive.policy(int(path[car, step])).parameters
+            theta[step, car, : len(parameters)] = parameters
+    replay = record_drive(
+        arena.setup,
+        start,
+        columns["noise"][0],
+        theta,
+        names=pairing.names,
+        step_ticks=arena.config.step_ticks,
+        candidates=candidates,
+    )
+    return Recording(replay, race_table(pairing, columns), arena)
+
+
+def play_pairing(pairing: Pairing, **run: Unpack[Run]) -> RaceTable:
+    """Simulate the races of a single pairing; see :func:`play_pairings`."""
+    (races,) = play_pairings([pairing], name="-".join((pairing.game.track.name, *pairing.names)), **run)
+    return races
 
 
 def play_pairings(
@@ -68,26 +137,21 @@ def play_pairings(
     job: Job | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
-) -> Iterator[PlayedGames]:
-    """Simulate the races of several pairings in parallel, and yield the results pairing by pairing.
-
-    Pairings that differ in nothing but their egos are simulated together: what they have in common only once.
+) -> list[RaceTable]:
+    """Simulate the races of several pairings in parallel; the results of each.
 
     Parameters
     ----------
     observations : bool
-        Whether to return observations; else ``PlayedGames.observations`` has no columns.
-    job : Job, optional
-        Stores results; races with stored results are not simulated again. Results are then read from its chunks, so
-        that memory does not grow with the number of races.
+        Whether to keep the last observations of both cars.
     progress : callable, optional
         Called as ``progress(done, total, name)``, counting races.
     """
-    # With an executor its workers share the cores; without one a game uses all of them.
+    # With an executor its workers share the cores; without one a game uses all of them. Pairings of one game go on
+    # sharing it, so that its track travels to a worker only once.
     games = {id(p.game): p.game if executor is None else replace(p.game, threads=1) for p in pairings}
     places = _groups(pairings)
     groups = [[replace(pairings[i], game=games[id(pairings[i].game)]) for i in group] for group in places]
-    worker = RaceWorker(groups, observations)
     blocks = [block for i, g in enumerate(groups) for block in _blocks(i, g, observations, hashed=job is not None)]
     total = sum(len(pairing) for pairing in pairings)
 
@@ -95,33 +159,41 @@ def play_pairings(
         if progress is not None:
             progress(round(total * done / tasks) if tasks else 0, total, label)
 
-    results: dict[int, Arrays] = {}
-    chunk_name = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:80] or "races"  # a name as jobs want it
-    if job is not None:
-        job.run(chunk_name, worker, blocks, executor=executor, progress=report, keep=False)
-    else:
-        report(0, len(blocks), name)
-        for index, arrays in run_tasks(numbered_tasks(worker, blocks), executor, name):
-            results[index] = arrays
-            report(len(results), len(blocks), name)
-    tasks: dict[int, list[int]] = {}
-    for index, block in enumerate(blocks):
-        tasks.setdefault(block.group, []).append(index)
-    place = {i: (g, k) for g, group in enumerate(places) for k, i in enumerate(group)}
-    in_memory, driven = -1, []  # a group, and the results of its tasks
-    for i in range(len(pairings)):
-        group, ego = place[i]
-        if group != in_memory:
-            in_memory = group
-            driven = [results[k] if job is None else job.read(chunk_name, k) for k in tasks[group]]
-        yield join_played([_played(arrays, ego, len(groups[group])) for arrays in driven])
+    # A circuit or an agent may be called anything; a job's chunks may not.
+    chunk_name = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:80] or "races"
+    worker = partial(race_block, groups, observations)
+    results = run_with_or_without(chunk_name, worker, blocks, job=job, executor=executor, progress=report)
+    tables: dict[int, RaceTable] = {}
+    for number, members in enumerate(places):
+        parts = [arrays for block, arrays in zip(blocks, results, strict=True) if block.group == number]
+        for k, i in enumerate(members):
+            columns = {column: np.concatenate([part[column][k] for part in parts]) for column in parts[0]}
+            tables[i] = race_table(pairings[i], columns)
+    return [tables[i] for i in range(len(pairings))]
 
 
-def _played(arrays: Arrays, ego: int, egos: int) -> PlayedGames:
-    """Results of one of the egos of a block of races, which follow each other."""
-    races = len(arrays["lead"]) // egos
-    own = {name: values[ego * races : (ego + 1) * races] for name, values in arrays.items()}
-    return PlayedGames(**{"observations": np.zeros((races, 2, 0), np.float32), **own})
+def race_table(pairing: Pairing, columns: Mapping[str, NDArray[Any]]) -> RaceTable:
+    """Return the races of a pairing: how they were drawn, and how they went (:meth:`Pairing.race`)."""
+    count, config = len(pairing), pairing.game.config
+    return RaceTable(
+        preset=Categorical.constant(config.race.name, count),
+        agents=Categorical.concatenate([Categorical.constant(name, count) for name in pairing.names], axis=1),
+        track=Categorical.constant(pairing.game.track.name, count),
+        race=narrow(np.arange(count)),
+        start_s=pairing.starts.s,
+        side=narrow(pairing.starts.side),
+        seed=Categorical.constant(str(pairing.seed), count),
+        lead=columns["lead"],
+        winner=columns["winner"],
+        crash=columns["crash"],
+        fault=columns["fault"],
+        overtakes=columns["overtakes"],
+        duration=columns["duration"],
+        variants=narrow(pairing.variants),
+        path=columns["path"],
+        moves=Categorical(move_names(pairing.game.archive, config.epsilon, True), columns["moves"]),
+        observations=columns.get("observations"),
+    )
 
 
 def _groups(pairings: Sequence[Pairing]) -> list[list[int]]:
@@ -129,6 +201,7 @@ def _groups(pairings: Sequence[Pairing]) -> list[list[int]]:
     groups: dict[Any, list[int]] = {}
     for i, pairing in enumerate(pairings):
         draws = (pairing.variants, pairing.starts.s, pairing.starts.side, pairing.noise)
+        # By identity: two games that are equal but not the same would be compared map by map.
         same: Any = (id(pairing.game), id(pairing.opponent), *(array.tobytes() for array in draws))
         groups.setdefault(i if isinstance(pairing.ego, Driver) else same, []).append(i)
     return list(groups.values())
@@ -138,17 +211,15 @@ def _blocks(number: int, group: Sequence[Pairing], observations: bool, *, hashed
     pairing, game = group[0], group[0].game
     common = ""
     if hashed:
+        # Without a job nothing is looked up by its hash, and some competitors have none.
         hashes = [competitor_hash(car) for car in (*(each.ego for each in group), pairing.opponent)]
-        common = fingerprint(_track_hash(game.track), game.archive.content_hash, game.config, hashes, observations)
+        calibration = {preset: calibration_values(own) for preset, own in game.track.calibration.items()}
+        track = fingerprint(game.track.content_hash, calibration)
+        common = fingerprint(track, game.archive.content_hash, game.config, hashes, observations)
+    # Counted over all egos, although they share what they drive: at worst they part at the first move.
     size = max(1, BLOCK // len(group))
     for first in range(0, len(pairing), size):
         last = min(first + size, len(pairing))
         rows = slice(first, last)
         draws = (pairing.variants[rows], pairing.starts.s[rows], pairing.starts.side[rows], pairing.noise[rows])
         yield RaceBlock(fingerprint(common, draws) if hashed else "", number, first, last)
-
-
-def _track_hash(track: Track) -> str:
-    return fingerprint(
-        track.content_hash, {preset: calibration_values(own) for preset, own in track.calibration.items()}
-    )

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import compress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,13 +11,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
-from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.results.text_table import Column, aligned, table_rows
 from pcs_racing_agents.tournament.play import Tournament
 from pcs_racing_agents.tournament.ratings import Ratings
 from pcs_racing_agents.tournament.round_robin import RoundRobin, drivers, round_robin
 
-COLUMNS = ("agent", "races", "score", "rating", "95 %", "win", "tie", "loss", "crash: own", "other's", "overtakes")
-META = ("equilibrium", "alpha-rank")
+COLUMNS = (
+    Column("name", "agent"),
+    Column("races"),
+    Column("score", format=".3f"),
+    Column("rating", format="+.0f"),
+    Column("interval", "95 %"),
+    Column("win", format=".1%"),
+    Column("tie", format=".1%"),
+    Column("loss", format=".1%"),
+    Column("own_crash", "crash: own", ".1%"),
+    Column("other_crash", "other's", ".1%"),
+    Column("overtakes", format=".2f"),
+)
+META_COLUMNS = (Column("equilibrium", format=".2f"), Column("alpha_rank", "alpha-rank", ".2f"))
 
 
 class Standing(NamedTuple):
@@ -40,46 +51,54 @@ class Standing(NamedTuple):
     own_crash: float
     other_crash: float
     overtakes: float  #: Mean number of its overtakes in a race.
-    rating_low: float = np.nan
-    rating_high: float = np.nan
+    rating_low: float
+    rating_high: float
     #: ``equilibrium``, ``alpha_rank``: Its probabilities in
     #: :class:`pcs_racing_agents.tournament.round_robin.RoundRobin`; NaN if unknown.
-    equilibrium: float = np.nan
-    alpha_rank: float = np.nan
+    equilibrium: float
+    alpha_rank: float
+
+    @property
+    def interval(self) -> str:
+        """Interval of the rating as text."""
+        return rating_interval(self.rating_low, self.rating_high)
+
+
+def rating_interval(low: float, high: float) -> str:
+    """Return the interval of a rating as text."""
+    return "-" if np.isnan(low) else f"[{low:+.0f}, {high:+.0f}]"
 
 
 def standings(tournament: Tournament) -> list[Standing]:
     """Return the table of a tournament, highest score first."""
     table = []
+    # Kept by sum_up, since text, matrix and picture need it as well and the bootstrap takes time.
     together, races = sum_up(tournament), tournament.races
     drove = drivers(tournament.plan.names, races)
-    clean = ~races.crashed & (races.winner >= 0)
+    # Conditions on a car have shape (N, 2), conditions on a race (N, 1).
+    winner, crashed = races.winner[:, None] == np.arange(2), races.crashed[:, None]
+    clean, tie, blamed = ~crashed, races.tie[:, None], races.fault > 0
     for k, name in enumerate(tournament.plan.names):
-        own = drove == k  # (N, 2): the races in which it drove that car
+        own = drove == k
+        total = int(np.count_nonzero(own))
 
-        def count(condition: NDArray[np.bool_], own: NDArray[np.bool_] = own) -> int:
-            """Count its races with a condition on its own car, (N, 2), or on the race, (N, 1)."""
-            return int(np.count_nonzero(own & condition))
+        def share(condition: NDArray[np.bool_], own: NDArray[np.bool_] = own, total: int = total) -> float:
+            """Return the share of its races in which a condition holds."""
+            return np.count_nonzero(own & condition) / total
 
-        winner = races.winner[:, None] == np.arange(2)
-        total, won, ties = int(np.count_nonzero(own)), count(winner), count(races.tie[:, None])
-        wins = count(clean[:, None] & winner)
-        crashes, blamed = count(races.crashed[:, None]), count(races.fault > 0)
-        passes = int(races.overtakes[own].sum())
-        share = 1.0 / total
         rating, low, high = together.rating(name)
         table.append(
             Standing(
                 name=name,
                 races=total,
-                score=share * (won + 0.5 * ties),
+                score=share(winner) + 0.5 * share(tie),
                 rating=rating,
-                win=share * wins,
-                tie=share * ties,
-                loss=share * (total - wins - ties - crashes),
-                own_crash=share * blamed,
-                other_crash=share * (crashes - blamed),
-                overtakes=share * passes,
+                win=share(clean & winner),
+                tie=share(tie),
+                loss=share(clean & winner[:, ::-1]),
+                own_crash=share(blamed),
+                other_crash=share(crashed & ~blamed),
+                overtakes=int(races.overtakes[own].sum()) / total,
                 rating_low=low,
                 rating_high=high,
                 equilibrium=np.nan if together.equilibrium is None else float(together.equilibrium[k]),
@@ -111,14 +130,7 @@ def tournament_text(tournament: Tournament) -> str:
         f"{', '.join(track.name for track in plan.tracks)}; seed {plan.seed}\n"
         f"{1.0 - crashes / races:.0%} finished, {passed / races:.0%} with an overtake\n"
     )
-    available = [not all(np.isnan(getattr(s, name)) for s in table) for name in ("equilibrium", "alpha_rank")]
-    rows: list[tuple[str, ...]] = [(*COLUMNS, *compress(META, available))]
-    for s in table:
-        shares = (f"{share:.1%}" for share in (s.win, s.tie, s.loss, s.own_crash, s.other_crash))
-        meta = compress((f"{s.equilibrium:.2f}", f"{s.alpha_rank:.2f}"), available)
-        rating = "-" if np.isnan(s.rating) else f"{s.rating:+.0f}"
-        interval = "-" if np.isnan(s.rating_low) else f"[{s.rating_low:+.0f}, {s.rating_high:+.0f}]"
-        rows.append((s.name, str(s.races), f"{s.score:.3f}", rating, interval, *shares, f"{s.overtakes:.2f}", *meta))
+    known = [column for column in META_COLUMNS if not np.isnan([getattr(line, column.name) for line in table]).all()]
     payoffs = payoff_matrix(tournament)
     order = [plan.names.index(standing.name) for standing in table]
     matrix: list[tuple[str, ...]] = [("score against", *(f"({k + 1})" for k in range(len(order))))]
@@ -131,14 +143,16 @@ def tournament_text(tournament: Tournament) -> str:
         f"score: races won, a tie counting half; a crash is won by {paid}; rating: Bradley-Terry, 400 are odds of 10, "
         "start lines drawn again for the interval"
     )
-    if available[0]:
+    if META_COLUMNS[0] in known:
         note += "\nequilibrium: how often to send whom, if the other side chooses as cleverly"
-    if available[1]:
+    if META_COLUMNS[1] in known:
         note += (
             "\nalpha-rank: share of the time that evolution spends at it; scores against each other that differ by up "
             f"to {sum_up(tournament).noise:.3f} count as alike"
         )
-    return "\n".join([head, *aligned(rows, left=1), "", *aligned(matrix, left=1), "", note])
+    return "\n".join(
+        [head, *aligned(table_rows([*COLUMNS, *known], table), left=1), "", *aligned(matrix, left=1), "", note]
+    )
 
 
 def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
@@ -172,6 +186,7 @@ def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
     axes.set_yticks(range(len(names)), labels)
     for (i, j), value in np.ndenumerate(matrix):
         if not np.isnan(value):
+            # Perceived lightness of the cell (ITU-R BT.601): white digits on dark ones.
             dark = image.cmap(image.norm(value))[:3] @ np.array([0.299, 0.587, 0.114]) < 0.5
             axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color="white" if dark else INK)
     axes.tick_params(length=0)

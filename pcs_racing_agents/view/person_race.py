@@ -23,8 +23,8 @@ from pcs_racing.race.replay_files import replay_page, safe_json
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
 from pcs_racing_agents.explain.explain import ExplainedDecision, explain_game, mark_moves
-from pcs_racing_agents.tournament.games import PlayedGames
-from pcs_racing_agents.tournament.watching import record_game
+from pcs_racing_agents.results.races import RaceTable
+from pcs_racing_agents.tournament.runner import record_game
 from pcs_racing_agents.view.view_page import fill, player_parts, template
 from pcs_racing_agents.view.view_server import Answer, error_answer
 
@@ -46,6 +46,7 @@ class _GivenMoves:
         self, observation: NDArray[np.float32], state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.int64], None]:
         """Return the move for each observation."""
+        # From the observation, not from a counter: the same object may be asked for any race, in any order.
         made = moves_made(observation, self.axes)
         padded = np.array([*self.moves, self.stay])
         return padded[np.minimum(made, len(self.moves))], None
@@ -86,7 +87,7 @@ class PersonRaces:
         game, archive = self.game, self.game.archive
         made, over = len(moves), self._over(played, len(moves))
         # Steps after a crash have no policy (-1): then it is the last one that was driven.
-        policy = int([policy for policy in played.policy[0, 0, : made + 1] if policy >= 0][-1])
+        policy = int([policy for policy in played.path[0, 0, : made + 1] if policy >= 0][-1])
         axes = get_characteristics(archive.characteristics)
         seen = [
             opponent(earlier(played.observations[:, car], len(axes), made), len(axes))[0].astype(float).tolist()
@@ -126,7 +127,7 @@ class PersonRaces:
             "values": None if step.values is None else step.values.tolist(),
         }
 
-    def _over(self, played: PlayedGames, made: int) -> bool:
+    def _over(self, played: RaceTable, made: int) -> bool:
         """Whether the race ended within the step that follows a number of moves."""
         return made >= self.game.config.moves or float(played.duration[0]) < self._end(made)
 
@@ -134,7 +135,7 @@ class PersonRaces:
         """Time at which the step after a number of moves ends, s."""
         return (made + 1) * self.game.config.step_seconds
 
-    def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, PlayedGames, tuple[ExplainedDecision, ...]]:
+    def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, RaceTable, tuple[ExplainedDecision, ...]]:
         """Drive the whole race, staying after the given moves, and return it up to the next move."""
         game, names = self.game, self.game.competitor_moves
         if not 0 <= number < MOST_RACES:
@@ -144,6 +145,7 @@ class PersonRaces:
         for move in moves:
             if not 0 <= move < len(names):
                 raise InputError(f"move {move} is none of the moves 0 to {len(names) - 1} ({', '.join(names)})")
+        # The whole race each time: nothing is kept between two questions.
         person = _GivenMoves(moves, len(names) - 1, len(game.archive.characteristics))
         variants = len(self.opponent.policies) if isinstance(self.opponent, Driver) else len(game.archive)
         draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
@@ -160,6 +162,7 @@ class PersonRaces:
         else:
             explanation = explain_game(game, person, self.opponent, **race, car=1)
             replay, played, steps = explanation.replay, explanation.played, explanation.steps
+        # What would happen if the person stayed from now on must not be shown.
         if not self._over(played, len(moves)):
             replay = first_frames(replay, self._end(len(moves)))
         return replay, played, steps[: len(moves)]

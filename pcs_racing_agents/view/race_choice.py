@@ -43,6 +43,7 @@ def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
     won, lost = races.winner == car, races.winner == 1 - car
     switched = races.switches[:, car] > 0
     cases = [crashed & own, crashed & other, ~crashed & won & switched, ~crashed & won, ~crashed & lost]
+    # The first case that holds counts: a crash comes before who won it.
     return np.select(cases, [2, 4, 0, 3, 1], 5)
 
 
@@ -56,6 +57,7 @@ def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
     """
     agents = range(len(races.agents.words))
     by_car = np.array([outcomes(races, car) for car in range(2)])
+    # Outcomes outside, agents inside: of each outcome every agent has its turn before the next one.
     piles = [
         (agent, outcome, _in_turns(races, agent, (by_car == outcome) & (agent == races.agents.codes.T)))
         for outcome in range(len(OUTCOMES))

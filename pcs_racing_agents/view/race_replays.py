@@ -22,7 +22,7 @@ from pcs_racing_agents.explain.explain import mark_moves
 from pcs_racing_agents.explain.pcs_picture import in_units, plane
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.tournament.pairings import Pairing
-from pcs_racing_agents.tournament.watching import record_game
+from pcs_racing_agents.tournament.runner import record_game
 from pcs_racing_agents.view.results_folder import ResultsFolder
 
 PLACES = 4000  # resolution of positions: steps across the picture
@@ -57,6 +57,7 @@ class RaceRepeater:
         pairing = self._pairings.get(_pair(row), lambda: self.results.pairing(row))
         if row.race >= len(pairing):
             raise InputError(f"race {number} is number {row.race} of its pair, which drove {len(pairing)}")
+        # A folder that was edited is found out before a race is driven, and again by the lead at its end.
         _check_start(number, row, pairing)
         recording = record_game(
             pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(row.race), candidates=False
@@ -78,8 +79,8 @@ class RaceRepeater:
         values = race_values(replay)
         values["space"] = {
             "step_seconds": step_seconds,
-            "policies": played.policy[0].tolist(),
-            "made": played.moves[0].tolist(),
+            "policies": played.path[0].tolist(),
+            "made": played.moves.codes[0].tolist(),
             "seen": _places(self.space, in_units(arena.archive, estimates)[..., list(plane(arena.archive))]),
         }
         return RepeatedRace(number, row.track, values)
@@ -113,6 +114,7 @@ def race_values(replay: Replay) -> dict[str, Any]:
 
     Together with :func:`circuit_values` it is a replay in the format of :mod:`pcs_racing.race.replay`.
     """
+    # The page draws neither of the last two columns; zeros pack to nothing.
     drawn = np.concatenate([replay.cars[..., :5], np.zeros((*replay.cars.shape[:2], 2))], axis=-1)
     values: dict[str, Any] = {
         **plain_parts(replay),
@@ -172,6 +174,7 @@ def _places(space: dict[str, Any], points: Floats) -> Any:
     low, high = (np.array([axis[key] for axis in space["axes"]]) for key in ("low", "high"))
     steps = PLACES * (points - low) / (high - low)
     missing = np.isnan(steps).any(axis=-1)
+    # Clipped, as an estimate can lie far outside of the picture; whole steps are short in JSON.
     whole = np.rint(np.clip(np.nan_to_num(steps), -1e6, 1e6)).astype(np.int64).tolist()
     return _without(whole, missing.tolist())
 

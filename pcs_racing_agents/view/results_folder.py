@@ -69,6 +69,7 @@ class ResultsFolder:
                 return self._of_study(self.study, row)
             return self._of_tournament(row.track, row.ego, row.opponent)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
+            # Errors of ours are ValueErrors, too, and say more than that the manifest is damaged.
             if isinstance(error, InputError):
                 raise
             raise InputError(f"{self.folder / MANIFEST} is damaged: {error!r}") from None
@@ -96,6 +97,7 @@ class ResultsFolder:
 
     def _of_tournament(self, track: str, ego: str, opponent: str) -> Pairing:
         settings, study = self.settings, self.study
+        # Everything that a race depends on is compared by hash: driven with something else it would be another race.
         archive = load_archive(settings["archive"]) if study is None else study.archive
         _check_same(f"archive {archive.name!r}", archive.content_hash, settings["archive_sha256"])
         circuit = load_track(track)

@@ -62,6 +62,7 @@ def view_page(content: ViewContent) -> str:
         "circuits": [[name, dict(values)] for name, values in content.circuits.items()],
         "space": None if content.space is None else dict(content.space),
         "serve": content.serve,
+        # A command that would be refused is not offered.
         "commands": [] if content.why_not else commands,
         "why_not": content.why_not,
     }
@@ -128,6 +129,7 @@ def packed_races(races: RaceTable) -> dict[str, Any]:
 
 def _joined(moves: Categorical) -> Categorical:
     """Return lists of moves as texts, shape (N, 2)."""
+    # Lists are compared as numbers, step by step; only the different ones become texts.
     codes = np.zeros(moves.codes.shape[:2], np.int64)
     for step in range(moves.codes.shape[2]):
         # Renumbered after every step, so that the numbers do not overflow.

@@ -54,6 +54,7 @@ class RaceService:
         number = int(match.group(1))
         if not 0 <= number < self.races:
             return error_answer(404, f"there is no race {number}; there are races 0 to {self.races - 1}")
+        # Requests come in threads of their own, and the repeater keeps what races share.
         with self._lock:
             try:
                 return Answer(200, self._kept.get(number, lambda: self._drive(number)))
@@ -91,6 +92,7 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
 
         def do_GET(self) -> None:
             """Send the page, or what the service answers."""
+            # A port of 0 is known only now; the host of a request names it.
             own_port = self.connection.getsockname()[1]
             host = self.headers.get("Host", "")
             site = self.headers.get("Sec-Fetch-Site", "none")

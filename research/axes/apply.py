@@ -1,9 +1,8 @@
 """Archives on other axes: the same policies, with coordinates on learned characteristics or any others."""
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -15,8 +14,7 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.learned import LearnedCharacteristics, register_learned
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import Track
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
 from pcs_racing_agents.synthesis.scenarios import draw_scenarios
 from research.axes.behaviour import run_blocks
@@ -42,9 +40,7 @@ def apply_characteristics(
     name: str | None = None,
     settings: ApplySettings | None = None,
     seed: int = 0,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **run: Unpack[Run],
 ) -> PolicyArchive:
     """Return an archive with the same policies and other axes.
 
@@ -96,7 +92,7 @@ def apply_characteristics(
             segment_seconds=length,
             seed=int(np.random.SeedSequence(seed, spawn_key=(root,)).generate_state(1)[0]),
         )
-        raced = run_blocks(scenarios, parameters, learned, race_policies, job, executor, progress, label)
+        raced = run_blocks(scenarios, parameters, learned, race_policies, label, **run)
         measured[label] = summarise(raced)
     values: dict[str, Any] = {key: getattr(archive, key) for key in archive.__dataclass_fields__}
     own, explored = measured["coordinates"], measured.get("explored")

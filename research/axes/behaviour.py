@@ -1,8 +1,8 @@
 """Behaviour of policies: characteristics of each in many segments of races against the same opponents."""
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from functools import partial
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,7 @@ from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run, run_races
 from pcs_racing_agents.payoffs.policy_pool import race_scores
 from pcs_racing_agents.synthesis.evaluate import PolicyTask, join, race_policies, race_segments
 from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
@@ -37,10 +36,8 @@ def measure_behaviour(
     starts: int = 2,
     segment_seconds: float = 8.0,
     seed: int = 0,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
     name: str = "behaviour",
+    **run: Unpack[Run],
 ) -> Floats:
     """Race policies against all opponents from both sides, and measure every segment.
 
@@ -77,7 +74,7 @@ def measure_behaviour(
         segment_seconds=segment_seconds,
         seed=seed,
     )
-    raced = run_blocks(scenarios, parameters_of(policies), None, race_segments, job, executor, progress, name)
+    raced = run_blocks(scenarios, parameters_of(policies), None, race_segments, name, **run)
     values = raced["values"]
     # Every circuit has the same number of races, circuit after circuit.
     return np.moveaxis(values.reshape(len(policies), len(tracks), -1, len(inputs)), 1, 0)
@@ -91,16 +88,14 @@ def measure_payoffs(
     *,
     starts: int = 8,
     seed: int = 0,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
     name: str = "payoffs",
+    **run: Unpack[Run],
 ) -> Floats:
     """Race policies against all opponents from both sides, and count races won.
 
     Parameters
     ----------
-    policies, opponents, tracks, config, starts, seed, job, executor, progress, name
+    policies, opponents, tracks, config, starts, seed, name
         As for :func:`measure_behaviour`.
 
     Returns
@@ -119,7 +114,7 @@ def measure_payoffs(
         segment_seconds=config.duration,
         seed=seed,
     )
-    raced = run_blocks(scenarios, parameters_of(policies), None, race_policies, job, executor, progress, name)
+    raced = run_blocks(scenarios, parameters_of(policies), None, race_policies, name, **run)
     score = race_scores(raced["winner"])
     won = np.zeros((len(tracks), len(policies), len(opponents)))
     for track, opponent in np.ndindex(len(tracks), len(opponents)):
@@ -133,17 +128,14 @@ def run_blocks(
     parameters: Floats,
     learned: LearnedCharacteristics | None,
     race: Race,
-    job: Job | None,
-    executor: Executor | None,
-    progress: Progress | None,
     name: str,
+    **run: Unpack[Run],
 ) -> Arrays:
     """Race blocks of policies as tasks, and join the results along the policies."""
     tasks: list[LearnedTask] = [
         (learned, (scenarios, parameters[first : first + _BLOCK])) for first in range(0, len(parameters), _BLOCK)
     ]
-    run = partial(race_learned, race=race, threads=None if executor is None else 1)
-    return join(run_with_or_without(job, name, run, tasks, executor=executor, progress=progress))
+    return join(run_races(name, partial(race_learned, race=race), tasks, **run))
 
 
 def race_learned(task: LearnedTask, race: Race = race_policies, threads: int | None = None) -> Arrays:

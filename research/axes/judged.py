@@ -17,7 +17,8 @@ import numpy as np
 
 from pcs_racing import load_archive, load_race_config
 from pcs_racing.planners.registry import get_planner
-from pcs_racing_agents.jobs.executors import add_executor_options, executor_from
+from pcs_racing_agents.cli.commands import add_parameters, parameter_values
+from pcs_racing_agents.cli.options import Workers
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, spanning_policies
@@ -51,14 +52,15 @@ def main() -> None:
     parser.add_argument(
         "--segments", type=int, default=LearnSettings().segments, help="segments of a row of the regression"
     )
-    add_executor_options(parser)
+    add_parameters(parser, Workers)
     arguments = parser.parse_args()
+    workers = Workers(**parameter_values(Workers, arguments))
     config, planner = load_race_config(arguments.race), get_planner("lattice")
     settings = LearnSettings(segments=arguments.segments)
     stated = {"race": repr(config), "size": arguments.size, "races": arguments.races, "seeds": list(arguments.seeds)}
     archive = load_archive(arguments.archive)
     stated |= {"archive": archive.content_hash, "inputs": list(settings.inputs)}
-    with executor_from(arguments) as executor, open_job(arguments.out, "learned-r2", stated) as job:
+    with workers.start() as executor, open_job(arguments.out, "learned-r2", stated) as job:
         run: dict[str, Any] = {"executor": executor, "progress": show_progress("blocks")}
         drawn = []
         for seed in arguments.seeds:  # each in a folder of its own: groups of tasks have the same names

@@ -8,9 +8,8 @@
 """
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,7 @@ from pcs_racing.base.settings import Settings, checked, names, plain_settings, s
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.learned import LearnedAxis, LearnedCharacteristics, LearnedInput, check_set_name
 from pcs_racing.planners.planner import Policy
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from research.axes.behaviour import common_planner, measure_behaviour
 from research.axes.coordinates import COORDINATES, PayoffCoordinates, payoff_coordinates
@@ -77,10 +75,7 @@ class Learning:
 def learn_characteristics(
     pool: PolicyPool,
     settings: LearnSettings | None = None,
-    *,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **run: Unpack[Run],
 ) -> Learning:
     """Race a pool of policies, and learn characteristics from it.
 
@@ -93,7 +88,6 @@ def learn_characteristics(
     common_planner(pool.policies)
     if len(pool.policies) < settings.folds:
         raise InputError(f"the pool holds {len(pool.policies)} policies; {settings.folds} folds need as many")
-    run: dict[str, Any] = {"job": job, "executor": executor, "progress": progress}
     behaviour = measure_behaviour(
         pool.policies,
         spread_over(pool.policies, settings.opponents),

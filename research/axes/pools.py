@@ -1,7 +1,7 @@
 """Fresh pools of policies that span speed evenly, to learn characteristics from and to judge them on."""
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import Track
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.payoffs.policy_pool import race_scores
 from pcs_racing_agents.synthesis.archive_run import draw_policies
 from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
@@ -36,9 +35,7 @@ def draw_pool(
     *,
     seed: int = 0,
     segment_seconds: float = 8.0,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **run: Unpack[Run],
 ) -> tuple[Policy, ...]:
     """Draw policies at random, race them against random opponents, and keep good ones of all speeds.
 
@@ -64,7 +61,7 @@ def draw_pool(
     scenarios = draw_scenarios(
         tracks, config, rivals, ["speed"], planner=planner.name, starts=1, segment_seconds=segment_seconds, seed=seed
     )
-    raced = run_blocks(scenarios, drawn, None, race_policies, job, executor, progress, "candidates")
+    raced = run_blocks(scenarios, drawn, None, race_policies, "candidates", **run)
     score = race_scores(raced["winner"]).mean(axis=1)
     kept = best_of_intervals(summarise(raced).coordinates[:, 0], score, size)
     return tuple(Policy(planner, drawn[i], f"drawn {seed} {i}") for i in kept)

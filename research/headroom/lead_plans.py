@@ -5,9 +5,8 @@ races, so an agent that observes its opponent must beat the best lead plan and n
 """
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import partial
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,8 +16,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run, run_races
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, race_scores
 
 Floats = NDArray[np.float64]
@@ -56,9 +54,7 @@ def lead_plan_payoffs(
     plans: Sequence[Plan],
     *,
     step_seconds: float = 8.0,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **run: Unpack[Run],
 ) -> Floats:
     """Race every lead plan against every policy of a pool.
 
@@ -71,8 +67,8 @@ def lead_plan_payoffs(
     step_seconds : float
         The lead is looked at when the race begins and after each of these steps, s; a multiple of 0.1 s. It is that of
         a game of four moves.
-    job, executor, progress
-        As for :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`; ``progress`` counts plans.
+    **run
+        As for :func:`pcs_racing_agents.payoffs.policy_pool.pool_payoffs`; progress counts plans.
 
     Returns
     -------
@@ -86,8 +82,7 @@ def lead_plan_payoffs(
     if len({policy.planner.name for policy in pool.policies}) > 1:
         raise InputError("the pool holds policies of several planners; a lead plan can't change the planner in a race")
     tasks = [(pool, track, plan, ticks) for track in range(len(pool.tracks)) for plan in plans]
-    race = _race_plan if executor is None else partial(_race_plan, threads=1)
-    results = run_with_or_without(job, "lead-plans", race, tasks, executor=executor, progress=progress)
+    results = run_races("lead-plans", _race_plan, tasks, **run)
     payoffs = np.array([result["payoffs"] for result in results])
     return np.moveaxis(payoffs.reshape(len(pool.tracks), len(plans), len(pool.policies), pool.folds), 3, 1)
 

@@ -13,7 +13,7 @@ from pcs_racing_agents.payoffs.headroom import CyclicPlane, Headroom, cyclic_pla
 from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
-from pcs_racing_agents.tournament.round_robin import zero_sum_equilibrium
+from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from research.headroom.lead_plans import LeadPlanValue
 from research.headroom.slots import SlotHeadroom, slot_headroom
 
@@ -61,7 +61,7 @@ def track_game(track: str, slots: Floats) -> TrackGame:
         slots=slot_headroom(slots),
         transitive_share=transitive_share(payoffs),
         planes=cyclic_planes(payoffs),
-        equilibrium=zero_sum_equilibrium(payoffs.mean(axis=0)).row,
+        equilibrium=solve_matrix_games(payoffs.mean(axis=0)).rows[0],
     )
 
 

@@ -1,11 +1,9 @@
 """What remembering the opponent is worth in a match, beside never changing the policy and knowing the opponent."""
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +17,7 @@ from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run, run_races
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
@@ -101,25 +98,11 @@ def _gain_by_race(scores: Floats, arm: str) -> Floats:
     return np.asarray((scores[ARMS.index(arm)] - scores[0]).mean(axis=(0, 1)))
 
 
-def match_gains(
-    test: MatchTest, *, job: Job | None = None, executor: Executor | None = None, progress: Progress | None = None
-) -> list[TrackGain]:
-    """Play the matches of all players.
-
-    Parameters
-    ----------
-    progress : callable, optional
-        Called as ``progress(done, total, label)``, counting opponents.
-
-    Returns
-    -------
-    list of TrackGain
-        One for each circuit.
-    """
+def match_gains(test: MatchTest, **run: Unpack[Run]) -> list[TrackGain]:
+    """Play the matches of all players on each circuit; progress counts opponents."""
     opponents = range(len(test.table.opponents))
     tasks = [(test, track, opponent) for track in range(len(test.tracks)) for opponent in opponents]
-    play = _play_opponent if executor is None else partial(_play_opponent, threads=1)
-    results = run_with_or_without(job, "matches", play, tasks, executor=executor, progress=progress)
+    results = run_races("matches", _play_opponent, tasks, **run)
     known = str(test.table.training.get("tracks", "")).split(", ")
     gains = []
     for number, track in enumerate(test.tracks):

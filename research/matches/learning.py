@@ -1,10 +1,9 @@
 """Behaviours and scores of an archive's policies against each other, from training races: matches of a single race."""
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import combinations_with_replacement
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,7 @@ from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, run_with_or_without
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Run, run_races
 from research.matches.behaviours import Behaviours, features
 from research.matches.play import play_matches
 
@@ -53,17 +51,11 @@ class LearningRaces:
 
 def learn_behaviours(
     learning: LearningRaces,
-    *,
-    job: Job | None = None,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **run: Unpack[Run],
 ) -> Behaviours:
     """Race all pairs of an archive's policies, each kept for a whole race, and return what they see and win.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Called as ``progress(done, total, label)``, counting blocks of pairs.
+    Progress counts blocks of pairs.
     """
     pairs, archive = learning.pairs, learning.setting.archive
     step = max(1, RACES_AT_ONCE // learning.races)
@@ -72,8 +64,7 @@ def learn_behaviours(
         for track in range(len(learning.tracks))
         for first in range(0, len(pairs), step)
     ]
-    race = _race_block if executor is None else partial(_race_block, threads=1)
-    results = run_with_or_without(job, "learning", race, tasks, executor=executor, progress=progress)
+    results = run_races("learning", _race_block, tasks, **run)
     blocks = [(block, result) for (_, _, block), result in zip(tasks, results, strict=True)]
     return _table(learning, archive.name, blocks)
 

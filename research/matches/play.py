@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.game.competitor import Chooser, ask_moves
-from pcs_racing.game.match import KEEP, MatchGame, MatchState
-from pcs_racing.game.match_choices import ask_choices
+from pcs_racing.game.match import KEEP, MatchGame, MatchState, ask_choices
 
 Floats = NDArray[np.float64]
 

@@ -7,8 +7,7 @@ import pytest
 from zoo_games import toy_archive
 
 from pcs_racing import InputError, get_planner, load_archive, load_race_config, make_game, parse_policy, save_archive
-from pcs_racing.game.learned import LearnedAxis, LearnedCharacteristics, LearnedInput
-from pcs_racing.game.learned_files import load_learned, save_learned
+from pcs_racing.game.learned import LearnedAxis, LearnedCharacteristics, LearnedInput, load_learned, save_learned
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool
 from research.__main__ import main

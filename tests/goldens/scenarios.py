@@ -3,7 +3,7 @@
 Whatever they depend on beside the code is made here (policies, actions, seeds) or named by its hash (the circuit).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import gymnasium
@@ -13,13 +13,11 @@ import pettingzoo
 import pcs_racing
 from pcs_racing import PolicyArchive, get_planner, load_race_config, load_track, parse_policy
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.envs import drive as drive_head_to_head_module
+from pcs_racing.envs.drive import parallel_env as drive_head_to_head_env
 from pcs_racing.envs.match import parallel_env as head_to_head_match_env
 from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_IDS
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
-
-__all__ = ["RACES_ID", "SCENARIOS", "TRACK", "file_name", "track_hash"]
 
 TRACK = "Pipkin"
 RACES_ID = "pcs_racing/Races-v1"
@@ -45,6 +43,9 @@ def archive() -> PolicyArchive:
     return PolicyArchive(
         "golden", "lattice", lattice.parameter_names, parameters, ("aggressiveness", "restraint"), coordinates
     )
+
+
+SHORT_GAME = {"archive": archive(), "step_seconds": 0.6}
 
 
 def races() -> Values:
@@ -82,6 +83,40 @@ def actions(count: int, width: int) -> np.ndarray:
     return np.stack([steering, speed], axis=-1).astype(np.float32)
 
 
+def vector_episode(name: str, seed: int, actions: Iterable[np.ndarray], **options: Any) -> tuple[Values, Any]:
+    """What three environments at once show, pay and end with; and the environment, which is still open."""
+    env = gymnasium.make_vec(name, num_envs=3, track=TRACK, threads=1, autoreset_mode="SAME_STEP", **options)
+    first, _ = env.reset(seed=seed)
+    seen, rewards, over = [first], [], []
+    for action in actions:
+        observation, reward, terminated, truncated, _ = env.step(action)
+        seen.append(observation)
+        rewards.append(reward)
+        over.append((terminated, truncated))
+    return {"observations": np.array(seen), "rewards": np.array(rewards), "ends": np.array(over)}, env
+
+
+def pair_episode(name: str, seed: int, actions: Iterable[np.ndarray], maker: Any, **options: Any) -> tuple[Values, Any]:
+    """What both agents of an environment see and get; and the environment."""
+    made = getattr(pettingzoo, "make", None)
+    env = made("parallel", name, track=TRACK, **options) if made is not None else maker(track=TRACK, **options)
+    first, _ = env.reset(seed=seed)
+    seen, rewards = [[first[agent] for agent in env.possible_agents]], []
+    for action in actions:
+        observation, reward, _, _, _ = env.step(dict(zip(env.possible_agents, action, strict=True)))
+        if not observation:
+            break
+        seen.append([observation[agent] for agent in env.possible_agents])
+        rewards.append([reward[agent] for agent in env.possible_agents])
+        if not env.agents:
+            break
+    return {"observations": np.array(seen), "rewards": np.array(rewards)}, env
+
+
+def named(what: str, episode: Values) -> Values:
+    return {f"values {what} {name}": value for name, value in episode.items()}
+
+
 def drive(name: str) -> Values:
     """Two seconds in three races at once, with and without a lidar."""
     out: Values = {}
@@ -90,18 +125,8 @@ def drive(name: str) -> Values:
         "contest": {"race": "contest", "opponent": "lane-switcher:3", "beams": 16},
         "alone": {"opponent": None, "normalize": True},
     }.items():
-        env = gymnasium.make_vec(name, num_envs=3, track=TRACK, threads=1, autoreset_mode="SAME_STEP", **options)
-        first, _ = env.reset(seed=5)
-        seen, rewards, over = [first], [], []
-        for action in actions(20, 3):
-            observation, reward, terminated, truncated, _ = env.step(action)
-            seen.append(observation)
-            rewards.append(reward)
-            over.append(np.stack([terminated, truncated]))
-        out[f"values {what} observations"] = np.array(seen)
-        out[f"values {what} rewards"] = np.array(rewards)
-        out[f"values {what} ends"] = np.array(over)
-        out[f"values {what} elements"] = np.array([element.name for element in env.unwrapped.elements])
+        episode, env = vector_episode(name, 5, actions(20, 3), **options)
+        out |= named(what, {**episode, "elements": np.array([element.name for element in env.unwrapped.elements])})
         env.close()
     return out
 
@@ -110,30 +135,29 @@ def duel(name: str) -> Values:
     """Three games at once, of short steps to their ends."""
     out: Values = {}
     for race in PRESETS:
-        env = gymnasium.make_vec(
-            name,
-            num_envs=3,
-            track=TRACK,
-            archive=archive(),
-            race=race,
-            opponent="random-moves",
-            step_seconds=0.6,
-            threads=1,
-            autoreset_mode="SAME_STEP",
-        )
-        first, _ = env.reset(seed=7)
-        seen, rewards, over = [first], [], []
-        for step in range(6):
-            observation, reward, terminated, _, _ = env.step((np.arange(3) + step) % 4)
-            seen.append(observation)
-            rewards.append(reward)
-            over.append(terminated)
-        out[f"values {race} observations"] = np.array(seen)
-        out[f"values {race} rewards"] = np.array(rewards)
-        out[f"values {race} ends"] = np.array(over)
-        out[f"values {race} elements"] = np.array([element.name for element in env.unwrapped.game.observation_elements])
-        out[f"values {race} moves"] = np.array(env.unwrapped.game.move_names)
+        moves = ((np.arange(3) + step) % 4 for step in range(6))
+        episode, env = vector_episode(name, 7, moves, race=race, opponent="random-moves", **SHORT_GAME)
+        game = env.unwrapped.game
+        names = {
+            "elements": np.array([element.name for element in game.observation_elements]),
+            "moves": np.array(game.move_names),
+        }
+        out |= named(race, {**episode, "ends": episode["ends"][:, 0], **names})
         env.close()
+    return out
+
+
+def match(name: str) -> Values:
+    """Three matches at once to their ends: policies alone, and the moves of the races as well."""
+    out: Values = {}
+    for race in PRESETS:
+        for what, race_moves in (("choices", False), ("moves", True)):
+            options = {"races": 2, "race_moves": race_moves, "moves": 1, "opponent": "random-moves", **SHORT_GAME}
+            moves = ((np.arange(3) + 3 * step) % (10 if race_moves else 6) for step in range(6))
+            episode, env = vector_episode(name, 7, moves, race=race, **options)
+            names = {"elements": np.array([element.name for element in env.unwrapped.elements])}
+            out |= named(f"{race} {what}", {**episode, "ends": episode["ends"][:, 0], **names})
+            env.close()
     return out
 
 
@@ -141,20 +165,17 @@ def head_to_head(name: str) -> Values:
     """One game of two agents, of short steps to its end."""
     out: Values = {}
     for race in PRESETS:
-        options: dict[str, Any] = {"track": TRACK, "archive": archive(), "race": race, "step_seconds": 0.6}
-        made = getattr(pettingzoo, "make", None)
-        env = made("parallel", name, **options) if made is not None else pcs_racing.parallel_env(**options)
-        first, _ = env.reset(seed=3)
-        seen, rewards = [[first[agent] for agent in env.possible_agents]], []
-        for step in range(4):
-            moves = {agent: (step + car) % 4 for car, agent in enumerate(env.possible_agents)}
-            observation, reward, _, _, _ = env.step(moves)
-            if not observation:
-                break
-            seen.append([observation[agent] for agent in env.possible_agents])
-            rewards.append([reward[agent] for agent in env.possible_agents])
-        out[f"values {race} observations"] = np.array(seen)
-        out[f"values {race} rewards"] = np.array(rewards)
+        moves = ((step + np.arange(2)) % 4 for step in range(4))
+        out |= named(race, pair_episode(name, 3, moves, pcs_racing.parallel_env, race=race, **SHORT_GAME)[0])
+    return out
+
+
+def head_to_head_match(name: str) -> Values:
+    """One match of two agents to its end."""
+    out: Values = {}
+    for race in PRESETS:
+        choices = ((2 * step + 3 * np.arange(2)) % 6 for step in range(3))
+        out |= named(race, pair_episode(name, 3, choices, head_to_head_match_env, race=race, **SHORT_GAME)[0])
     return out
 
 
@@ -165,74 +186,9 @@ def drive_head_to_head(name: str) -> Values:
         "paper": {},
         "contest": {"race": "contest", "beams": 16, "see_opponent": "in sight", "win_reward": 1.0, "time_left": True},
     }.items():
-        made = getattr(pettingzoo, "make", None)
-        maker = drive_head_to_head_module.parallel_env
-        env = made("parallel", name, track=TRACK, **options) if made is not None else maker(track=TRACK, **options)
-        first, _ = env.reset(seed=5)
-        seen, rewards = [[first[agent] for agent in env.possible_agents]], []
-        for action in actions(100, 2):
-            observation, reward, _, _, _ = env.step(dict(zip(env.possible_agents, action, strict=True)))
-            seen.append([observation[agent] for agent in env.possible_agents])
-            rewards.append([reward[agent] for agent in env.possible_agents])
-            if not env.agents:
-                break
-        out[f"values {what} observations"] = np.array(seen)
-        out[f"values {what} rewards"] = np.array(rewards)
-        out[f"values {what} state"] = env.state()
-        out[f"values {what} elements"] = np.array([element.name for element in env.unwrapped.elements])
-    return out
-
-
-def match(name: str) -> Values:
-    """Three matches at once to their ends: policies alone, and the moves of the races as well."""
-    out: Values = {}
-    for race in PRESETS:
-        for what, race_moves in (("choices", False), ("moves", True)):
-            env = gymnasium.make_vec(
-                name,
-                num_envs=3,
-                track=TRACK,
-                archive=archive(),
-                race=race,
-                races=2,
-                race_moves=race_moves,
-                opponent="random-moves",
-                step_seconds=0.6,
-                moves=1,
-                threads=1,
-                autoreset_mode="SAME_STEP",
-            )
-            first, _ = env.reset(seed=7)
-            seen, rewards, over = [first], [], []
-            for step in range(6):
-                observation, reward, terminated, _, _ = env.step((np.arange(3) + 3 * step) % (10 if race_moves else 6))
-                seen.append(observation)
-                rewards.append(reward)
-                over.append(terminated)
-            out[f"values {race} {what} observations"] = np.array(seen)
-            out[f"values {race} {what} rewards"] = np.array(rewards)
-            out[f"values {race} {what} ends"] = np.array(over)
-            out[f"values {race} {what} elements"] = np.array([element.name for element in env.unwrapped.elements])
-            env.close()
-    return out
-
-
-def head_to_head_match(name: str) -> Values:
-    """One match of two agents to its end."""
-    out: Values = {}
-    for race in PRESETS:
-        options: dict[str, Any] = {"track": TRACK, "archive": archive(), "race": race, "step_seconds": 0.6}
-        made = getattr(pettingzoo, "make", None)
-        env = made("parallel", name, **options) if made is not None else head_to_head_match_env(**options)
-        first, _ = env.reset(seed=3)
-        seen, rewards = [[first[agent] for agent in env.possible_agents]], []
-        for step in range(3):
-            choices = {agent: (2 * step + 3 * car) % 6 for car, agent in enumerate(env.possible_agents)}
-            observation, reward, _, _, _ = env.step(choices)
-            seen.append([observation[agent] for agent in env.possible_agents])
-            rewards.append([reward[agent] for agent in env.possible_agents])
-        out[f"values {race} observations"] = np.array(seen)
-        out[f"values {race} rewards"] = np.array(rewards)
+        episode, env = pair_episode(name, 5, actions(100, 2), drive_head_to_head_env, **options)
+        names = {"elements": np.array([element.name for element in env.unwrapped.elements])}
+        out |= named(what, {**episode, "state": env.state(), **names})
     return out
 
 
@@ -259,3 +215,37 @@ SCENARIOS: dict[str, Callable[[], Values]] = {
 
 def file_name(name: str) -> str:
     return f"{name.partition('/')[2]}.npz"
+
+
+# Results count as the same: short races to nine decimals, the ends of long ones roughly.
+VALUE = 1e-9
+"""Of 64-bit numbers of short races: another processor may round a last bit differently."""
+FLOAT32 = 2e-6
+"""Of observations, which are 32-bit numbers, relative: a last bit or two."""
+LEAD = 0.05
+"""Of the ends of long races, m and s: over 40 s rounding errors grow, and a planner's choice may fall another way."""
+STRAY = 1
+"""Long races of each kind that may end altogether differently for that reason."""
+
+
+def differences(found: Mapping[str, Any], kept: Mapping[str, Any]) -> list[str]:
+    """Say what differs between two sets of results, in a line each."""
+    lines = [f"{name} is in one of the two only" for name in sorted(set(found) ^ set(kept))]
+    for name in sorted(set(found) & set(kept)):
+        new, old = np.asarray(found[name]), np.asarray(kept[name])
+        if new.shape != old.shape or new.dtype.kind != old.dtype.kind:
+            lines.append(f"{name} has shape {new.shape} and type {new.dtype}; it had {old.shape} and {old.dtype}")
+        elif new.dtype.kind != "f":
+            if (new != old).any():
+                lines.append(f"{name} is {new[new != old].flat[0]!r} where it was {old[new != old].flat[0]!r}")
+        elif name.startswith("ends "):
+            strayed = (np.abs(new - old) > LEAD).any(axis=1).sum()
+            if strayed > STRAY:
+                lines.append(f"{name}: {strayed} of {len(new)} races end otherwise")
+        else:
+            allowed = VALUE + (FLOAT32 if new.dtype == np.float32 else VALUE) * np.maximum(np.abs(old), 1.0)
+            worst = np.nanmax(np.abs(new.astype(np.float64) - old) / allowed)
+            if worst > 1.0 or (np.isnan(new) != np.isnan(old)).any():
+                at = np.unravel_index(np.argmax(np.abs(new - old)), new.shape)
+                lines.append(f"{name} is {new[at]:.12g} where it was {old[at]:.12g}")
+    return lines

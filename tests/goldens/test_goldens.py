@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from comparison import LEAD, STRAY, differences
-from scenarios import RACES_ID, SCENARIOS, file_name, track_hash
+from scenarios import LEAD, RACES_ID, SCENARIOS, STRAY, differences, file_name, track_hash
 
 from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_IDS
 

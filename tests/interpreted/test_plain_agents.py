@@ -53,22 +53,24 @@ def test_what_is_drawn_depends_on_what_was_seen_and_the_seed_alone():
     assert len(np.unique(hash_rows(seen, 5))) == 300
 
 
-def test_a_driver_of_50_hz_is_a_network_planner(stadium):
+def test_a_driver_of_50_hz_is_a_network_planner(coarse_oval):
     config = load_race_config(CONTEST, duration=0.6, start_lines=1)
     rival = get_planner("pure-pursuit").policy()
-    starts = draw_starts(stadium, config, 1, 0)
+    starts = draw_starts(coarse_oval, config, 1, 0)
     weights = layers()
     plain = network_planner("plain", (5,), weights.flat()).policy()
     ours = trained_planner("ours", weights, 2).policy()
-    one, other = (run_races(stadium, policy, rival, config, starts=starts, threads=1) for policy in (plain, ours))
+    one, other = (run_races(coarse_oval, policy, rival, config, starts=starts, threads=1) for policy in (plain, ours))
     np.testing.assert_array_equal(one.state.cars, other.state.cars)
     assert one.state.progress[0, 0] > 0.1
 
 
-def test_a_learner_sees_where_it_went(stadium):
+def test_a_learner_sees_where_it_went(coarse_oval):
     """Alike in both races until one of them steers: then speed, steering and heading tell them apart."""
     opponent = get_planner("pure-pursuit").policy()
-    races = LearnerEnv(2, track=stadium, race=load_race_config(PAPER, duration=1.0), opponent=opponent, time_step=0.02)
+    races = LearnerEnv(
+        2, track=coarse_oval, race=load_race_config(PAPER, duration=1.0), opponent=opponent, time_step=0.02
+    )
     first, _ = races.reset(seed=4)
     assert first.shape == (2, len(INPUTS))
     for _ in range(5):

@@ -1,6 +1,6 @@
 """Inputs that ask for far more than they are worth, one after the other in a process with little memory.
 
-Run by `test_hostile_inputs.py`; prints a line for every case that is not refused by one of our own errors.
+Run by `test_found_by_fuzzing.py`; prints a line for every case that is not refused by one of our own errors.
 """
 
 import hashlib

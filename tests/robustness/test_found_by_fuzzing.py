@@ -1,6 +1,11 @@
-"""Inputs that fuzzing found (`tools/fuzz.py`), small; each ended in another error than ours once."""
+"""Inputs that fuzzing found (`tools/fuzz.py`), which ended in another error than ours once, and hostile ones.
+
+Nothing that is read runs code, leaves the map's folder, or takes memory or time out of proportion.
+"""
 
 import io
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +14,7 @@ import yaml
 from PIL import Image
 
 from pcs_racing import GameConfig, InputError, RaceConfig, load_archive, load_race_config, load_track, make_game
-from pcs_racing.envs.batch import check_seed
+from pcs_racing.base.checks import check_seed
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.duel import HeadToHeadEnv
 from pcs_racing.game.characteristics import get_characteristics
@@ -232,3 +237,15 @@ def test_a_picture_of_one_row():
     Image.fromarray(np.array([[0, 150, 255]], np.uint8)).save(file, "PNG")
     grid = parse_grid(Path("x.png"), file.getvalue(), {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25})
     assert grid.tolist() == [[True, False, False]]
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").is_file(), reason="limits of memory are tested on Linux")
+def test_hostile_inputs_are_refused_in_little_memory(tmp_path):
+    script = Path(__file__).with_name("hostile.py")
+    found = subprocess.run(
+        [sys.executable, str(script), str(tmp_path)], capture_output=True, text=True, timeout=600, check=False
+    )
+    *wrong, last = found.stdout.splitlines() or [""]
+    assert wrong == [], found.stderr[-2000:]
+    assert last.endswith("cases"), found.stderr[-2000:]
+    assert int(last.split()[0]) > 80

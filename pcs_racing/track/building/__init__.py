@@ -1,1 +1,7 @@
-"""Construction of a track from a picture of its walls: centre line, race line, splines, speed, walls."""
+"""From a picture of the walls to a track: centre line, race line, speeds, walls as polylines.
+
+All functions here take a grid in the same form: ``occupied``, bool of shape (H, W), is True where a wall is, and row 0
+is the bottom; ``resolution`` is the side of a cell in m, and ``origin`` (or ``corner``) the lower left corner of cell
+[0, 0] in m. A closed line is an array of points of which the last lies one step before the first. ``label`` names a
+line or a track in errors.
+"""

@@ -5,13 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import MapError
+from pcs_racing.track.building.curves import first_crossing
 from pcs_racing.track.building.splines import LineSamples, clean_closed, sample_closed
-from pcs_racing.track.building.walls import seen_lists, simplify, trace_outlines
-from pcs_racing.track.corners import corner_lists
+from pcs_racing.track.building.walls import corner_lists, seen_lists, simplify, trace_outlines
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, LINE_COLUMNS, PSI, RIGHT, SIN, SPEED, TrackArrays, X, Y
 from pcs_racing.track.grid import cast, distance_to_walls, flood, lookup_grid, way_out
 
@@ -33,34 +32,8 @@ LOOKUP_CELL = 0.25  # m
 LEAK = 1.4  # a region larger than this many times length x mean width is more than the track
 
 
-def check_grid(
-    occupied: ArrayLike, resolution: float, origin: ArrayLike, label: str
-) -> tuple[Grid, float, tuple[float, float]]:
-    """Check an occupancy grid, its cell size and its lower left corner, and convert them to the right types."""
-    grid = np.ascontiguousarray(occupied)
-    if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 8:
-        raise MapError(f"{label}: the grid must be a boolean array of at least 8 x 8, got {grid.dtype} {grid.shape}")
-    check_number(f"{label}: resolution", resolution, most=1.0, above=0.0, error=MapError)
-    corner = np.asarray(origin, dtype=np.float64).ravel()
-    if corner.shape != (2,) or not (np.abs(corner) <= 1e6).all():
-        raise MapError(f"{label}: origin must be two coordinates in metres, got {origin!r}")
-    return grid, float(resolution), (float(corner[0]), float(corner[1]))
-
-
 def check_line(points: ArrayLike, label: str) -> Floats:
-    """Check the points of a closed line and remove repeated points.
-
-    Parameters
-    ----------
-    points : array_like, shape (K, 2)
-        In m.
-    label : str
-        Name of the line in errors.
-
-    Returns
-    -------
-    ndarray, shape (L, 2)
-    """
+    """Check the points of a closed line, shape (K, 2), and remove repeated ones."""
     xy = np.array(points, dtype=np.float64)
     if xy.ndim != 2 or xy.shape[1] != 2:
         raise MapError(f"{label} must be an array of shape (K, 2), got {xy.shape}")
@@ -80,10 +53,10 @@ def check_line(points: ArrayLike, label: str) -> Floats:
         raise MapError(
             f"{label} is {step.sum():.0f} m long: at most {MAX_LENGTH:.0f} m are supported (is it in metres?)"
         )
-    samples = sample_closed(xy, 2.0 * LINE_SPACING)
-    crossing = _first_crossing(samples.xy, samples.length / len(samples.xy))
+    samples = sample_closed(xy, 2.0 * LINE_SPACING).xy
+    crossing = first_crossing(samples)[0]
     if crossing >= 0:
-        raise MapError(f"{label} crosses itself near {_at(samples.xy[crossing])}: it must be a simple closed line")
+        raise MapError(f"{label} crosses itself near {_at(samples[crossing])}: it must be a simple closed line")
     return xy
 
 
@@ -104,24 +77,12 @@ def check_centerline(centerline: ArrayLike, label: str) -> Floats:
 
 
 def drivable_region(
-    occupied: Grid, resolution: float, origin: tuple[float, float], samples: LineSamples, label: str
+    occupied: Grid, resolution: float, origin: Floats, samples: LineSamples, label: str
 ) -> tuple[Grid, int, int]:
     """Return the region that is connected with a line without crossing walls, cropped to its box and a margin.
 
-    Parameters
-    ----------
-    occupied : ndarray of bool, shape (H, W)
-    samples : LineSamples
-        The race line.
-    label : str
-        Name of the track in errors.
-
-    Returns
-    -------
-    drivable : ndarray of bool
-        Its outermost rows and columns are False.
-    row, col : int
-        Row and column of the grid at which the crop begins (negative if the margin is outside the grid).
+    Its outermost rows and columns are False. Row and column of the grid at which the crop begins are returned too
+    (negative if the margin is outside the grid).
     """
     rows, cols = _cells(samples.xy, occupied, resolution, origin, f"{label}: the race line")
     reached, (bottom, top, left, right) = flood(occupied, rows, cols)
@@ -130,6 +91,7 @@ def drivable_region(
     m = MARGIN
     drivable = np.zeros((top - bottom + 1 + 2 * m, right - left + 1 + 2 * m), dtype=np.bool_)
     drivable[m:-m, m:-m] = reached[bottom : top + 1, left : right + 1]
+    # Far more area than length times width: the walls leak into a yard or the infield.
     across = _free_widths(drivable, *_in_cells(samples, resolution, origin, bottom - m, left - m)).sum(axis=1)
     usual = float(across.mean()) * samples.length / resolution
     area = int(np.count_nonzero(reached))
@@ -153,24 +115,11 @@ def drivable_region(
 
 
 def build_arrays(
-    occupied: Grid, resolution: float, origin: tuple[float, float], raceline: Floats, label: str
+    occupied: Grid, resolution: float, origin: Floats, raceline: Floats, label: str
 ) -> tuple[TrackArrays, Grid]:
-    """Build the arrays of a track for compiled kernels.
+    """Build the arrays of a track for compiled kernels, and its drivable region in the shape of ``arrays.distance``.
 
-    Parameters
-    ----------
-    occupied, resolution, origin
-        Results of `check_grid`.
-    raceline : ndarray, shape (K, 2)
-        Result of `check_line`.
-    label : str
-        Name of the track in errors.
-
-    Returns
-    -------
-    arrays : TrackArrays
-    drivable : ndarray of bool, shape of ``arrays.distance``
-        The drivable region.
+    Grid and race line have been checked by `checked_grid` and `check_line`.
     """
     from pcs_racing.track.building.speed import speed_profile
 
@@ -214,6 +163,7 @@ def build_arrays(
         walls=walls,
         seen_start=seen_start,
         seen=seen,
+        # Rounded down: a search that ends at a distance must never end too early.
         seen_distance=np.nextafter((seen_distance * resolution).astype(np.float32), np.float32(-1.0)),
         seen_middle=sections[1::2].mean(axis=1) * resolution + corner,
         seen_stretch=samples.length / stretches,
@@ -230,10 +180,10 @@ def _at(point: NDArray[Any]) -> str:
 
 
 def _cells(
-    xy: Floats, occupied: Grid, resolution: float, origin: tuple[float, float], label: str
+    xy: Floats, occupied: Grid, resolution: float, origin: Floats, label: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the rows and columns of the free cells that contain the points."""
-    cols, rows = np.floor((xy - np.asarray(origin)) / resolution).astype(np.int64).T.copy()
+    cols, rows = np.floor((xy - origin) / resolution).astype(np.int64).T.copy()
     height, width = occupied.shape
     outside = (rows < 0) | (cols < 0) | (rows >= height) | (cols >= width)
     if outside.any():
@@ -247,7 +197,7 @@ def _cells(
 
 
 def _in_cells(
-    samples: LineSamples, resolution: float, origin: tuple[float, float], row: int, col: int
+    samples: LineSamples, resolution: float, origin: Floats, row: int, col: int
 ) -> tuple[Floats, Floats, Floats]:
     """Return the line samples, in cells from the corner of a crop, and their tangents."""
     x = (samples.xy[:, 0] - origin[0]) / resolution - col
@@ -273,38 +223,3 @@ def _free_widths(drivable, x, y, tangent):  # type: ignore[no-untyped-def]
         out[k, 0] = cast(drivable, x[k], y[k], s, -c, np.inf)[0]
         out[k, 1] = cast(drivable, x[k], y[k], -s, c, np.inf)[0]
     return out
-
-
-@compiled
-def _first_crossing(xy, step):  # type: ignore[no-untyped-def]
-    """Return the first segment of a closed polyline with equal steps that crosses another one, or -1.
-
-    The distance between two segments changes by at most one step per segment. So after a pair of distant segments, all
-    segments that can't be near yet are skipped, which takes almost linear time on a circuit.
-    """
-    n = xy.shape[0]
-    for i in range(n - 2):
-        ax, ay = xy[i]
-        bx, by = xy[i + 1]
-        j = i + 2
-        last = n if i > 0 else n - 1
-        while j < last:
-            cx, cy = xy[j]
-            far = int(np.sqrt((cx - ax) * (cx - ax) + (cy - ay) * (cy - ay)) / step)
-            if far > 3:
-                j += far - 2
-                continue
-            dx, dy = xy[(j + 1) % n]
-            j += 1
-            # On a straight the sides below are rounding errors; boxes that don't overlap settle it.
-            if max(cx, dx) < min(ax, bx) or min(cx, dx) > max(ax, bx):
-                continue
-            if max(cy, dy) < min(ay, by) or min(cy, dy) > max(ay, by):
-                continue
-            c_side = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-            d_side = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax)
-            a_side = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
-            b_side = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx)
-            if c_side * d_side <= 0.0 and a_side * b_side <= 0.0:
-                return i
-    return -1

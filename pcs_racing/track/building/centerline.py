@@ -32,17 +32,11 @@ def centerline_from_grid(
     """Compute the closed line midway between the inner and the outer wall of a circuit.
 
     The circuit is a free region around exactly one hole. Its centre line is the set of points that are as far from the
-    hole as from the outer wall: the contour at zero of the difference of two exact distance fields. Unlike
-    the skeleton of a region, it is always a single closed curve without branches, and more precise than a cell.
+    hole as from the outer wall: the contour at zero of the difference of two exact distance fields. Unlike the skeleton
+    of a region, it is always a single closed curve without branches, and more precise than a cell.
 
     Parameters
     ----------
-    occupied : array_like, shape (H, W), bool
-        True where a wall is; row 0 is the bottom.
-    resolution : float
-        Side of a cell in m.
-    origin : array_like, shape (2,)
-        Lower left corner of cell [0, 0] in m.
     seed_point : array_like, shape (2,), optional
         A point on the track, in m; the line begins beside it. Without one the track is the free region that surrounds
         exactly one hole and does not touch the border of the map, and the line begins on its longest straight.
@@ -52,8 +46,8 @@ def centerline_from_grid(
     Returns
     -------
     ndarray, shape (M, 4)
-        x, y and the widths to the right and to the left wall, all in m, evenly spaced about 0.3 m apart; the last point
-        lies one step before the first. A width is the distance to the nearest point of the wall on that side.
+        x, y and the widths to the right and to the left wall, all in m, evenly spaced about 0.3 m apart. A width is the
+        distance to the nearest point of the wall on that side.
     """
     require("skimage")
     from scipy import ndimage

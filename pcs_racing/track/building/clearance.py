@@ -1,57 +1,33 @@
 """Room between the walls of a grid: exact distances, and how far a line may move; row 0 of a grid is its bottom."""
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_number
+from pcs_racing.base.checks import check_array, check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.frenet import interpolate
 
 
 def checked_grid(
-    occupied: np.ndarray, resolution: float, origin: np.ndarray | tuple[float, float]
-) -> tuple[np.ndarray, float, np.ndarray]:
-    """Return occupancy grid, cell size and origin as arrays, after a check of their types and shapes.
-
-    Parameters
-    ----------
-    occupied : array_like, shape (H, W), bool
-        True where a wall is; row 0 is the bottom of the picture.
-    resolution : float
-        Side of a cell in m.
-    origin : array_like, shape (2,) or longer
-        Lower left corner of cell [0, 0] in m; further elements (the yaw of ROS maps) are ignored.
-    """
+    occupied: ArrayLike, resolution: float, origin: ArrayLike, label: str = "the map"
+) -> tuple[NDArray[np.bool_], float, NDArray[np.float64]]:
+    """Return occupancy grid, cell size and origin as arrays, after a check of their types, shapes and values."""
     grid = np.ascontiguousarray(occupied)
-    if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 3:
-        raise MapError(f"the grid is a {grid.dtype} array of shape {grid.shape}: a boolean (H, W) array is needed")
-    check_number("resolution", resolution, above=0.0, error=MapError)
-    corner = np.asarray(origin, dtype=np.float64)[:2]
-    if corner.shape != (2,) or not np.isfinite(corner).all():
-        raise MapError(f"origin is {origin!r}: it must begin with two finite coordinates in metres")
+    if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 8:
+        raise MapError(
+            f"{label}: the grid is {grid.dtype} of shape {grid.shape}; it must be a boolean array of at least 8 x 8"
+        )
+    check_number(f"{label}: resolution", resolution, most=1.0, above=0.0, error=MapError)
+    corner = check_array(f"{label}: origin", origin, (2,), least=-1e6, most=1e6, error=MapError)
     return grid, float(resolution), corner
 
 
 @compiled
 def wall_clearance(points, occupied, resolution, origin, reach):  # type: ignore[no-untyped-def]
-    """Exact distance from points to the nearest wall cell, taken as the full square that it covers.
+    """Exact distance in m from points (N, 2) to the nearest wall cell, taken as the full square that it covers.
 
-    Parameters
-    ----------
-    points : ndarray, shape (N, 2), float64
-        In m.
-    occupied : ndarray, shape (H, W), bool
-    resolution : float
-        Side of a cell in m.
-    origin : ndarray, shape (2,), float64
-        Lower left corner of cell [0, 0] in m.
-    reach : float
-        Larger distances are returned as this one, m.
-
-    Returns
-    -------
-    ndarray, shape (N,), float64
-        In m, at most ``reach``; 0 in a wall. Everything outside the grid is wall.
+    It is 0 in a wall, and ``reach`` (m) where it is larger; everything outside the grid is wall.
     """
     rows, cols = occupied.shape
     out = np.empty(points.shape[0])
@@ -92,22 +68,16 @@ def room_at(line, room, resolution, corner):  # type: ignore[no-untyped-def]
 
 @compiled
 def corridor(line, normal, room, resolution, corner, need, reach):  # type: ignore[no-untyped-def]
-    """How far points may move along their normals and keep a distance from the walls.
+    """How far points may move along their normals and keep the distance ``need`` (m) from the walls.
 
     A point that lacks room itself must move to the nearest place that has it, on this side of the next wall.
 
     Parameters
     ----------
-    line, normal : ndarray, shape (N, 2), float64
+    line, normal : ndarray, shape (N, 2)
         Points in m, and unit vectors to the left.
     room : ndarray, shape (H, W)
         Distance to the nearest wall at the centre of each cell, m.
-    resolution : float
-        Side of a cell in m.
-    corner : ndarray, shape (2,)
-        Lower left corner of cell [0, 0] in m.
-    need : float
-        The distance to keep, m.
     reach : float
         Look no farther than this, m.
 
@@ -130,6 +100,7 @@ def corridor(line, normal, room, resolution, corner, need, reach):  # type: igno
         free_left = True
         free_right = True
         m = 0
+        # Step by step to both sides in turn, so that the nearer place with room is found; a side ends at a wall.
         while not enough and m * step < reach and (free_left or free_right):
             m += 1
             if free_left:

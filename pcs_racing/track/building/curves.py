@@ -1,4 +1,4 @@
-"""Closed plane curves as arrays of points, the last of which lies one step before the first."""
+"""Closed plane curves as arrays of points (N, 2), in m."""
 
 import numpy as np
 
@@ -14,17 +14,7 @@ def transform(real, imaginary):  # type: ignore[no-untyped-def]
 
     It has the same bits on every processor; numpy's transform uses the sines of the C library, which selects its code
     by the processor. This is the mixed-radix transform in Stockham's order (Van Loan 1992, *Computational Frameworks
-    for the Fast Fourier Transform*, 1.7).
-
-    Parameters
-    ----------
-    real, imaginary : ndarray, shape (N,)
-        Real and imaginary part of x.
-
-    Returns
-    -------
-    real, imaginary : ndarray, shape (N,)
-        Real and imaginary part of X.
+    for the Fast Fourier Transform*, 1.7). Real and imaginary parts go in and come out one by one.
     """
     n = real.shape[0]
     sine = np.empty(n)
@@ -62,12 +52,7 @@ def transform(real, imaginary):  # type: ignore[no-untyped-def]
 def checked_curve(points: np.ndarray, label: str) -> np.ndarray:
     """Points of a closed curve as an (N, 2) array, without repeated neighbours and without a repeated first point.
 
-    Parameters
-    ----------
-    points : array_like, shape (N, 2) or wider
-        Further columns are ignored.
-    label : str
-        Name of the curve in error messages, for instance "centre line".
+    Further columns are ignored.
     """
     xy = np.asarray(points, dtype=np.float64)
     if xy.ndim != 2 or xy.shape[1] < 2:
@@ -98,39 +83,15 @@ def signed_area(xy: np.ndarray) -> float:
 
 
 def resample(xy: np.ndarray, step: float) -> np.ndarray:
-    """Evenly spaced points on the periodic cubic spline through a closed curve.
-
-    Parameters
-    ----------
-    xy : ndarray, shape (N, 2)
-        In m.
-    step : float
-        Wanted distance of neighbours along the curve in m; the nearest one that divides the length is used.
-
-    Returns
-    -------
-    ndarray, shape (M, 2)
-        The first point is kept.
-    """
+    """Evenly spaced points on the periodic cubic spline through a closed curve, see :func:`sample_closed`."""
     return sample_closed(xy, step).xy
 
 
 def smooth(xy: np.ndarray, wavelength: float) -> np.ndarray:
-    """Closed curve without its short waves.
+    """Closed curve, given by evenly spaced points, without waves that are shorter than about ``wavelength`` (m).
 
     The points y that minimise ``sum |y - x|^2 + c sum |y''|^2`` around the loop, which Fourier modes solve one by one:
     a wave is multiplied by ``1 / (1 + (wavelength / its own length)^4)``.
-
-    Parameters
-    ----------
-    xy : ndarray, shape (N, 2)
-        Evenly spaced points, m.
-    wavelength : float
-        Waves of this length are halved, m; 0 keeps everything.
-
-    Returns
-    -------
-    ndarray, shape (N, 2)
     """
     n = len(xy)
     waves = np.minimum(np.arange(n), n - np.arange(n))  # around the loop
@@ -144,34 +105,39 @@ def smooth(xy: np.ndarray, wavelength: float) -> np.ndarray:
 
 @compiled
 def first_crossing(xy):  # type: ignore[no-untyped-def]
-    """First pair of segments of a closed polyline that cross each other.
+    """First pair of segments of a closed polyline that cross, those from points i and j on; (-1, -1) if it is simple.
 
-    Parameters
-    ----------
-    xy : ndarray, shape (N, 2), float64
-
-    Returns
-    -------
-    i, j : int
-        The segments from points i and j to the next ones cross; (-1, -1) if the polyline is simple.
+    From one segment to the next the distance to a third one changes by at most the longest step. So after a pair that
+    is far apart, all segments that can't be near yet are skipped: an evenly sampled circuit takes almost linear time.
     """
     n = xy.shape[0]
+    longest = 0.0
     for i in range(n):
+        dx, dy = xy[(i + 1) % n, 0] - xy[i, 0], xy[(i + 1) % n, 1] - xy[i, 1]
+        longest = max(longest, np.sqrt(dx * dx + dy * dy))
+    for i in range(n - 2):
         ax, ay = xy[i]
-        bx, by = xy[(i + 1) % n]
-        low_x, high_x = min(ax, bx), max(ax, bx)
-        low_y, high_y = min(ay, by), max(ay, by)
-        for j in range(i + 2, n):
-            if i == 0 and j == n - 1:
-                continue
+        bx, by = xy[i + 1]
+        j = i + 2
+        # The last segment meets the first one in the first point: no crossing.
+        last = n if i > 0 else n - 1
+        while j < last:
             cx, cy = xy[j]
+            far = int(np.sqrt((cx - ax) * (cx - ax) + (cy - ay) * (cy - ay)) / longest)
+            if far > 3:
+                j += far - 2
+                continue
             dx, dy = xy[(j + 1) % n]
-            if max(cx, dx) < low_x or min(cx, dx) > high_x or max(cy, dy) < low_y or min(cy, dy) > high_y:
+            j += 1
+            # On a straight the sides below are rounding errors; boxes that don't overlap settle it.
+            if max(cx, dx) < min(ax, bx) or min(cx, dx) > max(ax, bx):
+                continue
+            if max(cy, dy) < min(ay, by) or min(cy, dy) > max(ay, by):
                 continue
             c_side = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
             d_side = (bx - ax) * (dy - ay) - (by - ay) * (dx - ax)
             a_side = (dx - cx) * (ay - cy) - (dy - cy) * (ax - cx)
             b_side = (dx - cx) * (by - cy) - (dy - cy) * (bx - cx)
             if c_side * d_side <= 0.0 and a_side * b_side <= 0.0:
-                return i, j
+                return i, j - 1
     return -1, -1

@@ -49,12 +49,6 @@ def minimum_curvature_raceline(
     ----------
     centerline : array_like, shape (M, 2) or wider
         Any closed line around the circuit, x and y in m in its first columns, in driving direction.
-    occupied : array_like, shape (H, W), bool
-        True where a wall is; row 0 is the bottom.
-    resolution : float
-        Side of a cell in m.
-    origin : array_like, shape (2,)
-        Lower left corner of cell [0, 0] in m.
     clearance : float
         Distance in m that the line keeps from the nearest wall cell, measured to the edge of that cell.
     spacing : float
@@ -68,8 +62,7 @@ def minimum_curvature_raceline(
     Returns
     -------
     ndarray, shape (N, 2)
-        Evenly spaced points in m, in the direction of ``centerline`` and beginning beside its first point; the last one
-        lies one step before the first.
+        Evenly spaced points in m, in the direction of ``centerline`` and beginning beside its first point.
     """
     require("clarabel")
     grid, resolution, corner = checked_grid(occupied, resolution, origin)
@@ -88,6 +81,7 @@ def minimum_curvature_raceline(
     for _ in range(rounds):
         line, moved = _improve(line, room, resolution, corner, clearance + slack, length_weight, trust)
         trust = max(0.8 * trust, 0.02)
+        # A line that still moves is not worth checking: the next round moves it again.
         if moved > SETTLED:
             continue
         result = resample(line, spacing)
@@ -119,23 +113,11 @@ def raceline_rows(
     acceleration: float = ACCELERATION,
     top_speed: float = TOP_SPEED,
 ) -> np.ndarray:
-    """Rows of a ``NAME_raceline.csv``: the line with its heading, curvature and speed profile.
+    """Rows of a ``NAME_raceline.csv``, shape (N + 1, 7), about ``spacing`` metres apart.
 
-    Parameters
-    ----------
-    xy : array_like, shape (N, 2)
-        Points of a closed line in m, the last one a step before the first.
-    spacing : float
-        Wanted distance of the rows along the line in m.
-    lateral, braking, acceleration, top_speed : float
-        Limits of the speed profile (m/s^2 and m/s), see ``speed_profile``.
-
-    Returns
-    -------
-    ndarray, shape (N + 1, 7)
-        The columns of a race line file: arc length, x, y (m), heading (rad, in [-pi, pi)), curvature (1/m, positive to
-        the left), speed (m/s) and acceleration to the next row (m/s^2). As in f1tenth_racetracks the last row repeats
-        the first one, at s = length.
+    Arc length, x, y (m), heading (rad, in [-pi, pi)), curvature (1/m, positive to the left), speed (m/s) and
+    acceleration to the next row (m/s^2). As in f1tenth_racetracks the last row repeats the first one, at s = length.
+    The limits are those of `speed_profile`.
     """
     line = sample_closed(checked_curve(xy, "race line"), spacing)
     ds = line.length / len(line.xy)
@@ -169,6 +151,7 @@ def _reference(
 ) -> np.ndarray:
     """Return the first reference: the centre line, as smooth as possible without coming near a wall."""
     even = resample(start, STEP)
+    # A smooth start saves rounds, but not if it leads into a wall.
     for wavelength in (4.0, 2.0, 1.0):
         line = smooth(even, wavelength)
         if room_at(line, room, resolution, corner).min() >= 0.5 * clearance:
@@ -235,6 +218,7 @@ def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray, le
     settings.max_threads = 1
     settings.direct_solve_method = "qdldl"  # no instructions beyond SSE2, whatever the processor has
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-6
+    # Both bounds of every move as one cone: high - a and a - low are not negative.
     solver = clarabel.DefaultSolver(
         sparse.triu(P, format="csc"),
         q,

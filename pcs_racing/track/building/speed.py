@@ -25,28 +25,15 @@ def speed_profile(
     acceleration: float = ACCELERATION,
     top_speed: float = TOP_SPEED,
 ) -> np.ndarray:
-    """Largest periodic speeds along a closed line within four limits.
+    """Largest periodic speeds (m/s) along a closed line within four limits (m/s^2 and m/s), all positive.
 
     The usual forward-backward sweep (for instance Kapania, Subosits and Gerdes 2016, "A sequential two-step algorithm
     for fast generation of vehicle racing trajectories", without its coupling of lateral and longitudinal grip): the
     cornering speed ``sqrt(lateral / |kappa|)`` is lowered forwards where the motor can't reach it, and backwards where
     the brakes can't come down to it.
 
-    Parameters
-    ----------
-    kappa : array_like, shape (N,)
-        Curvature at the samples of the closed line, 1/m.
-    ds : float or array_like, shape (N,)
-        Distance in m from each sample to the next one (from the last to the first).
-    lateral, braking, acceleration : float
-        Limits in m/s^2, all positive.
-    top_speed : float
-        Limit in m/s, positive.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        Speed in m/s, in (0, top_speed].
+    ``kappa`` is the curvature at the samples in 1/m, and ``ds`` the distance in m from each sample to the next one
+    (from the last to the first): one for all, or one for each.
     """
     limits = {"lateral": lateral, "braking": braking, "acceleration": acceleration, "top_speed": top_speed}
     for name, value in limits.items():
@@ -57,19 +44,15 @@ def speed_profile(
     if not np.isfinite(kappa).all():
         raise InputError(f"kappa[{int(np.argmin(np.isfinite(kappa)))}] is not finite")
     steps = _steps(ds, kappa.size)
+    # In squared speeds, in which constant acceleration is a straight line.
     cap = np.minimum(lateral / np.maximum(np.abs(kappa), 1e-12), top_speed**2)
     return np.sqrt(_sweep(cap, steps, acceleration, braking))
 
 
 def lap_time(v: np.ndarray, ds: float | np.ndarray) -> float:
-    """Time of one lap in s, at constant acceleration from each sample to the next.
+    """Time of one lap in s at speeds ``v`` (m/s, positive) at samples ``ds`` (m) apart, as for `speed_profile`.
 
-    Parameters
-    ----------
-    v : array_like, shape (N,)
-        Speed at the samples of the closed line, m/s, positive.
-    ds : float or array_like, shape (N,)
-        Distance in m from each sample to the next one (from the last to the first).
+    The acceleration is constant from each sample to the next.
     """
     v = np.asarray(v, dtype=np.float64)
     if v.ndim != 1 or v.size == 0 or not (np.isfinite(v).all() and (v > 0.0).all()):

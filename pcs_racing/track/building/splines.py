@@ -33,20 +33,12 @@ class LineSamples(NamedTuple):
 
 @compiled
 def solve_cyclic(lower, diagonal, upper, right):  # type: ignore[no-untyped-def]
-    """Solve a cyclic tridiagonal system for several right-hand sides.
+    """Solve ``lower[i] x[i-1] + diagonal[i] x[i] + upper[i] x[i+1] = right[i]``, indices modulo n, for x (n, m).
 
-    Parameters
-    ----------
-    lower, diagonal, upper : ndarray, shape (n,)
-        ``lower[i] x[i-1] + diagonal[i] x[i] + upper[i] x[i+1] = right[i]``, indices modulo n; n at least 3 and the
-        matrix diagonally dominant.
-    right : ndarray, shape (n, m)
-
-    Returns
-    -------
-    ndarray, shape (n, m)
+    The matrix must be diagonally dominant, and n at least 3.
     """
     n, m = right.shape
+    # The two corner entries become a correction of rank one, carried along as one more right-hand side.
     gamma = -diagonal[0]
     main = diagonal.copy()
     main[0] -= gamma
@@ -83,24 +75,10 @@ def clean_closed(points: ArrayLike, tolerance: float = 1e-6) -> Floats:
 
 
 def sample_closed(points: ArrayLike, ds: float) -> LineSamples:
-    """Sample the periodic cubic spline through ``points`` at equal arc length.
+    """Sample the periodic cubic spline through the points of a closed line at equal arc length, the first point first.
 
-    Parameters
-    ----------
-    points : array_like, shape (K, 2)
-        Points of a closed line in m, in order; the first need not be repeated at the end.
-    ds : float
-        Wanted spacing in m; the nearest one that divides the length is used.
-
-    Returns
-    -------
-    LineSamples
-        ``xy[0]`` is the first point.
-
-    Raises
-    ------
-    ValueError
-        If fewer than four distinct points are given.
+    The points, shape (K, 2) in m, are four or more that differ (else a ``ValueError``); the first need not be repeated
+    at the end. Of the spacings that divide the length the one nearest to ``ds`` (m) is taken.
     """
     xy = clean_closed(points)
     if len(xy) < 4:
@@ -132,6 +110,7 @@ def sample_closed(points: ArrayLike, ds: float) -> LineSamples:
     s = np.arange(count) * (length / count)
     k = np.minimum(np.searchsorted(start, s, side="right") - 1, len(xy) - 1)
     t = h[k] * (s - start[k]) / (start[k + 1] - start[k])
+    # Newton's method on the arc length; chord lengths are so good a guess that four steps are enough.
     for _ in range(4):
         t = t - (arc(k, t) - (s - start[k])) / lengths(velocity(k, t))
     t1 = t[:, None]

@@ -1,4 +1,4 @@
-"""Walls as polylines: simplified outlines of the drivable region, and lists of visible segments."""
+"""Walls as polylines: simplified outlines of the drivable region, and lists of visible segments and their corners."""
 
 from typing import NamedTuple
 
@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.track.grid import cast
+
+TOGETHER = 16
+"""Lists of corners have a multiple of this length, so that the processor's vectors are full."""
 
 
 class Outlines(NamedTuple):
@@ -39,6 +42,7 @@ def _trace(drivable):  # type: ignore[no-untyped-def]
     k = 0
     for i0 in range(1, height - 1):
         for j0 in range(1, width - 1):
+            # Every outline has a bottom face: it is enough to start from those.
             if not drivable[i0, j0] or drivable[i0 - 1, j0] or visited[i0, j0] & 1:
                 continue
             i, j, side = i0, j0, 0
@@ -65,10 +69,7 @@ def _trace(drivable):  # type: ignore[no-untyped-def]
 def trace_outlines(drivable: NDArray[np.bool_]) -> Outlines:
     """Trace the closed outlines of a region along its cell faces, the region on the left.
 
-    Parameters
-    ----------
-    drivable : ndarray of bool, shape (H, W)
-        Four-connected region; its outermost rows and columns must be False.
+    The region is connected by sides of cells; its outermost rows and columns must be False.
     """
     return Outlines(*_trace(drivable))
 
@@ -79,6 +80,7 @@ def _corners(points, tolerance):  # type: ignore[no-untyped-def]
     n = points.shape[0]
     # A speck of a few cells would collapse to a line.
     keep = np.full(n, n <= 12)
+    # A closed line has no ends to begin with: the first point and the one farthest from it stand in for them.
     far = 0
     best = -1.0
     for k in range(n):
@@ -158,15 +160,8 @@ def simplify(outlines, tolerance, inset):  # type: ignore[no-untyped-def]
     """Simplify outlines to straight segments through the middles of cell faces (Douglas and Peucker, 1973).
 
     On a slanted wall the middles lie halfway between protruding cells and the cells behind them. A slanted ray meets
-    more of the protruding cells, so each segment is then shifted by a share of the protrusion.
-
-    Parameters
-    ----------
-    outlines : Outlines
-    tolerance : float
-        Largest deviation in cells of a face's middle from its segment, before the shift.
-    inset : float
-        The share of the shift; ``benchmarks/wall_accuracy.py`` measures its effect.
+    more of the protruding cells, so each segment is then shifted by a share of the protrusion: the ``inset``. Before
+    the shift no middle is farther than ``tolerance`` cells from its segment.
 
     Returns
     -------
@@ -241,6 +236,7 @@ def _mark(drivable, number, faces, owner, x, y, rays, depth, marks):  # type: ig
     last = _segment_at(drivable, number, faces, owner, x, y, low)
     if last < 0:
         return
+    # ``high`` is a stack of rays still to be looked at: between two that meet parts far apart, one more is cast.
     for r in range(rays):
         high[0] = (r + 1.5) * step
         met[0] = _segment_at(drivable, number, faces, owner, x, y, high[0])
@@ -277,16 +273,12 @@ def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth
 
     Parameters
     ----------
-    drivable : ndarray of bool, shape (H, W)
-    outlines : Outlines
     segments, owner, start
         Results of `simplify`.
     sections : ndarray, shape (2 * M, V, 2)
         Viewpoints in cells: cross-section ``2 * m`` is at the start of stretch m, ``2 * m + 1`` in its middle.
-    rays : int
-        Number of rays from each viewpoint.
-    depth : int
-        How often the gap between two rays is halved if they do not meet neighbouring segments.
+    rays, depth : int
+        Rays from each viewpoint, and how often the gap between two is halved if they do not meet neighbouring segments.
 
     Returns
     -------
@@ -341,3 +333,34 @@ def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth
         size += indices.shape[0]
         seen_start[m + 1] = size
     return seen_start, seen[:size].copy(), distance[:size].copy()
+
+
+def corner_lists(
+    walls: NDArray[np.float64], seen_start: NDArray[np.int32], seen: NDArray[np.int32]
+) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+    """List for each stretch the corners of the wall segments that can be seen from it, along the walls.
+
+    ``walls`` are segments x0, y0, x1, y1, shape (S, 4), in which those of one outline follow each other; those seen
+    from stretch m are ``seen[seen_start[m]:seen_start[m + 1]]``.
+
+    Returns ``start``, shape (M + 1,), and ``corners``, shape (2, C): x and y of the corners of stretch m are
+    ``corners[:, start[m]:start[m + 1]]``, with NaN between two corners that no segment joins, and at the end of each
+    list.
+    """
+    stretches = range(len(seen_start) - 1)
+    lists = [corners_along(walls[np.sort(seen[seen_start[m] : seen_start[m + 1]])]) for m in stretches]
+    start = np.cumsum([0, *(len(points) for points in lists)]).astype(np.int32)
+    return start, np.ascontiguousarray(np.concatenate(lists).T)
+
+
+def corners_along(segments: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the corners of segments, shape (K, 4), in their order: one between two that meet, else two and NaN.
+
+    The shape is (C, 2); at the end there is NaN, and more of it until C is a multiple of :data:`TOGETHER`.
+    """
+    meets = (segments[:-1, 2:] == segments[1:, :2]).all(axis=1)
+    ends = np.flatnonzero(~np.append(meets, False))
+    gaps = np.full((2 * len(ends), 2), np.nan)
+    gaps[::2] = segments[ends, 2:]
+    points = np.insert(segments[:, :2], np.repeat(ends + 1, 2), gaps, axis=0)
+    return np.concatenate([points, np.full((-len(points) % TOGETHER, 2), np.nan)])

@@ -115,19 +115,9 @@ def generate_circuit(
 
 
 def straights(line: np.ndarray, radius: float = 25.0) -> np.ndarray:
-    """Lengths of the straights of a closed line, longest first.
+    """Lengths (m) of the straights of a closed line, longest first.
 
-    Parameters
-    ----------
-    line : ndarray, shape (N, 2)
-        In m.
-    radius : float
-        What bends less than a circle of this radius counts as straight, m.
-
-    Returns
-    -------
-    ndarray, shape (K,)
-        In m.
+    What bends less than a circle of this radius (m) counts as straight.
     """
     samples = sample_closed(line, 0.2)
     straight = np.abs(samples.kappa) < 1.0 / radius
@@ -140,15 +130,7 @@ def straights(line: np.ndarray, radius: float = 25.0) -> np.ndarray:
 
 
 def braking_zones(v: np.ndarray, drop: float = 1.0) -> int:
-    """Number of stretches on which the speed falls by at least ``drop`` m/s, around a closed line.
-
-    Parameters
-    ----------
-    v : ndarray, shape (N,)
-        Speed at the samples of a closed line, m/s.
-    drop : float
-        In m/s.
-    """
+    """Number of stretches of a closed line on which the speed ``v`` (m/s) falls by at least ``drop`` m/s."""
     v = np.roll(v, -int(np.argmax(v)))
     falling = np.diff(v, append=v[0]) < 0.0
     edges = np.flatnonzero(np.diff(falling.astype(int), prepend=0, append=0))
@@ -156,23 +138,9 @@ def braking_zones(v: np.ndarray, drop: float = 1.0) -> int:
 
 
 def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np.ndarray, np.ndarray]:
-    """Grid with two thin walls along a closed centre line, as drawn in the maps of real circuits.
+    """Grid with two thin walls along a closed centre line ``width`` metres apart, as in the maps of real circuits.
 
-    Parameters
-    ----------
-    line : ndarray, shape (N, 2)
-        Centre line in m.
-    width : float
-        Free width in m.
-    resolution : float
-        Side of a cell in m.
-
-    Returns
-    -------
-    occupied : ndarray, shape (H, W), bool
-        True where a wall is; row 0 is the bottom.
-    origin : ndarray, shape (2,)
-        Lower left corner of cell [0, 0] in m, a multiple of the resolution.
+    Returns ``occupied`` and its lower left corner in m, a multiple of the resolution.
     """
     dense = resample(line, resolution)
     border = 0.5 * width + WALL + 0.5
@@ -203,6 +171,7 @@ def _draft(
 ) -> tuple[np.ndarray | None, str]:
     """Return the centre line of one draft, or None and the reason for its rejection."""
     corners = STYLES[style](rng)
+    # The cheap checks come first, because most drafts fail.
     if len(corners) < 3 or first_crossing(corners)[0] >= 0 or signed_area(corners) <= 0.0:
         return None, "with an outline that is not simple"
     length = rng.uniform(shortest, longest)

@@ -27,21 +27,9 @@ def generate_map(
     resolution: float = 0.05,
     picture: bool = True,
 ) -> Track:
-    """Generate a circuit and write its map folder: grid, lines, how it was made, and a picture.
+    """Generate a circuit and write its map folder: grid, lines, how it was made, and (with matplotlib) ``NAME.png``.
 
-    Parameters
-    ----------
-    folder : path-like
-        The map folder to write.
-    style : {"hull", "voronoi", "hairpin"}
-    name : str, optional
-        Name of the circuit and of its files. Default: the folder's own name.
-    description : str
-        A line for people.
-    direction, width, length_range, resolution
-        See ``generate_circuit``.
-    picture : bool
-        Also draw ``NAME.png`` (needs matplotlib).
+    The name is that of the folder unless another one is given; see ``generate_circuit`` for the rest.
     """
     settings: dict[str, Any] = {
         "seed": seed,
@@ -73,17 +61,11 @@ def import_map(
 
     Parameters
     ----------
-    source : path-like
-        A map folder; its ``NAME_map.yaml`` and the picture named there are enough.
-    destination : path-like
-        The map folder to write; never the source.
-    seed_point : sequence of float, optional
-        A point on the track, in m. Default: the first point of the source's own centre line, if it has one.
-    direction : {"counterclockwise", "clockwise"} or float, optional
-        Driving direction, or the heading in rad at the start. Default: that of the source's own centre line, if it has
-        one, else counterclockwise.
-    name : str, optional
-        Name of the circuit and of its files. Default: the destination's own name.
+    source, destination : path-like
+        The map folder to read, of which ``NAME_map.yaml`` and the picture named there are enough, and another one to
+        write, whose own name is the default of ``name``.
+    seed_point, direction
+        As for ``centerline_from_grid``. Default: those of the source's own centre line, if it has one.
     clearance : float
         Distance in m that the race line keeps from the walls.
     picture : bool

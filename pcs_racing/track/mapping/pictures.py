@@ -1,5 +1,6 @@
 """A picture of a circuit: road, walls, race line coloured by speed, start line."""
 
+import io
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
+from pcs_racing.base.files import write_atomically
 from pcs_racing.base.optional import require
 from pcs_racing.track.building.speed import lap_time
 from pcs_racing.track.frenet import LEFT, PSI, RIGHT, SPEED, X, Y
@@ -16,22 +18,7 @@ if TYPE_CHECKING:
 
 
 def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8.0, dpi: int = 90) -> None:
-    """Draw a track to a file in the format of the file name (png, svg, pdf).
-
-    Parameters
-    ----------
-    path : path-like
-        File to write; an existing file is replaced, completely or not at all.
-    width : float
-        Width of the picture in inches.
-    dpi : int
-        Pixels per inch.
-
-    Raises
-    ------
-    OSError
-        If the file can't be written.
-    """
+    """Draw a track to a file in the format of its name (png, svg, pdf), ``width`` inches wide."""
     require("matplotlib", extra="plots")
     from matplotlib.collections import LineCollection
     from matplotlib.colors import ListedColormap
@@ -78,15 +65,12 @@ def show_track(track: "Track", path: str | os.PathLike[str], *, width: float = 8
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.spines[["top", "right"]].set_visible(False)
 
-    target = Path(path)
-    suffix = target.suffix.lstrip(".") or "png"
-    partial = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        figure.savefig(partial, format=suffix, dpi=dpi)
-        if suffix == "png":
-            # A palette makes the file three times smaller, and nothing in it names the program that drew it.
-            with Image.open(partial) as image:
-                image.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(partial, format="png", optimize=True)
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
+    suffix = Path(path).suffix.lstrip(".") or "png"
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format=suffix, dpi=dpi)
+    if suffix == "png":
+        # A palette makes the file three times smaller, and nothing in it names the program that drew it.
+        image = Image.open(drawn).convert("RGB").quantize(128, dither=Image.Dither.NONE)
+        drawn = io.BytesIO()
+        image.save(drawn, format="png", optimize=True)
+    write_atomically(Path(path), lambda file: file.write(drawn.getvalue()))

@@ -1,6 +1,6 @@
 """Random outlines of circuits: polygons in three styles, and a function that rounds their corners.
 
-The polygons have arbitrary units; ``circuits`` scales, rounds and checks them.
+The polygons, shape (K, 2), run counterclockwise and are about one unit wide; ``circuits`` scales and checks them.
 """
 
 import math
@@ -14,10 +14,7 @@ from pcs_racing.base.elementary import headings, lengths, sine_cosine, sines_cos
 def hull_polygon(rng: np.random.Generator) -> np.ndarray:
     """Convex hull of random points with its long sides bent in or out in the middle: natural, flowing circuits.
 
-    Returns
-    -------
-    ndarray, shape (K, 2)
-        Counterclockwise polygon about one unit wide; it may cross itself.
+    It may cross itself.
     """
     points = rng.uniform(-0.5, 0.5, size=(int(rng.integers(9, 16)), 2)) * (1.0, rng.uniform(0.5, 0.9))
     hull = _convex_hull(points)
@@ -36,10 +33,7 @@ def hull_polygon(rng: np.random.Generator) -> np.ndarray:
 def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
     """Outline of a few neighbouring Voronoi cells of random points: angular circuits with the most braking zones.
 
-    Returns
-    -------
-    ndarray, shape (K, 2)
-        Counterclockwise polygon, about one unit wide; it may be empty where the cells surround a hole.
+    It may be empty where the cells surround a hole.
     """
     from scipy.spatial import Voronoi
 
@@ -80,13 +74,7 @@ def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
 
 
 def hairpin_polygon(rng: np.random.Generator) -> np.ndarray:
-    """Star of two to four slim arms with blunt tips: long straights into hairpins.
-
-    Returns
-    -------
-    ndarray, shape (K, 2)
-        Counterclockwise polygon, about one unit from tip to tip.
-    """
+    """Star of two to four slim arms with blunt tips: long straights into hairpins."""
     arms = int(rng.integers(2, 5))
     angles = 2.0 * np.pi * (np.arange(arms) + rng.uniform(-0.22, 0.22, size=arms)) / arms
     lengths = rng.uniform(0.55, 1.0, size=arms)
@@ -114,21 +102,9 @@ STYLES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
 
 
 def rounded(corners: np.ndarray, radii: np.ndarray, step: float) -> np.ndarray:
-    """Polygon with an arc in place of every corner.
+    """Polygon (K, 2) with an arc in place of every corner, as points ``step`` metres apart.
 
-    Parameters
-    ----------
-    corners : ndarray, shape (K, 2)
-        In m.
-    radii : ndarray, shape (K,)
-        Wanted radius at each corner in m. It shrinks where the arc would need more than half of a side.
-    step : float
-        Distance of points on the arcs and sides, m.
-
-    Returns
-    -------
-    ndarray, shape (N, 2)
-        Points of the closed line, m.
+    A radius (m), one for each corner, shrinks where the arc would need more than half of a side.
     """
     before = corners - np.roll(corners, 1, axis=0)
     after = np.roll(corners, -1, axis=0) - corners

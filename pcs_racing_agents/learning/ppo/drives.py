@@ -15,12 +15,12 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from pcs_racing.envs.arguments import Declared
 
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import number, setting
-from pcs_racing.envs.arguments import Declared
 from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions

@@ -111,8 +111,7 @@ def race_on_circuits(
         )
         for i, game in enumerate(games)
     ]
-    played = play_pairings(pairings, name=name, job=job, executor=executor, progress=progress)
-    return concatenate_races(pairing.table(result) for pairing, result in zip(pairings, played, strict=True))
+    return concatenate_races(play_pairings(pairings, name=name, job=job, executor=executor, progress=progress))
 
 
 def excess_estimate(races: RaceTable) -> Estimate:

@@ -34,7 +34,7 @@ def changed_by(packages: Path, edited: str) -> set[str]:
     folders = ("pcs_racing/race", "pcs_racing/game", "pcs_racing_agents/trees", "user")
 
     def digests() -> dict[str, bytes]:
-        code_cache._digest.cache_clear()
+        code_cache.sources_digest.cache_clear()
         return {folder: digest_of(packages / folder) for folder in folders}
 
     before = digests()
@@ -64,7 +64,7 @@ def test_an_edit_of_a_user_s_module_changes_the_code_beside_it_alone(packages):
 def test_another_name_is_a_change(packages):
     digest = digest_of(packages / "user")
     (packages / "user" / "module.py").rename(packages / "user" / "other.py")
-    code_cache._digest.cache_clear()
+    code_cache.sources_digest.cache_clear()
     assert digest_of(packages / "user") != digest
 
 
@@ -77,7 +77,7 @@ def test_the_order_in_which_a_system_lists_files_does_not_matter(packages, monke
 
     monkeypatch.setattr(code_cache, "os", SimpleNamespace(scandir=backwards))
     monkeypatch.setattr(Path, "glob", lambda self, pattern: sorted(glob(self, pattern))[::-1])
-    code_cache._digest.cache_clear()
+    code_cache.sources_digest.cache_clear()
     assert digest_of(packages / "user") == digest
 
 
@@ -99,7 +99,7 @@ def code(packages) -> Path:
 
 def forget(code: Path) -> int:
     """Do what a new process does before it looks for code; return the number of files that are left."""
-    code_cache._digest.cache_clear()
+    code_cache.sources_digest.cache_clear()
     code_cache.forget_stale_code.cache_clear()
     code_cache.forget_stale_code(str(code.parent), str(code))
     return len(list(code.glob("*.nb[ci]")))

@@ -11,7 +11,6 @@ from pcs_racing.base.elementary import (
     headings,
     hyperbolic_tangent,
     lengths,
-    rough_sine_cosine,
     sine_cosine,
     sines_cosines,
     tangent,
@@ -53,13 +52,6 @@ def spread(low: float, high: float, count: int = 2000) -> np.ndarray:
 )
 def test_the_error_is_that_of_the_docstring(own, true, values, most):
     assert max(ulps(own(x), true(exact(x))) for x in values) <= most
-
-
-def test_rough_sine_and_cosine():
-    angles = spread(-np.pi, np.pi)
-    found = np.array([rough_sine_cosine(x) for x in angles])
-    np.testing.assert_allclose(found, np.stack([np.sin(angles), np.cos(angles)], axis=1), rtol=0, atol=2e-7)
-    assert rough_sine_cosine(0.0) == (0.0, 1.0)
 
 
 @needs_more_digits

@@ -53,31 +53,16 @@ def test_numbers_without_a_step_are_refused(value):
         pack(np.array([1.0, value]), 1000)
 
 
-@pytest.mark.parametrize(
-    ("part", "value"),
-    [
-        ("shape", [3]),
-        ("shape", [-2]),
-        ("shape", [True, 2]),
-        ("shape", [10**9, 10**9]),
-        ("shape", "2"),
-        ("shape", [1] * 7),
-        ("per_unit", 0),
-        ("per_unit", float("nan")),
-        ("per_unit", "1000"),
-        ("differences", [1]),
-        ("differences", [-1]),
-        ("differences", [0] * 9),
-        ("data", "A"),
-        ("data", "AAA"),
-        ("data", "Ag"),
-        ("data", "A<"),
-        ("data", "Aé"),
-        ("data", "A" + "_" * 10 + "A"),
-        ("data", None),
-        ("more", 1),
-    ],
-)
+BROKEN = {
+    "shape": ([3], [-2], [True, 2], [10**9, 10**9], [10**5, 10**5], "2", [1] * 7),
+    "per_unit": (0, float("nan"), "1000"),
+    "differences": ([1], [-1], [0] * 9),
+    "data": ("A", "AAA", "Ag", "A<", "Aé", "A\ud800", "A" + "_" * 10 + "A", None),
+    "more": (1,),
+}
+
+
+@pytest.mark.parametrize(("part", "value"), [(part, value) for part, values in BROKEN.items() for value in values])
 def test_broken_text_is_refused(part, value):
     packed = pack(np.array([1.0, 2.0]), 1)
     with pytest.raises(InputError, match=r"speed"):
@@ -126,20 +111,14 @@ def test_costs_keep_their_order_and_their_rejections(costs):
 
 
 @pytest.mark.parametrize(
-    ("points", "counts", "words"),
+    ("unpack_them", "points", "counts"),
     [
-        (np.zeros((4, 3)), [4], "walls must have points"),
-        (np.zeros((4, 2)), [3], r"walls.counts must"),
-        (np.zeros((4, 2)), [3, 1], "at least 2 each"),
+        (unpack_segments, np.zeros((4, 3)), [4]),
+        (unpack_segments, np.zeros((4, 2)), [3]),
+        (unpack_segments, np.zeros((4, 2)), [3, 1]),
+        (unpack_paths, np.zeros((2, 3, 4, 2)), [1, 1, 1]),
     ],
 )
-def test_segments_that_do_not_fit_their_counts_are_refused(points, counts, words):
-    packed = {"points": pack(points, 100), "counts": pack(np.array(counts), 1)}
-    with pytest.raises(InputError, match=words):
-        unpack_segments(packed, "walls")
-
-
-def test_paths_without_their_counts_are_refused():
-    packed = pack_paths(np.zeros((2, 3, 4, 2)), 100)
-    with pytest.raises(InputError, match=r"paths\.counts .*paths\.points"):
-        unpack_paths({**packed, "counts": pack(np.ones(3), 1)}, "paths")
+def test_points_that_do_not_fit_their_counts_are_refused(unpack_them, points, counts):
+    with pytest.raises(InputError, match="walls"):
+        unpack_them({"points": pack(points, 100), "counts": pack(np.array(counts), 1)}, "walls")

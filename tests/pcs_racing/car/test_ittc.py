@@ -129,21 +129,9 @@ def test_hand_cases_of_a_single_wall():
     assert segment_ittc(-1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 99.0) == 0.0  # on the wall
 
 
-def straight(oval, **changes):
+def straight(oval, vx=4.0, ox=2.0, ovx=0.0):
     """A lidar in the middle of the oval's lower straight at 4 m/s, an opponent 2 m ahead of it that stands."""
-    row = {
-        "x": 0.0,
-        "y": -4.0,
-        "vx": 4.0,
-        "vy": 0.0,
-        "s": 6.0,
-        "ox": 2.0,
-        "oy": -4.0,
-        "opsi": 0.0,
-        "ovx": 0.0,
-        "ovy": 0.0,
-    }
-    return measure(oval, list((row | changes).values()), use_opponent=True)
+    return measure(oval, (0.0, -4.0, vx, 0.0, 6.0, ox, -4.0, 0.0, ovx, 0.0))
 
 
 def test_the_opponents_motion_counts(oval):

@@ -1,77 +1,76 @@
-"""What all environments promise, whatever is raced in them: checkers, names, batches, repetition, copies."""
+"""What all environments promise, whatever is raced in them: checkers, names, seeds, batches, copies, frames, errors."""
 
 import copy
+import gc
+import inspect
+import itertools
 import pickle
+import re
+import tracemalloc
 import warnings
+from collections import defaultdict
 
 import gymnasium as gym
 import numpy as np
 import pettingzoo
 import pytest
+from faces import GAME, MANY, MATCH, MIXTURE, Counting, Counts, act, by_lead, ends, flat, make, make_many, play
 from gymnasium.utils.env_checker import check_env
+from repository import REPOSITORY, run_python
 
 import pcs_racing
-from pcs_racing import load_race_config
-from pcs_racing.envs import drive, drive_batch, duel, match
-from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, SelfPlayVectorEnv
-from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
-from pcs_racing.envs.registration import register_environments
-from pcs_racing.game.match_observation import decode_match
+from pcs_racing import GameConfig, InputError, load_race_config
+from pcs_racing.envs import drive, drive_batch, duel, infos, match, registration
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
+from pcs_racing.envs.infos import Crash, Result
+from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv
+from pcs_racing.envs.single import AGENTS
+from pcs_racing.game.observation import observation_table
+from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 
 with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
     warnings.simplefilter("ignore")
     from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
 
-RACE = load_race_config("contest", duration=3.0)
-GAME = {"step_seconds": 1.0, "moves": 3}
-MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]
-VECTOR = {DriveEnv: DriveVectorEnv, DuelEnv: DuelVectorEnv, MatchEnv: MatchVectorEnv}
+SINGLE = (DriveEnv, DuelEnv, MatchEnv)
+PAIRS = (DriveHeadToHeadEnv, HeadToHeadEnv, HeadToHeadMatchEnv)
+ALL = (*SINGLE, *PAIRS)
+EVERY = pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
+VARIED = {
+    "track": ["Pipkin", "Tarnfjord"],
+    "vehicle": [{"mu": 0.9}, {}],
+    "randomize": {"friction": [0.6, 1.2], "mass": [3.0, 4.5], "steering_delay": [0.0, 0.1], "steering_noise": 0.01},
+    "obstacles": {"count": [0, 2], "passage": 0.8},
+}
+VARIANTS = [
+    *((kind, {}) for kind in ALL),
+    *((kind, VARIED) for kind in ALL),
+    (DriveEnv, {"opponent": None, "normalize": True}),
+    (DuelEnv, {"opponent": Counting()}),
+    (DuelEnv, {"opponent": MIXTURE}),
+    (MatchEnv, {"opponent": "random-moves", "race_moves": True}),
+    (HeadToHeadMatchEnv, {"race_moves": True}),
+]
 
 
-class Counting:
-    """An opponent that remembers: its k-th move in a game is move k."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        assert (state is None) == bool(episode_start[0])
-        count = 0 if state is None else state
-        return np.full(len(observation), count % 4), count + 1
-
-
-class Counts:
-    """A chooser that takes policy 0 before the first race, 1 before the second, and so on."""
-
-    def choose(self, observation):
-        return (decode_match(observation, 3, 2).driven > 0.0).sum(axis=1)
-
-
-def by_lead(observation, generator):
-    return int(observation[4] < 0.0) + 2 * int(generator.integers(2))
-
-
-def complete(kind, arguments, short):
-    """Arguments of an environment, with short races of the test's own archive for matches."""
-    return {**short, **arguments} if kind is MatchEnv else arguments
-
-
-# Gymnasium
+# The checkers of the libraries, and names
 
 
 @pytest.mark.parametrize(
     ("kind", "arguments"),
     [
-        (DriveEnv, {}),
-        (DriveEnv, {"opponent": None, "beams": 20, "lidar_noise": 0.02}),
-        (DriveEnv, {"normalize": True, "beams": 5, "race": "contest"}),
-        (DuelEnv, {"opponent": "random-moves", **GAME}),
-        (DuelEnv, {"opponent": "lane-switcher:3", **GAME}),
-        (DuelEnv, {"opponent": MIXTURE, **GAME}),
+        (DriveEnv, {"duration": 40.0}),
+        (DriveEnv, {"opponent": None, "beams": 20, "race": "paper"}),
+        (DriveEnv, {"normalize": True, "beams": 5}),
+        (DuelEnv, {"opponent": "lane-switcher:3"}),
+        (DuelEnv, {"opponent": MIXTURE}),
         (MatchEnv, {"opponent": "random-moves"}),
         (MatchEnv, {"opponent": "random-moves", "race_moves": True}),
     ],
 )
-def test_the_checkers_of_gymnasium_and_sb3_are_content(kind, arguments, short):
-    env = kind(render_mode="rgb_array", **complete(kind, arguments, short))
+def test_the_checkers_of_gymnasium_and_sb3_are_content(kind, arguments):
+    env = make(kind, render_mode="rgb_array", **arguments)
     check_env(env, skip_render_check=True)
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     checker.check_env(env)
@@ -82,150 +81,31 @@ def test_the_checkers_of_gymnasium_and_sb3_are_content(kind, arguments, short):
     [
         ("pcs_racing/Drive-v1", DriveEnv, {"opponent": None}),
         ("pcs_racing/Duel-v1", DuelEnv, GAME),
-        ("pcs_racing/Match-v0", MatchEnv, {}),
+        ("pcs_racing/Match-v0", MatchEnv, MATCH),
     ],
 )
-def test_it_is_made_by_name(name, kind, arguments, short):
-    register_environments()
-    arguments = complete(kind, arguments, short)
+def test_it_is_made_by_name(name, kind, arguments):
+    registration.register_environments()  # again: a warning would be an error
+    assert set(registration.GYMNASIUM_IDS) <= set(gym.registry)
     assert isinstance(gym.make(name, **arguments).unwrapped, kind)
     envs = gym.make_vec(name, num_envs=3, **arguments)
-    assert isinstance(envs, VECTOR[kind])
+    assert isinstance(envs, MANY[kind])
     assert envs.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
 
 
-DRIVES = [
-    {"race": RACE, "beams": 12, "lidar_noise": 0.05},
-    {"race": RACE, "opponent": ["lattice:pace=0.1", "lattice:pace=0.9"], "time_step": 0.06},
-    {"race": RACE, "opponent": None, "normalize": True},
-]
-DUELS = [
-    {"opponent": opponent, "race": "contest", **GAME}
-    for opponent in ("random-moves", MIXTURE, by_lead, Counting(), "lane-switcher:3")
-]
-MATCHES = [
-    {"opponent": opponent, "race_moves": race_moves}
-    for opponent in ("random-moves", by_lead, Counts(), ["never-switch", "random-moves"])
-    for race_moves in (False, True)
-]
+def test_the_code_behind_a_name_is_imported_when_it_is_needed():
+    code = "import sys, pcs_racing; print(*[m for m in sys.modules if m.startswith('pcs_racing.envs.')])"
+    assert run_python("-c", code).split() == ["pcs_racing.envs.registration"]
 
-
-@pytest.mark.parametrize(
-    ("kind", "arguments", "count", "steps", "least_ends"),
-    [
-        *((DriveEnv, arguments, 37, 60, 38) for arguments in DRIVES),
-        *((DuelEnv, arguments, 6, 7, 6) for arguments in DUELS),
-        *((MatchEnv, arguments, 4, 8, 4) for arguments in MATCHES),
-    ],
-)
-def test_vector_and_scalar_environment_agree_to_the_last_bit(
-    kind, arguments, count, steps, least_ends, short, monkeypatch
-):
-    monkeypatch.setattr(drive_batch, "WORTH_A_THREAD", 10.0)  # two threads for short steps, too
-    arguments = complete(kind, arguments, short)
-    envs = VECTOR[kind](count, threads=2, autoreset_mode="SAME_STEP", **arguments)
-    assert kind is not DriveEnv or envs.batch.threads == 2
-    single = [kind(**arguments) for _ in range(count)]
-    batch, info = envs.reset(seed=11)
-    alone = [env.reset(seed=11 + i) for i, env in enumerate(single)]
-    np.testing.assert_array_equal(batch, [seen for seen, _ in alone])
-    assert info["opponent"].tolist() == [facts["opponent"] for _, facts in alone]
-    rng = np.random.default_rng(0)
-    ends = 0
-    for _ in range(steps):
-        if kind is DriveEnv:
-            actions = rng.uniform(-0.5, 1.0, (count, 2)).astype(np.float32)
-        else:
-            actions = rng.integers(0, envs.single_action_space.n, count)
-        batch, rewards, terminated, truncated, info = envs.step(actions)
-        for i, env in enumerate(single):
-            seen, reward, end, late, facts = env.step(actions[i])
-            assert (reward, end, late) == (rewards[i], terminated[i], truncated[i])
-            if end or late:
-                ends += 1
-                np.testing.assert_array_equal(info["final_obs"][i], seen)
-                for name, value in facts.items():
-                    np.testing.assert_array_equal(info["final_info"][name][i], value)
-                seen, facts = env.reset()
-            np.testing.assert_array_equal(batch[i], seen)
-            for name, value in facts.items():
-                np.testing.assert_array_equal(info[name][i], value)
-    assert ends >= least_ends
-
-
-@pytest.mark.parametrize(
-    ("kind", "arguments"),
-    [
-        (DriveEnv, {"race": "contest"}),
-        (DriveEnv, {"opponent": None, "beams": 7, "lidar_noise": 0.1, "race": "contest"}),
-        (DuelEnv, {"opponent": MIXTURE, "race": "contest", **GAME}),
-        (MatchEnv, {"opponent": "random-moves", "race_moves": True}),
-    ],
-)
-def test_whole_episodes_repeat(kind, arguments, short):
-    def episode(seed):
-        env = kind(**complete(kind, arguments, short))
-        rng = np.random.default_rng(1)
-        rows = [env.reset(seed=seed)[0]]
-        while True:
-            action = np.clip(rng.normal(0.0, 0.1, 2), -1, 1) if kind is DriveEnv else int(rng.integers(3))
-            seen, reward, terminated, truncated, _ = env.step(action)
-            rows += [seen, np.array([reward, terminated, truncated])]
-            if terminated or truncated:
-                return rows
-
-    first, second, other = episode(9), episode(9), episode(10)
-    for left, right in zip(first, second, strict=True):
-        np.testing.assert_array_equal(left, right)
-    assert len(first) != len(other) or any((a != b).any() for a, b in zip(first, other, strict=True))
-
-
-@pytest.mark.parametrize(
-    ("kind", "arguments"),
-    [
-        (DriveEnv, {"race": RACE, "beams": 3, "lidar_noise": 0.1}),
-        (DriveVectorEnv, {"num_envs": 5, "race": RACE, "beams": 3, "lidar_noise": 0.1}),
-        (DuelEnv, {"opponent": Counting(), **GAME}),
-        (DuelVectorEnv, {"num_envs": 3, **GAME}),
-        (SelfPlayVectorEnv, {"num_envs": 4, **GAME}),
-        *((MatchEnv, {"opponent": "random-moves", "race_moves": moves}) for moves in (False, True)),
-        *(
-            (MatchVectorEnv, {"num_envs": 3, "opponent": "random-moves", "race_moves": moves})
-            for moves in (False, True)
-        ),
-    ],
-)
-def test_a_moment_can_be_kept_copied_and_pickled(kind, arguments, short):
-    if kind in (MatchEnv, MatchVectorEnv):
-        arguments = {**short, **arguments}
-    env = kind(**arguments)
-    shape = env.action_space.shape
-    first, later = (np.full(shape, 0.1), np.full(shape, -0.2)) if "beams" in arguments else [np.full(shape, 1)] * 2
-    env.reset(seed=1)
-    env.step(first)
-    others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), kind(**arguments)]
-    others[2].reset(seed=77)
-    others[2].set_state(pickle.loads(pickle.dumps(env.get_state())))
-    for _ in range(5 if "beams" in arguments else 1):
-        expected = env.step(later)
-        for other in others:
-            for left, right in zip(other.step(later)[:4], expected[:4], strict=True):
-                np.testing.assert_array_equal(left, right)
-    expected = env.reset()[0]  # the random stream went along, as a copy
-    for other in others:
-        np.testing.assert_array_equal(other.reset()[0], expected)
-
-
-# PettingZoo, warnings being errors
 
 STEERED = {"time_step": 0.1, "duration": 3.0}
 
 
 @pytest.fixture(
     params=[
-        ("head_to_head-v1", duel, GAME | {"moves": 4}, 50),
-        ("head_to_head_match-v0", match, {}, 10),
-        ("head_to_head_match-v0", match, {"race_moves": True}, 10),
+        ("head_to_head-v1", duel, {"step_seconds": 1.0}, 50),
+        ("head_to_head_match-v0", match, MATCH, 10),
+        ("head_to_head_match-v0", match, {**MATCH, "race_moves": True}, 10),
         ("drive_head_to_head-v0", drive, STEERED, 60),
         (
             "drive_head_to_head-v0",
@@ -236,11 +116,10 @@ STEERED = {"time_step": 0.1, "duration": 3.0}
     ],
     ids=lambda case: case[0],
 )
-def two_agents(request, short, coarse_oval):
+def two_agents(request, coarse_oval):
     """Name, module, arguments and cycles of an environment for two agents."""
     name, module, arguments, cycles = request.param
-    given = {duel: {}, match: short, drive: {"track": coarse_oval}}[module]
-    return name, module, {**given, **arguments}, cycles
+    return name, module, {**({"track": coarse_oval} if module is drive else {}), **arguments}, cycles
 
 
 def test_the_checkers_of_pettingzoo_are_content(two_agents):
@@ -266,7 +145,6 @@ def test_two_agents_are_rendered(two_agents, monkeypatch):
     pytest.importorskip("pygame", reason="the extra 'window' is not installed")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     _, module, arguments, _ = two_agents
-    monkeypatch.setitem(type(module.parallel_env(**arguments)).metadata, "render_fps", 1000.0)
     shorter = {"duration": 0.3} if module is drive else {}
     render_test(lambda **more: module.env(**{**arguments, **shorter}, render_size=(160, 120), **more))
 
@@ -274,3 +152,361 @@ def test_two_agents_are_rendered(two_agents, monkeypatch):
 def test_the_package_itself_offers_head_to_head():
     assert isinstance(pcs_racing.parallel_env(**GAME), duel.HeadToHeadEnv)
     assert isinstance(pcs_racing.env(**GAME), pettingzoo.AECEnv)
+
+
+# Arguments and pages
+
+
+def defaults(kind):
+    parameters = inspect.signature(kind).parameters
+    return {name: p.default for name, p in parameters.items() if p.default is not inspect.Parameter.empty}
+
+
+def test_an_argument_has_one_default_but_where_two_agents_drive():
+    found = defaultdict(set)
+    for kind in ALL:
+        for name, value in defaults(kind).items():
+            found[name].add(repr(value))
+    assert {name for name, values in found.items() if len(values) > 1} == {"opponent", "time_step", "rivalry"}
+    assert (defaults(DriveEnv)["time_step"], defaults(DriveHeadToHeadEnv)["time_step"]) == (0.1, 0.02)
+    assert defaults(DriveEnv)["render_size"] == (960, 640)
+    assert [defaults(MANY[kind])["num_envs"] for kind in ALL] == [1, 1, 1, 2, 2, 2]  # one race
+
+
+@pytest.mark.parametrize(
+    ("kind", "by_place"),
+    [
+        (DriveEnv, ["track", "opponent", "race"]),
+        (DuelEnv, ["track", "archive", "opponent", "race"]),
+        (MatchEnv, ["track", "archive", "opponent", "race"]),
+        (HeadToHeadEnv, ["track", "archive", "race"]),
+        (HeadToHeadMatchEnv, ["track", "archive", "race"]),
+        (DriveHeadToHeadEnv, ["track", "race"]),
+        (DriveVectorEnv, ["num_envs"]),
+        (MatchVectorEnv, ["num_envs"]),
+    ],
+)
+def test_what_may_be_given_by_place(kind, by_place):
+    parameters = inspect.signature(kind).parameters
+    assert [name for name, p in parameters.items() if p.kind is p.POSITIONAL_OR_KEYWORD] == by_place
+    with pytest.raises(TypeError, match="too many positional"):
+        kind(*(parameters[name].default for name in by_place), "one more")
+    with pytest.raises(TypeError, match=f"multiple values for argument '{by_place[0]}'"):
+        kind(parameters[by_place[0]].default, **{by_place[0]: parameters[by_place[0]].default})
+
+
+HEADINGS = ["Action Space", "Observation Space", "Rewards", "Starting State", "Episode End", "Information", "Arguments"]
+
+
+@EVERY
+def test_the_class_documents_itself(kind):
+    text = inspect.getdoc(kind)
+    headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
+    assert headings == ["Description", *HEADINGS, "Vectorized environment", "Version History"]
+    named = [*inspect.signature(kind).parameters, *(GameConfig.__dataclass_fields__ if kind is HeadToHeadEnv else ())]
+    text += inspect.getdoc(DriveEnv) if kind is DriveHeadToHeadEnv else ""  # whose arguments it takes
+    assert [name for name in named if name not in text and name != "settings"] == []
+
+
+@EVERY
+def test_the_table_of_a_page_is_made_of_the_elements(kind):
+    """Of which the class has as many by default as its page says."""
+    env, text = kind(), inspect.getdoc(kind)
+    size = len(env.elements)
+    assert f"{size} elements" in text or f"{size} by default" in text
+    shown = {DriveEnv: None, MatchEnv: None, DuelEnv: 4, HeadToHeadEnv: 4}
+    if kind in shown:
+        assert observation_table(env.elements, shown[kind]) in text
+    assert "{" not in text.partition("## Arguments")[0].replace('{"', "").replace("{'", "")
+
+
+def test_the_page_of_the_environments_has_the_whole_table_and_examples_that_run(capsys):
+    page = (REPOSITORY / "docs" / "environments.md").read_text(encoding="utf-8")
+    assert observation_table(HeadToHeadEnv().elements) in page
+    for section in (page, page.partition("\n## Matches\n")[2]):
+        exec(compile(section.split("```python\n")[1].split("```")[0], "environments.md", "exec"), {})
+    assert re.search(r"races won of 3 (win|tie|loss)", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("kind", PAIRS)
+def test_spaces_of_two_agents(kind):
+    env = make(kind)
+    box = env.observation_space("car_1")
+    np.testing.assert_array_equal(box.low, np.array([element.low for element in env.elements], np.float32))
+    np.testing.assert_array_equal(box.high, np.array([element.high for element in env.elements], np.float32))
+    assert box.dtype == np.float32
+    assert env.action_space("car_0") is env.action_space("car_0")
+    assert env.action_space("car_0") is not env.action_space("car_1")  # each is seeded for itself
+    with pytest.raises(InputError, match="not begun"):
+        env.state()
+    observations, _ = env.reset(seed=0)
+    np.testing.assert_array_equal(env.state(), np.concatenate([observations[agent] for agent in AGENTS]))
+    assert env.state_space.contains(env.state())
+    assert env.metadata["is_parallelizable"]  # which PettingZoo's wrappers ask for
+
+
+# Episodes
+
+
+@EVERY
+def test_the_same_seed_is_the_same_episodes(kind):
+    first, second = make(kind), make(kind)
+    second.reset(seed=99)
+    assert play(first, 7) == play(second, 7)
+    assert play(first) == play(second)  # and the one after it
+    assert play(first, 7) != play(first, 8)
+
+
+RACE = load_race_config("contest", duration=3.0)
+DRIVES = [
+    {"race": RACE, "duration": None, "beams": 12, "lidar_noise": 0.05},
+    {"race": RACE, "duration": None, "opponent": ["lattice:pace=0.1", "lattice:pace=0.9"], "time_step": 0.06},
+    {"race": RACE, "duration": None, "opponent": None, "normalize": True},
+]
+LONGER = {"step_seconds": 1.0, "moves": 3}
+DUELS = [{"opponent": one, **LONGER} for one in ("random-moves", MIXTURE, by_lead, Counting(), "lane-switcher:3")]
+MATCHES = [
+    {"opponent": opponent, "race_moves": race_moves}
+    for opponent in ("random-moves", by_lead, Counts(), ["never-switch", "random-moves"])
+    for race_moves in (False, True)
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "count", "steps", "least_ends"),
+    [
+        *((DriveEnv, arguments, 37, 60, 38) for arguments in DRIVES),
+        *((DuelEnv, arguments, 6, 7, 6) for arguments in DUELS),
+        *((MatchEnv, arguments, 4, 8, 4) for arguments in MATCHES),
+        (DriveHeadToHeadEnv, DRIVES[0], 20, 40, 20),
+        (HeadToHeadEnv, LONGER, 4, 7, 4),
+        (HeadToHeadMatchEnv, {"race_moves": True}, 4, 8, 4),
+        *((kind, VARIED, 5, 12, 5) for kind in ALL),
+    ],
+)
+def test_vector_and_scalar_environment_agree_to_the_last_bit(kind, arguments, count, steps, least_ends, monkeypatch):
+    monkeypatch.setattr(drive_batch, "WORTH_A_THREAD", 10.0)  # two threads for short steps, too
+    envs = make_many(kind, count, threads=2, autoreset_mode="SAME_STEP", **arguments)
+    assert kind is not DriveEnv or envs.batch.threads == 2
+    single = [make(kind, **arguments) for _ in range(count)]
+    seen, info = envs.reset(seed=11)
+    alone = [sides(env, *env.reset(seed=11 + i)) for i, env in enumerate(single)]
+    np.testing.assert_array_equal(seen, np.concatenate([first for first, _ in alone]))
+    assert info["opponent"].tolist() == [facts["opponent"] for _, told in alone for facts in told]
+    rng = np.random.default_rng(0)
+    ended = 0
+    for _ in range(steps):
+        if isinstance(envs.action_space, gym.spaces.Box):
+            actions = rng.uniform(-0.5, 1.0, envs.action_space.shape).astype(np.float32)
+        else:
+            actions = rng.integers(0, envs.single_action_space.n, envs.num_envs)
+        batch, rewards, terminated, truncated, info = envs.step(actions)
+        for i, env in enumerate(single):
+            rows = range(i * envs.players, (i + 1) * envs.players)
+            own = actions[i] if kind in SINGLE else dict(zip(AGENTS, actions[list(rows)], strict=True))
+            answer = env.step(own)
+            seen, paid, end, late, told = sides(env, *answer)
+            assert (paid, end, late) == tuple(
+                values[list(rows)].tolist() for values in (rewards, terminated, truncated)
+            )
+            if ends(answer):
+                ended += 1
+                np.testing.assert_array_equal(np.stack(info["final_obs"][list(rows)]), seen)
+                compare_infos(info["final_info"], rows, told)
+                seen, told = sides(env, *env.reset())
+            np.testing.assert_array_equal(batch[list(rows)], seen)
+            compare_infos(info, rows, told)
+    assert ended >= least_ends
+
+
+def sides(env, *answer):
+    """An answer of an environment, in which each part lists what belongs to each agent."""
+    return tuple(list(part.values()) if hasattr(env, "possible_agents") else [part] for part in answer)
+
+
+def compare_infos(info, rows, told):
+    for row, facts in zip(rows, told, strict=True):
+        for name, value in facts.items():
+            np.testing.assert_array_equal(info[name][row], value)
+
+
+@pytest.mark.parametrize("many", [False, True], ids=["one", "many"])
+@pytest.mark.parametrize(("kind", "arguments"), VARIANTS)
+def test_a_moment_can_be_kept_copied_and_pickled(kind, arguments, many):
+    """Whatever was made of the environment since, or in another one."""
+    env, other = (make_many(kind, 3, **arguments) if many else make(kind, **arguments) for _ in range(2))
+    env.reset(seed=1)
+    env.step(act(env, 0))
+    other.reset(seed=77)
+    others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), other]
+    state = env.get_state()
+    other.set_state(pickle.loads(pickle.dumps(state)))
+    if arguments is not VARIED:  # whose obstacles make a track of its own
+        assert all(one.track is env.track for one in (others[0], other))  # a copy shares it
+    expected = flat(env.step(act(env, 1)))
+    for one in others:
+        assert flat(one.step(act(one, 1))) == expected
+    expected = flat(env.reset())  # the random stream went along, as a copy
+    for one in others:
+        assert flat(one.reset()) == expected
+    if not many:
+        other.reset(seed=5)
+        other.reset(options={"state": state})
+        env.set_state(state)
+        assert flat(other.step(act(other, 2))) == flat(env.step(act(env, 2)))
+        with pytest.raises(InputError, match="'state' was given with others or a seed"):
+            env.reset(seed=2, options={"state": state})
+    fresh = make(kind, **arguments)
+    fresh.set_state(make(kind, **arguments).get_state())
+    with pytest.raises(InputError, match="call reset"):
+        fresh.step(act(fresh))
+
+
+@EVERY
+def test_steps_at_the_wrong_time_are_refused(kind):
+    env = make(kind)
+    for wanted in ("not begun", "has ended"):
+        with pytest.raises(InputError, match=wanted):
+            env.step(act(env))
+        play(env, 1)
+    envs = make_many(kind, 2)
+    with pytest.raises(InputError, match="not begun"):
+        envs.step(act(envs))
+
+
+@pytest.mark.parametrize("kind", PAIRS)
+def test_max_cycles_truncates_and_decides_nothing(kind):
+    env = make(kind, max_cycles=2, race="paper", moves=4) if kind is HeadToHeadEnv else make(kind, max_cycles=2)
+    games = (play(env, seed) for seed in range(100))
+    answers = next(answers for answers in games if not answers[-1][2]["car_0"])
+    assert len(answers) == 3
+    assert answers[-1][2:4] == [dict.fromkeys(AGENTS, False), dict.fromkeys(AGENTS, True)]
+    assert answers[-1][4]["car_0"]["result"] == Result.RUNNING
+    assert env.agents == []
+
+
+@EVERY
+def test_track_and_opponent_can_change_with_a_reset(kind):
+    opponent = "lattice:pace=0.2"
+    for many in (False, True) if kind in SINGLE else (False,):
+        factory = (lambda **given: make_many(kind, 2, **given)) if many else (lambda **given: make(kind, **given))
+        env = factory(track="Tarnfjord", opponent="lattice:pace=0.9")
+        env.reset(seed=3)
+        changed = flat(env.reset(seed=3, options={"track": "Pipkin", "opponent": opponent}))
+        assert changed == flat(factory(track="Pipkin", opponent=opponent).reset(seed=3))
+        assert flat(env.reset(seed=3)) == changed  # from then on
+    if kind in PAIRS:
+        with pytest.raises(InputError, match="made with an opponent"):
+            make(kind).reset(options={"opponent": opponent})
+
+
+@pytest.mark.parametrize("kind", [DriveEnv, HeadToHeadEnv])
+def test_two_environments_on_different_maps_do_not_disturb_each_other(kind):
+    tracks = ("Tarnfjord", "Pipkin")
+    alone = [play(make(kind, track=track), 1) for track in tracks]
+    pair = [make(kind, track=track) for track in tracks]
+    together = [[flat(env.reset(seed=1))] for env in pair]
+    for k in range(1, max(map(len, alone))):
+        for env, expected, answers in zip(pair, alone, together, strict=True):
+            if k < len(expected):
+                answers.append(flat(env.step(act(env, k))))
+    assert together == alone
+
+
+@EVERY
+def test_resets_leave_nothing_behind(kind):
+    envs = [make(kind), make_many(kind, 2, threads=1)]
+    if kind not in (DriveEnv, DriveHeadToHeadEnv):
+        envs = [make(kind, step_seconds=0.1)]
+
+    def turn():
+        for env in envs:
+            env.reset()
+            env.step(act(env))
+
+    for _ in range(30):
+        turn()
+    gc.collect()
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    for _ in range(100):
+        turn()
+    gc.collect()
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 200_000  # less than two small observations each; free lists fill up at first
+
+
+# Infos
+
+
+@EVERY
+def test_every_environment_speaks_of_the_same_things_by_the_same_names(kind):
+    """Those of the table of :mod:`pcs_racing.envs.infos`, as numbers; the outcome says the same in words."""
+    table = set(re.findall(r"`(\w+)`(?=[^|]*\|[^|]*\|$)", infos.__doc__, re.M))
+    env = make(kind, **VARIED)
+    _, info = env.reset(seed=0)
+    outcome = env.outcome()
+    if kind in PAIRS:
+        assert info["car_0"].keys() == info["car_1"].keys()
+        assert info["car_0"]["friction"] == info["car_1"]["friction"]
+        assert info["car_1"]["opponent"] == -1
+        info, outcome = info["car_1"], outcome["car_1"]
+    shared = {"time", "progress", "lead", "crash", "opponent_crash", "fault", "overtakes", "result", "opponent", "laps"}
+    assert shared | {"track", "obstacles", "friction"} <= set(info) <= table
+    for name, value in info.items():
+        assert np.asarray(value).dtype.kind in "if", name
+    codes = env.metadata["codes"]
+    assert (
+        codes["crash"] == {0: "none", 1: "wall", 2: "car"} == {NO_CRASH: "none", WALL_CRASH: "wall", CAR_CRASH: "car"}
+    )
+    assert (Crash.NONE, Crash.WALL, Crash.CAR) == (0, 1, 2)
+    assert set(outcome) == set(info) - {"action_mask"}
+    assert all(isinstance(outcome[name], str) and outcome[name] for name in codes)
+    assert (info["result"], outcome["result"], outcome["crash"]) == (Result.RUNNING, "running", "none")
+
+
+# Frames
+
+
+@EVERY
+def test_a_frame_shows_the_race(kind):
+    looks = {"render_mode": "rgb_array", "render_size": (240, 160)}
+    env, envs = make(kind, **looks), make_many(kind, 2, **looks)
+    for one in (env, envs):
+        with pytest.raises(InputError, match="call reset"):
+            one.render()
+        one.reset(seed=0)
+    first, frames = env.render(), envs.render()
+    assert (first.dtype, first.shape) == (np.uint8, (160, 240, 3))
+    for colour in [(21, 89, 176), (148, 89, 0)]:  # of the names of both cars
+        assert (np.abs(first.astype(int) - colour).sum(axis=-1) < 9).sum() > 10
+    np.testing.assert_array_equal(frames[0], first)
+    assert len(frames) == 2 * envs.players
+    for k in range(2):
+        env.step(act(env, k))
+    assert (env.render() != first).any()
+    env.close()
+    plain = make(kind)
+    plain.reset(seed=0)
+    if kind in PAIRS:
+        assert plain.render() is None
+    else:
+        with pytest.raises(InputError, match="render_mode is None"):
+            plain.render()
+
+
+@pytest.mark.parametrize(("kind", "in_a_step"), [(DriveEnv, 1), (DuelEnv, 4), (MatchEnv, 8)])
+def test_a_window_follows_the_race(kind, in_a_step, monkeypatch):
+    """A frame for each 0.16 s of a step of half a second, and a race of two of them."""
+    pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    shown = []
+    monkeypatch.setattr("pcs_racing.race.rendering.Renderer._show", lambda self, frame: shown.append(frame))
+    for env in (make(kind, render_mode="human"), make_many(kind, 1, render_mode="human")):
+        shown.clear()
+        env.reset(seed=0)
+        env.step(act(env))
+        assert len(shown) == 1 + in_a_step  # the start, then the step
+        assert all((one != other).any() for one, other in itertools.pairwise(shown))
+        env.close()

@@ -1,20 +1,17 @@
 """Two agents steer against each other: what each observes and is paid, how their races end, and the interfaces."""
 
-import copy
 import inspect
-import pickle
 import re
 
 import numpy as np
 import pytest
+from faces import flat
 
-from pcs_racing import InputError, Lidar, UnknownNameError
-from pcs_racing.base.errors import UnknownArgumentError
-from pcs_racing.envs import drive, drive_batch
+from pcs_racing import InputError
+from pcs_racing.envs import drive
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
-from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.infos import Crash, Result
-from pcs_racing.envs.parallel import AGENTS, ParallelState
+from pcs_racing.envs.single import AGENTS
 from pcs_racing.game.reward import win_sign
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.races import winners
@@ -39,59 +36,17 @@ def poses(track, *places):
     return [(*track.to_cartesian([s, d]), speed) for s, d, speed in places]
 
 
-def seen(env, agent_observation):
-    return dict(zip([element.name for element in env.elements], agent_observation.tolist(), strict=True))
-
-
 def follow_the_line(observation, share=0.7):
     """A driver that reads the observation by its documented order: back to the race line, a bit slower than it."""
     steer = 0.6 * -observation[7] - 0.35 * observation[6] + 0.33 * observation[12]
     return np.array([steer / 0.4189, 2.0 * share * observation[13] / 8.0 - 1.0], np.float32)
 
 
-def flat(value):
-    """A nested answer of an environment as something that compares."""
-    if isinstance(value, dict):
-        return {key: flat(item) for key, item in value.items()}
-    if isinstance(value, tuple):
-        return tuple(flat(item) for item in value)
-    return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-def episode(env, seed, steps=25):
-    """All that an episode with random actions returns, until it ends or ``steps`` are made."""
-    rng = np.random.default_rng(1)
-    answers = [flat(env.reset(seed=seed))]
-    while env.agents and len(answers) <= steps:
-        answers.append(flat(env.step(both(*rng.uniform(-1.0, 0.0, (2, 2))))))
-    return answers
-
-
-def test_without_a_render_mode_there_is_no_frame(coarse_oval):
-    assert make(coarse_oval).render() is None
-
-
-def test_a_frame_shows_both_cars(coarse_oval):
-    env = make(coarse_oval, render_mode="rgb_array", render_size=(240, 160), view="track")
-    with pytest.raises(InputError, match="not begun"):
-        env.render()
-    frames = []
-    for places in (((3.0, 0.0, 0.0), (6.0, 0.0, 0.0)), ((3.0, 0.0, 0.0), (28.0, 0.0, 0.0))):
-        env.reset(options={"poses": poses(coarse_oval, *places)})
-        frames.append(env.render())
-    assert frames[0].shape == (160, 240, 3)
-    assert frames[0].dtype == np.uint8
-    assert (frames[0] != frames[1]).any()  # the second car stands elsewhere
-    assert env.metadata["render_fps"] == 10
-
-
 # Names and documentation
 
 
-def test_the_class_documents_itself(coarse_oval):
+def test_the_page_counts_the_numbers_of_each_part(coarse_oval):
     text = inspect.getdoc(DriveHeadToHeadEnv)
-    arguments = [name for name in inspect.signature(DriveHeadToHeadEnv).parameters if name != "settings"]
-    assert all(f"- `{name}` (" in text for name in arguments)
     # The table says how many numbers each part has, and how it is switched off.
     rows = re.findall(r"^\| [^|]+: [^|]+\| (\d+)[^|]*\| `(\w+)`", text, re.MULTILINE)
     assert rows == [("8", "own_state"), ("4", "look_ahead"), ("9", "see_opponent")]
@@ -101,22 +56,6 @@ def test_the_class_documents_itself(coarse_oval):
     for count, name in rows:
         missing = whole - len(make(coarse_oval, **{name: off[name]}).elements)
         assert missing == int(count) * (6 if name == "look_ahead" else 1)
-
-
-def test_spaces(coarse_oval):
-    env = make(coarse_oval, beams=4)
-    box = env.observation_space("car_1")
-    np.testing.assert_array_equal(box.low, np.array([element.low for element in env.elements], np.float32))
-    np.testing.assert_array_equal(box.high, np.array([element.high for element in env.elements], np.float32))
-    assert box.shape == (45,)
-    assert box.dtype == np.float32
-    assert env.action_space("car_0").shape == (2,)
-    assert env.action_space("car_0") is env.action_space("car_0")
-    assert env.action_space("car_0") is not env.action_space("car_1")  # each is seeded for itself
-    assert env.state_space.shape == (90,)
-    observations, _ = env.reset(seed=0)
-    np.testing.assert_array_equal(env.state(), np.concatenate([observations[agent] for agent in AGENTS]))
-    assert env.state_space.contains(env.state())
 
 
 # What the agents observe
@@ -167,36 +106,6 @@ def test_car_0_drives_the_race_of_drive(coarse_oval, options):
         assert infos["car_0"] == info
         assert rival.state().shape == (2 * len(seen_by_one),)
         np.testing.assert_array_equal(rival.state()[: len(seen_by_one)], seen_by_one)
-
-
-def test_each_car_is_told_where_the_other_is(coarse_oval):
-    env = make(coarse_oval)
-    places = poses(coarse_oval, (3.0, 0.2, 2.0), (7.0, -0.3, 4.0))
-    observations, _ = env.reset(options={"poses": places})
-    for car, agent in enumerate(AGENTS):
-        own, other = places[car], places[1 - car]
-        found = seen(env, observations[agent])
-        turn = np.array([[np.cos(own[2]), np.sin(own[2])], [-np.sin(own[2]), np.cos(own[2])]])
-        away = turn @ np.subtract(other[:2], own[:2])
-        assert [found["opponent x"], found["opponent y"]] == pytest.approx(away.tolist(), abs=1e-5)
-        assert found["opponent gap"] == pytest.approx(4.0 if car == 0 else -4.0, abs=1e-3)
-        assert found["opponent offset"] == pytest.approx(-0.5 if car == 0 else 0.5, abs=1e-3)
-        assert found["lead"] == pytest.approx(-4.0 if car == 0 else 4.0, abs=1e-3)
-        assert found["speed"] == pytest.approx(own[3])
-        assert found["opponent vx"] == pytest.approx(other[3] - own[3], abs=0.02)
-        assert found["offset"] == pytest.approx(0.2 if car == 0 else -0.3, abs=1e-3)
-
-
-def test_the_lidars_of_both_cars_see_the_other_one(coarse_oval):
-    env = make(coarse_oval, beams=31)
-    env.reset(options={"poses": poses(coarse_oval, (3.0, 0.5, 2.0), (3.2, -0.5, 1.0))})
-    observations, *_ = env.step(both((0.1, -0.5), (-0.1, -0.7)))
-    first, second = (car[[X, Y, PSI]] for car in env.batch.state.cars[0])
-    lidar = Lidar(coarse_oval, 31)
-    for agent, own, other in (("car_0", first, second), ("car_1", second, first)):
-        scan = lidar.scan(own, other)
-        np.testing.assert_allclose(observations[agent][-31:], scan, rtol=1e-5)
-        assert (scan < lidar.scan(own) - 0.1).any()
 
 
 def test_the_noise_of_the_two_lidars_differs(coarse_oval):
@@ -340,17 +249,6 @@ def test_a_step_lasts_a_control_period_and_a_batch_has_one_race_by_default(coars
     assert env.metadata["is_parallelizable"]  # which PettingZoo's wrappers ask for
 
 
-def test_max_cycles_truncates_and_decides_nothing(coarse_oval):
-    env = make(coarse_oval, max_cycles=3)
-    env.reset(seed=0)
-    for left in (True, True, False):
-        _, _, terminated, truncated, infos = env.step(SLOW)
-        assert bool(env.agents) == left
-        assert truncated == dict.fromkeys(AGENTS, not left)
-        assert terminated == dict.fromkeys(AGENTS, False)
-    assert infos["car_0"]["result"] == Result.RUNNING
-
-
 def test_after_the_end_no_agent_is_left(coarse_oval):
     env = make(coarse_oval, duration=0.3)
     with pytest.raises(InputError, match="not begun"):
@@ -361,7 +259,7 @@ def test_after_the_end_no_agent_is_left(coarse_oval):
     for _ in range(3):
         env.step(SLOW)
     assert env.agents == []
-    with pytest.raises(InputError, match="the episode is over"):
+    with pytest.raises(InputError, match="has ended"):
         env.step(SLOW)
     # Turn by turn, dead agents step with None, once each.
     turns = drive.env(track=coarse_oval, duration=0.3, time_step=0.1)
@@ -373,172 +271,3 @@ def test_after_the_end_no_agent_is_left(coarse_oval):
         turns.step(None if ended or cut else SLOW[agent])
     assert last == list(AGENTS)
     assert turns.agents == []
-
-
-# Seeds, copies, many races at once
-
-
-def test_the_same_seed_is_the_same_episode(coarse_oval):
-    options = {"race": "contest", "beams": 5, "lidar_noise": 0.1}
-    first, second = (make(coarse_oval, **options) for _ in range(2))
-    second.reset(seed=99)
-    assert episode(first, 7) == episode(second, 7)
-    assert episode(first, None) != episode(first, 7)
-    assert episode(first, 7) != episode(first, 8)
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_a_batch_drives_the_same_races_to_the_last_bit(coarse_oval, threads, monkeypatch):
-    monkeypatch.setattr(drive_batch, "WORTH_A_THREAD", 10.0)
-    options = {
-        "track": coarse_oval,
-        "race": "contest",
-        "beams": 7,
-        "lidar_noise": 0.1,
-        "time_step": 0.1,
-        "duration": 3.0,
-    }
-    count = 37
-    envs = DriveHeadToHeadVectorEnv(2 * count, threads=threads, autoreset_mode="SAME_STEP", **options)
-    single = [DriveHeadToHeadEnv(**options) for _ in range(0, count, 6)]
-    observations, info = envs.reset(seed=11)
-    rng = np.random.default_rng(3)
-    for k, env in enumerate(single):
-        found, _ = env.reset(seed=11 + 6 * k)
-        np.testing.assert_array_equal(np.array(list(found.values())), observations[12 * k : 12 * k + 2])
-    for _ in range(35):
-        actions = rng.uniform(-0.6, 0.2, (2 * count, 2)).astype(np.float32)
-        observations, rewards, terminated, truncated, info = envs.step(actions)
-        for k, env in enumerate(single):
-            rows = slice(12 * k, 12 * k + 2)
-            found, paid, ended, cut, infos = env.step(both(*actions[rows]))
-            final = info["final_info"] if terminated[rows].any() or truncated[rows].any() else info
-            assert list(paid.values()) == rewards[rows].tolist()
-            assert list(ended.values()) == terminated[rows].tolist()
-            assert list(cut.values()) == truncated[rows].tolist()
-            for name in infos["car_0"]:
-                assert [infos[agent][name] for agent in AGENTS] == final[name][rows].tolist(), name
-            if env.agents:
-                np.testing.assert_array_equal(np.array(list(found.values())), observations[rows])
-            else:
-                np.testing.assert_array_equal(np.array(list(found.values())), np.stack(info["final_obs"][rows]))
-                env.reset()
-
-
-def test_a_batch_has_two_environments_for_each_race(coarse_oval):
-    envs = DriveHeadToHeadVectorEnv(6, track=coarse_oval, autoreset_mode="DISABLED", time_step=0.1)
-    _, info = envs.reset(seed=[4, 5, 6])
-    np.testing.assert_array_equal(info["lead"][::2], -info["lead"][1::2])
-    for _ in range(40):
-        *_, terminated, _, info = envs.step(np.tile(((1.0, 0.5), (0.0, -1.0)), (3, 1)))
-        if terminated.any():
-            break
-    assert terminated[::2].tolist() == terminated[1::2].tolist()
-    assert sorted(envs.outcome()[0]) == sorted(name for name in info if not name.startswith("_"))
-    with pytest.raises(InputError, match="num_envs is 5"):
-        DriveHeadToHeadVectorEnv(5, track=coarse_oval)
-    with pytest.raises(InputError, match="both cars"):
-        DriveHeadToHeadVectorEnv(2, track=coarse_oval, opponent="lattice")
-
-
-@pytest.mark.parametrize(
-    "keep", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["deepcopy", "pickle"]
-)
-def test_a_copy_goes_on_alike_and_alone(keep):
-    env = DriveHeadToHeadEnv("Pipkin", race="contest", beams=3, time_step=0.1, max_cycles=6)
-    env.reset(seed=3)
-    env.step(SLOW)
-    twin = keep(env)
-    assert flat(twin.step(SLOW)) == flat(env.step(SLOW))
-    assert [episode(twin, None) for _ in range(2)] == [episode(env, None) for _ in range(2)]
-
-
-def test_a_moment_can_be_restored(coarse_oval):
-    env, other = (make(coarse_oval, race="contest") for _ in range(2))
-    env.reset(seed=3)
-    env.step(SLOW)
-    moment = env.get_state()
-    assert isinstance(moment, ParallelState)
-    future = [flat(env.step(SLOW)) for _ in range(4)]
-    for value in (moment, pickle.loads(pickle.dumps(moment))):
-        observations, _ = other.reset(options={"state": value})
-        assert list(observations) == list(AGENTS)
-        assert [flat(other.step(SLOW)) for _ in range(4)] == future
-    with pytest.raises(InputError, match="must be what get_state"):
-        env.set_state("yesterday")
-    with pytest.raises(InputError, match="leaves nothing to choose"):
-        env.reset(seed=1, options={"state": moment})
-
-
-# Where races begin, and bad input
-
-
-def test_reset_options(coarse_oval):
-    env = make(coarse_oval, opponent="pure-pursuit")
-    track = env.track
-    env.reset(seed=0, options={"start": (30.0, 1)})
-    begin = (env.batch.state.frenet[0, 0, 0] - env.batch.state.progress[0, 0]) % track.length
-    assert begin == pytest.approx(30.0, abs=0.1)
-    env.reset(seed=0, options={"opponent": "gap-follower"})
-    assert env.outcome()["car_0"]["opponent"] == "gap-follower"
-    env.reset(seed=0, options={"track": "Pipkin"})
-    assert env.track.name == "Pipkin"
-    with pytest.raises(InputError, match="made with an opponent"):
-        make(coarse_oval).reset(options={"opponent": "lattice"})
-
-
-def test_infos_are_numbers_of_the_common_vocabulary(coarse_oval):
-    env = make(coarse_oval)
-    _, infos = env.reset(seed=0)
-    for agent in AGENTS:
-        assert all(isinstance(value, int | float) for value in infos[agent].values())
-        assert infos[agent]["opponent"] == -1
-        assert list(infos[agent]) == list(DriveEnv(coarse_oval).reset(seed=0)[1])
-    assert env.outcome()["car_1"]["result"] == "running"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "kind", "message"),
-    [
-        ({"track": "Nowhere"}, UnknownNameError, "Nowhere"),
-        ({"beems": 3}, UnknownArgumentError, "beems"),
-        ({"see_opponent": "sometimes"}, InputError, "sometimes"),
-        ({"win_reward": -1.0}, InputError, "win_reward is -1.0"),
-        ({"max_cycles": 0}, InputError, "max_cycles is 0"),
-        ({"render_mode": "ascii"}, InputError, "ascii"),
-        ({"own_state": False, "look_ahead": (), "see_opponent": "never"}, InputError, "nothing is observed"),
-    ],
-)
-def test_an_impossible_argument_is_one_clear_error(arguments, kind, message):
-    with pytest.raises(kind, match=message):
-        DriveHeadToHeadEnv(**arguments)
-
-
-@pytest.mark.parametrize(
-    ("actions", "message"),
-    [
-        ({"car_0": (0.0, 0.0)}, "car_0, car_1"),
-        ([(0.0, 0.0), (0.0, 0.0)], "car_0, car_1"),
-        ({"car_0": (0.0, 0.0), "car_1": (np.nan, 0.0)}, "environment 1 is .nan"),
-        ({"car_0": (0.0, 0.0), "car_1": (0.0, 0.0, 0.0)}, "numbers of shape"),
-        ({"car_0": 0.0, "car_1": 0.0}, "shape .2,."),
-        ({"car_0": "left", "car_1": (0.0, 0.0)}, "numbers of shape"),
-    ],
-)
-def test_an_impossible_action_is_one_clear_error_and_changes_nothing(coarse_oval, actions, message):
-    env = make(coarse_oval)
-    env.reset(seed=0)
-    before = env.state()
-    with pytest.raises(InputError, match=message):
-        env.step(actions)
-    np.testing.assert_array_equal(env.state(), before)
-    env.step(SLOW)
-
-
-def test_unknown_agents_and_options_are_one_clear_error(coarse_oval):
-    env = make(coarse_oval)
-    with pytest.raises(InputError, match=r"car_2.*car_0, car_1"):
-        env.action_space("car_2")
-    with pytest.raises(UnknownNameError, match="policies"):
-        env.reset(options={"policies": (0, 1)})
-    assert set(DriveOptions.__dataclass_fields__) >= {"own_state", "see_opponent", "time_left", "win_reward"}

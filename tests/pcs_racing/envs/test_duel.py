@@ -1,7 +1,7 @@
+"""The game of moves as an environment: what is played, how opponents are asked, and films."""
+
 import importlib
-import inspect
 import itertools
-import re
 import sys
 import types
 
@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import vector as vector_wrappers
 
-from pcs_racing import InputError, UnknownNameError, advance, get_planner
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, SelfPlayVectorEnv
+from pcs_racing import InputError, PolicyArchive, advance, get_planner, load_archive
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
+from pcs_racing.envs.infos import Result
+from pcs_racing.envs.single import AGENTS
 from pcs_racing.envs.video import RecordRaces
 from pcs_racing.game.make import make_game
 
 SHORT = {"step_seconds": 1.0, "moves": 3}
-MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]
 
 
 class Careful:
@@ -61,19 +62,55 @@ def test_it_is_the_view_of_car_0():
             break
 
 
-def test_the_table_of_its_page_is_its_space():
-    env = DuelEnv()
-    rows = re.findall(
-        r"^\| (6k|30)(?: \+ (\d))? \| (\w+) \| ([\w ]+) \| (\S+) \| (\S+) \|$", inspect.getdoc(DuelEnv), re.M
-    )
-    assert len(rows) == 7
-    for start, offset, name, unit, low, high in rows:
-        for k in range(5 if start == "6k" else 1):
-            element = env.elements[6 * k + int(offset or 0) if start == "6k" else 30]
-            assert (element.name, element.unit) == (name.removesuffix("_k") + (f"_{k}" if start == "6k" else ""), unit)
-            assert (element.low, element.high) == (float(low), float(high))
-    seen = [row[0] for row in episode(env, 2)]
-    assert all(env.observation_space.contains(one) for one in seen)
+def test_an_episode_is_the_game():
+    """What the agents get is what :class:`pcs_racing.RaceGame` says, step by step, until the game is over."""
+    env = HeadToHeadEnv(step_seconds=1.0)
+    game = env.game
+    for seed in range(5):
+        _, infos = env.reset(seed=seed)
+        state = game.reset(np.random.default_rng(seed).integers(2**63, size=1))
+        assert infos["car_0"]["policy"] == state.policy[0, 0]
+        for moves in [(0, 3), (2, 1), (1, 1), (0, 2)]:
+            if not env.agents:
+                break
+            observations, rewards, terminated, truncated, infos = env.step(dict(zip(AGENTS, moves, strict=True)))
+            state = game.step(state, [moves])
+            for car, agent in enumerate(AGENTS):
+                np.testing.assert_array_equal(observations[agent], game.observation(state)[0, car])
+                assert rewards[agent] == game.reward(state)[0, car]
+                assert (terminated[agent], truncated[agent]) == (game.done(state)[0], False)
+                assert (infos[agent]["move"], infos[agent]["policy"]) == (moves[car], state.policy[0, car])
+                assert infos[agent]["lead"] == (state.race.lead[0] if car == 0 else -state.race.lead[0])
+        assert env.agents == []
+        results = {infos[agent]["result"] for agent in AGENTS}
+        assert results in ({Result.WIN, Result.LOSS}, {Result.TIE}, {Result.CRASH})
+
+
+def test_policies_and_start_can_be_given():
+    env = HeadToHeadEnv(**SHORT)
+    policies = [2, 7]
+    _, infos = env.reset(seed=0, options={"policies": policies, "start": (20.0, 1)})
+    assert [infos[agent]["policy"] for agent in AGENTS] == policies
+    state = env.batch.state
+    begin = (state.race.frenet[0, 0, 0] - state.race.progress[0, 0]) % env.game.track.length
+    assert begin == pytest.approx(20.0, abs=0.05)
+    _, infos = env.reset(seed=0, options={"policies": (2, -1)})
+    assert infos["car_0"]["policy"] == 2
+
+
+def test_three_characteristics_and_several_step_sizes():
+    default = load_archive("default")
+    values = {key: getattr(default, key) for key in ("name", "planner", "parameter_names", "parameters")}
+    third = np.linspace(-2.0, -1.0, len(default))[:, None]
+    axes = (*default.characteristics, "smoothness")
+    archive = PolicyArchive(**values, characteristics=axes, coordinates=np.hstack([default.coordinates, third]))
+    env = HeadToHeadEnv(archive=archive, epsilon=(0.2, 0.5), stay=True, moves=2, step_seconds=1.0)
+    assert env.action_space("car_0").n == 13
+    assert env.observation_space("car_0").shape == (3 * 8 + 1,)
+    env.reset(seed=0)
+    infos = env.step({"car_0": 12, "car_1": 4})[4]
+    assert infos["car_0"]["move"] == 12
+    assert env.outcome()["car_1"]["move"] == "smoothness + 0.2"
 
 
 def test_opponents_do_what_they_are_called():
@@ -89,78 +126,11 @@ def test_opponents_do_what_they_are_called():
     assert set(careful.asked) == {((1, 25), True)}
 
 
-def test_a_mixture_is_drawn_by_weight():
-    envs = DuelVectorEnv(60, opponent=[(1, "random-moves"), (3, "never-switch")], step_seconds=0.2, moves=1)
-    drawn = envs.reset(seed=0)[1]["opponent"].tolist()
-    assert 34 < drawn.count(1) < 56
-
-
-def test_in_self_play_the_rows_of_a_pair_are_the_two_cars():
-    envs = SelfPlayVectorEnv(6, autoreset_mode="SAME_STEP", **SHORT)
-    seen, info = envs.reset(seed=2)
-    assert seen.shape == (6, 25)
-    np.testing.assert_allclose(info["lead"][::2], -info["lead"][1::2])
-    for _ in range(3):
-        seen, rewards, terminated, _, info = envs.step(np.array([0, 1, 2, 3, 0, 1]))
-        np.testing.assert_array_equal(rewards[::2], -rewards[1::2])
-        np.testing.assert_array_equal(terminated[::2], terminated[1::2])
-    assert info["final_info"]["move"][1] == 1
-    assert envs.action_masks().shape == (6, 4)
-
-
 def test_masks_rule_out_moves_that_lead_to_the_same_place():
     env = DuelEnv(mask_duplicates=True, epsilon=2.0, **SHORT)
     _, info = env.reset(seed=0)
     assert env.action_masks().dtype == np.bool_
     np.testing.assert_array_equal(info["action_mask"], env.action_masks())
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"opponent": None}, "opponent is None"),
-        ({"opponent": 5}, "5 is not a competitor"),
-        ({"opponent": []}, "empty"),
-        ({"opponent": [(1, 2, "random-moves")]}, "opponent 0"),
-        ({"opponent": [(-1.0, "random-moves")]}, "weight of opponent 0 is -1.0"),
-        ({"opponent": [(1, "lane-switcher:3"), (1, "random-moves")]}, "drive with planners"),
-        ({"epsilon": -1.0}, "epsilon is -1.0"),
-        ({"render_mode": "ansi"}, "render_mode is 'ansi'"),
-    ],
-)
-def test_impossible_arguments_are_named(arguments, message):
-    for kind in (DuelEnv, DuelVectorEnv):
-        with pytest.raises(InputError, match=message):
-            kind(**arguments)
-
-
-def test_unknown_names_are_named():
-    for arguments in ({"opponent": "nobody"}, {"opponent": "always-left"}, {"track": "nowhere"}, {"archive": "none"}):
-        with pytest.raises(UnknownNameError, match=r"nobody|always-left|nowhere|none"):
-            DuelEnv(**arguments)
-    with pytest.raises(InputError, match="num_envs is 3"):
-        SelfPlayVectorEnv(3)
-    assert SelfPlayVectorEnv(**SHORT).num_envs == 2
-
-
-def test_impossible_actions_are_refused():
-    env = DuelEnv(**SHORT)
-    with pytest.raises(InputError, match="not begun"):
-        env.step(0)
-    env.reset(seed=0)
-    for action in (4, -1, 0.5, np.nan, None, "left", [0, 1]):
-        with pytest.raises(InputError, match="move"):
-            env.step(action)
-    envs = DuelVectorEnv(3, **SHORT)
-    with pytest.raises(InputError, match="not begun"):
-        envs.step(np.zeros(3, int))
-    envs.reset(seed=0)
-    with pytest.raises(InputError, match="environment 1: move 9"):
-        envs.step(np.array([0, 9, 0]))
-    wrong = DuelEnv(opponent=wrong_move, **SHORT)
-    wrong.reset(seed=0)
-    with pytest.raises(InputError, match="competitor 'wrong': game 0: move 7"):
-        wrong.step(0)
 
 
 def wrong_move(observation, generator):
@@ -213,80 +183,12 @@ def test_what_a_model_answers_is_checked(answer):
         env.step(0)
 
 
-def test_what_a_function_answers_is_checked():
-    env = DuelEnv(opponent=lambda observation, generator: [[0], [1, 2]], **SHORT)
-    env.reset(seed=0)
-    with pytest.raises(InputError, match="moves are"):
-        env.step(0)
-
-
-def test_after_the_end_comes_a_reset():
-    env = DuelEnv(**SHORT)
-    episode(env, 1)
-    with pytest.raises(InputError, match="has ended"):
-        env.step(0)
-    env.reset()
-    env.step(0)
-
-
-def test_a_frame_shows_the_game():
-    env = DuelEnv(render_mode="rgb_array", **SHORT)
-    env.reset(seed=0)
-    first = env.render()
-    assert first.shape == (640, 960, 3)
-    for colour in [(21, 89, 176), (148, 89, 0)]:  # of the names of both cars
-        assert (np.abs(first.astype(int) - colour).sum(axis=-1) < 9).sum() > 20
-    env.step(0)
-    assert (env.render() != first).any()
-    env.close()
-
-
-def test_a_window_follows_the_game(monkeypatch):
-    pytest.importorskip("pygame")
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    shown = []
-    monkeypatch.setattr("pcs_racing.race.rendering.Renderer._show", lambda self, frame: shown.append(frame))
-    env = DuelEnv(render_mode="human", **SHORT)
-    env.reset(seed=0)
-    env.step(0)
-    assert len(shown) == 1 + 7  # the start, then a frame for each 0.16 s of a step of 1 s
-    assert (shown[0] != shown[1]).any()
-    env.close()
-    with pytest.raises(InputError, match="render_mode is None"):
-        DuelEnv(**SHORT).render()
-
-
 def test_a_policy_object_races_as_its_text_does():
     policy = get_planner("lattice").policy({"pace": 0.9})
     env = DuelEnv(opponent=policy, **SHORT)
     assert [opponent.name for opponent in env.opponents] == [policy.name]
     for mine, theirs in zip(episode(env, 4), episode(DuelEnv(opponent="lattice:pace=0.9", **SHORT), 4), strict=True):
         np.testing.assert_array_equal(mine[0], theirs[0])
-
-
-def test_states_of_something_else_are_refused():
-    envs = DuelVectorEnv(2, **SHORT)
-    envs.reset(seed=0)
-    seen = envs.set_state(envs.get_state())
-    other = DuelVectorEnv(2, step_seconds=1.0, moves=2)
-    other.reset(seed=0)
-    more = DuelVectorEnv(3, **SHORT)
-    more.reset(seed=0)
-    for wrong, message in (
-        ("yesterday", "state is a str; it must be what get_state returned"),
-        (other.get_state(), "belongs to another archive, planner or number of moves"),
-        (more.get_state(), "the state is not one of 2 games"),
-    ):
-        with pytest.raises(InputError, match=message):
-            envs.set_state(wrong)
-    np.testing.assert_array_equal(envs.set_state(envs.get_state()), seen)
-    with pytest.raises(InputError, match="state is a str"):
-        DuelEnv(**SHORT).set_state("yesterday")
-
-
-def test_in_self_play_there_is_no_other_opponent():
-    with pytest.raises(InputError, match="opponent is 'random-moves'"):
-        SelfPlayVectorEnv(2, opponent="random-moves", **SHORT)
 
 
 # Videos
@@ -382,6 +284,22 @@ def test_frames_are_those_since_the_last_ones():
     assert still.render().shape == (80, 120, 3)
     with pytest.raises(InputError, match="render_mode"):
         DuelEnv(render_mode="ansi", **SHORT)
+
+
+def test_frames_of_the_last_step():
+    env = HeadToHeadEnv(render_mode="rgb_array", render_size=(120, 80), **SHORT)
+    env.reset(seed=0)
+    assert len(list(env.frames())) == 25  # of the step that the players only watch
+    before = env.render()
+    env.step({"car_0": 0, "car_1": 1})
+    frames = list(env.frames())
+    assert len(frames) == env.metadata["render_fps"] == 25  # a second
+    assert all(frame.shape == (80, 120, 3) and frame.dtype == np.uint8 for frame in frames)
+    assert not np.array_equal(frames[0], before)
+    state = env.batch.state.race
+    list(env.frames())
+    np.testing.assert_array_equal(env.batch.state.race.cars, state.cars)  # looking changes nothing
+    env.close()
 
 
 def test_gymnasiums_own_video_of_many_games_has_all_of_them(videos, tmp_path):

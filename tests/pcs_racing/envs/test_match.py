@@ -1,32 +1,17 @@
 """Matches: a series of races against the same opponent, for one agent and for two."""
 
-import inspect
-import re
-
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
-from repository import REPOSITORY
+from faces import Counts
 
-from pcs_racing import ConfigError, InputError
+from pcs_racing import InputError
 from pcs_racing.envs.infos import Result
 from pcs_racing.envs.match import (
-    HeadToHeadMatchEnv,
     MatchEnv,
     MatchVectorEnv,
-    SelfPlayMatchVectorEnv,
     parallel_env,
 )
 from pcs_racing.game.match_observation import decode_match
-
-
-class Counts:
-    """A chooser that takes policy 0 before the first race, 1 before the second, and so on."""
-
-    def choose(self, observation):
-        driven = decode_match(observation, 3, 2).driven
-        return (driven > 0.0).sum(axis=1)
 
 
 def play(made, seed, actions):
@@ -41,34 +26,7 @@ def play(made, seed, actions):
     return rows
 
 
-def test_the_specification_counts_the_steps_of_a_match(short):
-    assert gym.make_vec("pcs_racing/Match-v0", num_envs=3, **short).spec.max_episode_steps == 3
-    assert gym.make("pcs_racing/Match-v0", races=2, race_moves=True, **short).spec.max_episode_steps == 4
-
-
 # What a match is
-
-
-def test_the_table_of_its_page_is_its_space():
-    made = MatchEnv()
-    rows = re.findall(
-        r"^\| (7r|21|22)(?: \+ (\d))? \| (\w+) \| ([\w ]+) \| (\S+) \| (\S+) \|$", inspect.getdoc(MatchEnv), re.M
-    )
-    assert len(rows) == 9
-    for start, offset, name, unit, low, high in rows:
-        for r in range(3 if start == "7r" else 1):
-            element = made.elements[7 * r + int(offset or 0) if start == "7r" else int(start)]
-            wanted = name.replace("_r_", f"_{r}_", 1) if start == "7r" else name
-            assert (element.name, element.unit) == (wanted, unit)
-            assert (element.low, element.high) == (float(low), float(high))
-    assert made.observation_space.shape == (23,)
-
-
-@pytest.mark.parametrize("kind", [MatchEnv, HeadToHeadMatchEnv])
-def test_the_class_names_its_arguments(kind):
-    text = inspect.getdoc(kind)
-    for name in inspect.signature(kind).parameters:
-        assert name in text or name == "settings", name
 
 
 def test_a_match_remembers_its_races(short):
@@ -199,61 +157,6 @@ def test_without_moves_the_races_are_the_same(short):
         assert (paid, ended) == (reward, over)
 
 
-# Scalar and vector
-
-
-@pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_all_autoreset_modes(short, mode):
-    envs = MatchVectorEnv(3, autoreset_mode=mode, races=2, **short)
-    first, _ = envs.reset(seed=0)
-    envs.step(np.zeros(3, int))
-    seen, rewards, terminated, _, info = envs.step(np.zeros(3, int))
-    assert terminated.all()
-    if mode is AutoresetMode.DISABLED:
-        with pytest.raises(InputError, match="has ended"):
-            envs.step(np.zeros(3, int))
-        seen, info = envs.reset(options={"reset_mask": np.array([True, False, True])})
-        assert info["race"].tolist() == [0, 2, 0]
-    elif mode is AutoresetMode.NEXT_STEP:
-        assert info["race"].tolist() == [2, 2, 2]
-        seen, rewards, terminated, _, info = envs.step(np.zeros(3, int))
-        assert not terminated.any()
-        assert not rewards.any()
-        assert info["race"].tolist() == [0, 0, 0]
-    else:
-        assert info["race"].tolist() == [0, 0, 0]
-        assert info["final_info"]["race"].tolist() == [2, 2, 2]
-    assert envs.observation_space.contains(seen)
-    assert first.shape == seen.shape
-
-
-# As a value
-
-
-def test_a_reset_can_continue_from_a_state(short):
-    made = MatchEnv(**short)
-    made.reset(seed=1)
-    seen = made.step(2)[0]
-    state = made.get_state()
-    expected = made.step(3)
-    made.reset(seed=2)
-    np.testing.assert_array_equal(made.reset(options={"state": state})[0], seen)
-    np.testing.assert_array_equal(made.step(3)[0], expected[0])
-
-
-def test_states_of_something_else_are_refused(short):
-    made = MatchEnv(**short)
-    made.reset(seed=0)
-    kept = made.get_state()
-    for other, message in ((MatchEnv(races=2, **short), "another number of races"), (MatchEnv(), "it must be")):
-        other.reset(seed=0)
-        with pytest.raises(InputError, match=message):
-            made.set_state(other.get_state())
-    with pytest.raises(InputError, match="of 1 matches"):
-        made.set_state(kept._replace(batch=("yesterday", *kept.batch[1:])))
-    np.testing.assert_array_equal(made.set_state(kept), made.reset(options={"state": kept})[0])
-
-
 def test_reset_options(short):
     made = MatchEnv(opponent="random-moves", **short)
     made.reset(seed=0, options={"policies": (2, 5), "start": (20.0, 1)})
@@ -311,69 +214,3 @@ def test_frames_show_the_whole_race(short):
     assert len(frames) == 26  # a race of a second, in two steps of half a second
     assert (frames[-1] != first).any()
     both.close()
-
-
-# Bad input
-
-
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        ({"races": 0}, ConfigError, "races is 0"),
-        ({"race_moves": 2}, ConfigError, "race_moves is 2"),
-        ({"utility": "win"}, InputError, r"^utility"),
-        ({"discount": 0.9}, InputError, "discount does not count"),
-        ({"opponent": 5}, InputError, "5 is not a competitor"),
-        ({"rases": 3}, TypeError, "did you mean 'races'"),
-    ],
-)
-def test_impossible_arguments_are_named(arguments, error, message):
-    for kind in (MatchEnv, MatchVectorEnv, HeadToHeadMatchEnv):
-        with pytest.raises(error, match=message):
-            kind(**arguments)
-
-
-def test_impossible_actions_are_refused(short):
-    made = MatchEnv(**short)
-    with pytest.raises(InputError, match="not begun"):
-        made.step(0)
-    made.reset(seed=0)
-    for action in (6, -1, 0.5, np.nan, None, "left", [0, 1]):
-        with pytest.raises(InputError, match="move"):
-            made.step(action)
-    with pytest.raises(InputError, match="reset option 'moves' is unknown"):
-        made.reset(options={"moves": 3})
-    envs = MatchVectorEnv(2, **short)
-    envs.reset(seed=0)
-    with pytest.raises(InputError, match="environment 1: move 7"):
-        envs.step(np.array([0, 7]))
-
-
-def test_the_example_of_its_page_runs(capsys):
-    page = (REPOSITORY / "docs" / "environments.md").read_text(encoding="utf-8")
-    example = page.partition("\n## Matches\n")[2].split("```python\n")[1].split("```")[0]
-    exec(compile(example, "environments.md", "exec"), {})
-    assert re.search(r"races won of 3 (win|tie|loss)", capsys.readouterr().out)
-
-
-def test_in_self_play_the_rows_of_a_pair_are_the_two_players_of_a_match(short):
-    envs = SelfPlayMatchVectorEnv(4, autoreset_mode="DISABLED", races=2, **short)
-    both = [HeadToHeadMatchEnv(races=2, **short) for _ in range(2)]
-    seen, _ = envs.reset(seed=5)
-    pairs = [each.reset(seed=5 + i)[0] for i, each in enumerate(both)]
-    actions = np.array([0, 5, 3, 1])
-    for last in (False, True):
-        np.testing.assert_array_equal(seen, [pair[agent] for pair in pairs for agent in ("car_0", "car_1")])
-        seen, rewards, terminated, _, _ = envs.step(actions)
-        steps = [each.step({"car_0": actions[2 * i], "car_1": actions[2 * i + 1]}) for i, each in enumerate(both)]
-        pairs = [step[0] for step in steps]
-        assert rewards.tolist() == [step[1][agent] for step in steps for agent in ("car_0", "car_1")]
-        assert terminated.tolist() == [last] * 4
-    assert envs.action_masks().shape == (4, 6)
-
-
-def test_in_self_play_there_is_no_opponent(short):
-    with pytest.raises(InputError, match="never-switch"):
-        SelfPlayMatchVectorEnv(2, opponent="never-switch", **short)
-    with pytest.raises(InputError, match="num_envs is 3"):
-        SelfPlayMatchVectorEnv(3, **short)

@@ -1,24 +1,22 @@
-"""Every block of docs/recipes.md that is not marked "not run" runs, and so do the examples that it names."""
+"""Every block of docs/recipes.md runs, and so do the examples that it names."""
 
 import ast
 import importlib.util
 import re
 
 import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, python_blocks, read_page, run_block
 
-PAGE = (REPOSITORY / "docs" / "recipes.md").read_text(encoding="utf-8")
-NOT_RUN = "<!-- not run -->\n"
+PAGE = read_page("recipes.md")
 
 
 def blocks():
-    """Heading, code and whether it can run here, of every Python block."""
+    """Heading and code of every Python block."""
     for section in PAGE.split("\n## ")[1:]:
         heading = section.partition("\n")[0]
-        found = re.finditer(rf"({NOT_RUN})?```python\n(.*?)```", section, re.DOTALL)
-        for number, match in enumerate(found):
-            marks = [pytest.mark.compare] * ("sb3_contrib" in match[2])
-            yield pytest.param(match[2], match[1] is None, section, id=f"{heading} {number}", marks=marks)
+        for number, code in enumerate(python_blocks(section)):
+            marks = [pytest.mark.compare] * ("sb3_contrib" in code)
+            yield pytest.param(code, id=f"{heading} {number}", marks=marks)
 
 
 def need_imports(code):
@@ -32,14 +30,10 @@ def need_imports(code):
                 pytest.skip(f"{name} is not installed")
 
 
-@pytest.mark.parametrize(("code", "runs", "section"), list(blocks()))
-def test_blocks_run_as_they_stand(code, runs, section):
-    tree = compile(code, "docs/recipes.md", "exec")
-    if not runs:
-        assert "examples/clients/rllib_ppo.py" in section  # tools/try_clients.py runs the same code
-        return
+@pytest.mark.parametrize("code", list(blocks()))
+def test_blocks_run_as_they_stand(code):
     need_imports(code)
-    exec(tree, {"__name__": "recipe"})
+    run_block(code)
 
 
 def test_named_scripts_exist():

@@ -1,8 +1,6 @@
 """Episodes that differ: circuits, cars, ranges from which friction and others are drawn, and obstacles."""
 
-import copy
 import dataclasses
-import pickle
 import threading
 import time
 
@@ -14,17 +12,15 @@ from pcs_racing import (
     InputError,
     Lidar,
     RaceSetup,
-    UnknownNameError,
     VehicleParams,
     advance,
     load_race_config,
     load_track,
     parse_policy,
 )
-from pcs_racing.envs import circuits
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
-from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
+from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing.envs.obstacles import Obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.envs.variety import Variety
@@ -67,67 +63,6 @@ def varied(usual, oval, wide):
     return {**usual, "track": [oval, wide], "randomize": RANGES, "obstacles": {"count": [0, 2], "passage": 0.8}}
 
 
-def play(env, seed, episodes=2):
-    """Observations, rewards and infos of whole episodes; actions follow from their number."""
-    log = []
-    for episode in range(episodes):
-        observation, info = env.reset(seed=seed if episode == 0 else None)
-        log.append((observation, 0.0, info))
-        over, k = False, 0
-        while not over:
-            action = k % 4 if env.action_space.shape == () else np.array([0.2 * np.sin(k), -0.3], np.float32)
-            observation, reward, terminated, truncated, info = env.step(action)
-            log.append((observation, reward, info))
-            over, k = terminated or truncated, k + 1
-    return log
-
-
-def same(one, other):
-    assert len(one) == len(other)
-    for (seen, reward, info), (own, paid, told) in zip(one, other, strict=True):
-        np.testing.assert_array_equal(seen, own)
-        assert reward == paid
-        assert set(info) == set(told)
-        for name in info:
-            np.testing.assert_array_equal(info[name], told[name])
-
-
-@KINDS
-def test_a_batch_gives_the_numbers_of_environments_of_one(single, vector, usual, oval, wide):
-    arguments = varied(usual, oval, wide)
-    envs = vector(5, autoreset_mode="NEXT_STEP", threads=2, **arguments)
-    seen, infos = envs.reset(seed=7)
-    alone = [play(single(**arguments), 7 + i, 1) for i in range(5)]
-    names = ("track", "obstacles", "friction", "mass", "steering_delay", "steering_noise", "lead")
-    for k in range(min(map(len, alone))):
-        for i in range(5):
-            observation, _, info = alone[i][k]
-            np.testing.assert_array_equal(seen[i], observation)
-            assert [infos[name][i] for name in names] == [info[name] for name in names]
-        action = k % 4 if envs.single_action_space.shape == () else np.array([0.2 * np.sin(k), -0.3], np.float32)
-        seen, _, _, _, infos = envs.step(np.array([action] * 5))
-    assert len(set(infos["track"].tolist())) == 2
-    assert len(set(infos["friction"].tolist())) > 2
-    assert ((infos["friction"] >= 0.6) & (infos["friction"] <= 1.2)).all()
-
-
-@KINDS
-def test_the_same_seed_draws_the_same_and_a_state_goes_on(single, vector, usual, oval, wide):
-    arguments = varied(usual, oval, wide)
-    env = single(**arguments)
-    whole = play(env, 7)
-    same(whole, play(env, 7))
-    same(whole, play(single(**arguments), 7))
-    env.reset(seed=11)
-    kept = env.get_state()
-    copies = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), single(**arguments)]
-    copies[2].reset(seed=1)
-    copies[2].set_state(kept)
-    expected = play(env, None, 2)
-    for one in copies:
-        same(expected, play(one, None, 2))
-
-
 @KINDS
 def test_one_episode_may_differ_without_the_others(single, vector, usual, oval, wide):
     envs = vector(4, autoreset_mode="DISABLED", **varied(usual, oval, wide))
@@ -136,18 +71,6 @@ def test_one_episode_may_differ_without_the_others(single, vector, usual, oval, 
     for name in ("friction", "mass"):
         assert (after[name][[0, 2]] == before[name][[0, 2]]).all()
         assert (after[name][[1, 3]] != before[name][[1, 3]]).all()
-
-
-@pytest.mark.parametrize(("kind", "usual"), [(HeadToHeadEnv, DUEL), (HeadToHeadMatchEnv, MATCH)])
-def test_two_agents_have_the_same_variety(kind, usual, oval, wide):
-    env = kind(**{**varied(usual, oval, wide), "opponent": None})
-    _, infos = env.reset(seed=3)
-    assert {**infos["car_0"], "action_mask": None}.keys() == {**infos["car_1"], "action_mask": None}.keys()
-    assert infos["car_0"]["friction"] == infos["car_1"]["friction"]
-    env.step(dict.fromkeys(env.agents, 0))
-    again = pickle.loads(pickle.dumps(env))
-    moves = dict.fromkeys(env.agents, 1)
-    np.testing.assert_array_equal(env.step(moves)[0]["car_0"], again.step(moves)[0]["car_0"])
 
 
 # Circuits
@@ -285,19 +208,6 @@ def test_the_noise_of_the_lidar_is_drawn_for_each_episode(oval):
     assert np.corrcoef(spread, infos["lidar_noise"])[0, 1] > 0.95
 
 
-@KINDS
-def test_a_restored_moment_brings_back_what_was_drawn(single, vector, usual, oval, wide):
-    env = single(**varied(usual, oval, wide))
-    env.reset(seed=0)
-    kept, drawn = env.get_state(), env.unwrapped.batch.variety
-    before = {name: values.copy() for name, values in drawn.drawn.items()}
-    env.reset(seed=1)
-    assert any((drawn.drawn[name] != before[name]).any() for name in before)
-    env.set_state(kept)
-    for name, values in before.items():
-        np.testing.assert_array_equal(drawn.drawn[name], values)
-
-
 # Obstacles
 
 
@@ -365,45 +275,6 @@ def test_the_lattice_drives_around_obstacles():
 # Arguments
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "message"),
-    [
-        ({"track": []}, InputError, "track is"),
-        ({"track": [3]}, InputError, "track is"),
-        ({"track": ["Pipkin", "Nowhere"]}, UnknownNameError, "Nowhere"),
-        ({"vehicle": {"weight": 3.0}}, ConfigError, "weight"),
-        ({"vehicle": {"mu": -1.0}}, ConfigError, "mu is -1.0"),
-        ({"vehicle": [{}, {}, {}]}, ConfigError, "lists 3 cars"),
-        ({"vehicle": 3.0}, ConfigError, "vehicle"),
-        ({"vehicle": {"steer_delay": 0.03}}, ConfigError, "multiple of 0.02"),
-        ({"randomize": {"friction": [1.0, 0.5]}}, ConfigError, "friction is"),
-        ({"randomize": {"grip": [0.5, 1.0]}}, ConfigError, "grip"),
-        ({"randomize": {"steering_delay": [0.03, 0.035]}}, ConfigError, "no multiple"),
-        ({"randomize": {"lidar_noise": 0.1}}, ConfigError, "lidar"),
-        ({"randomize": 0.5}, ConfigError, "randomization"),
-        ({"obstacles": {"count": [3, 1]}}, ConfigError, "count of obstacles is"),
-        ({"obstacles": 200}, ConfigError, "count of obstacles is"),
-        ({"obstacles": {"size": 5.0}}, ConfigError, "size of obstacles is"),
-        ({"obstacles": {"speed": 5.0}}, ConfigError, "speed"),
-        ({"obstacles": {"shape": "star"}}, ConfigError, "shape"),
-    ],
-)
-@pytest.mark.parametrize("kind", [DriveEnv, DuelEnv])
-def test_impossible_arguments_are_one_clear_error(kind, arguments, error, message):
-    with pytest.raises(error, match=message):
-        kind(**{"track": "Pipkin", **arguments})
-
-
-@pytest.mark.parametrize(
-    "boxes", ["boxes", [[0.0, 0.0]], [[0.0, 0.0, 0.0, 0.3, np.nan]], [[0.0, -4.0, 0.0, 50.0, 0.3]]]
-)
-@KINDS
-def test_impossible_obstacles_of_a_reset_are_refused(single, vector, usual, oval, boxes):
-    env = single(oval, **usual)
-    with pytest.raises(InputError, match="obstacle"):
-        env.reset(seed=0, options={"obstacles": boxes})
-
-
 def test_a_car_never_starts_in_an_obstacle(oval):
     """An impossible reset changes nothing that is driven."""
     env = DriveEnv(oval, None, beams=3)
@@ -428,4 +299,3 @@ def test_impossible_random_circuits_are_refused(changes):
 def test_a_single_number_is_a_range_and_settings_are_taken_as_they_are():
     assert load_randomization({"friction": 0.8}) == Randomization(friction=(0.8, 0.8))
     assert load_randomization(Randomization(mass=(3.0, 4.0))).names == ("mass",)
-    assert circuits.is_circuits("random")

@@ -13,8 +13,15 @@ from pcs_racing import InputError, PolicyArchive, get_planner, load_archive, sav
 from pcs_racing.envs.registration import register_environments
 from pcs_racing.game import characteristics
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
-from pcs_racing.game.learned import BOUND, LearnedAxis, LearnedCharacteristics, LearnedInput, register_learned
-from pcs_racing.game.learned_files import load_learned, save_learned
+from pcs_racing.game.learned import (
+    BOUND,
+    LearnedAxis,
+    LearnedCharacteristics,
+    LearnedInput,
+    load_learned,
+    register_learned,
+    save_learned,
+)
 from pcs_racing.race.state import SUMS
 from pcs_racing.testing import check_archive, check_characteristic
 
@@ -103,7 +110,7 @@ def test_a_damaged_file_is_refused(tmp_path, change, value):
     file.write_text(yaml.safe_dump(plain))
     with pytest.raises(InputError, match=value.replace(".", r"\.")):
         load_learned(file)
-    assert "toy_rating" not in characteristics.characteristic_names()
+    assert "toy_rating" not in characteristics._registered
 
 
 def test_an_archive_brings_its_axes_with_it(tmp_path, monkeypatch):

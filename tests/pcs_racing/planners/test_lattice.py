@@ -65,7 +65,7 @@ def test_parameters():
         "overtaking": (-1.0, 2.0),
         "blocking": (-2.0, 1.0),
     }
-    traits = {"pace": (0.0, 1.0), "attack": (0.0, 0.2), "side_margin": (0.2, 0.45), "pace_behind": (-0.5, 0.5)}
+    traits = {"pace": (0.0, 1.0), "attack": (0.0, 0.3), "side_margin": (0.2, 0.45), "pace_behind": (-0.5, 0.5)}
     assert LATTICE.parameter_names == (*weights, *traits)
     np.testing.assert_array_equal(LATTICE.bounds, [*weights.values(), *traits.values()])
     assert (LATTICE.bounds[:, 0] < LATTICE.default).all()

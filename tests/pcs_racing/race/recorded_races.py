@@ -1,8 +1,24 @@
-"""Small recorded races, for tests of replays, their files and their frames."""
+"""Small recorded races, for tests of replays, their files and their frames; and a driver in plain Python."""
 
 import numpy as np
 
+from pcs_racing import Parameter, Planner
+from pcs_racing.planners.view import OWN_D, OWN_PSI, OWN_S
 from pcs_racing.race.replay import Replay, ReplayEvent
+from pcs_racing.track.frenet import SPEED
+
+
+def towards_the_line(track, theta, view, memory):
+    """A driver in plain Python: back to the race line, at a share of its speed; remembers how often it was asked."""
+    memory[0] += 1.0
+    sample = track.line[int(view[OWN_S] / track.arrays.ds) % len(track.line)]
+    turn = np.mod(sample[4] - view[OWN_PSI] + np.pi, 2.0 * np.pi) - np.pi
+    return 1.2 * turn - 0.6 * view[OWN_D] + 0.33 * sample[5], theta[0] * sample[SPEED]
+
+
+PYTHON = Planner(
+    "python", (Parameter("pace", 0.1, 1.0, 0.7, "share of the speed"),), drive=towards_the_line, memory_size=1
+)
 
 
 def race_on_a_straight():

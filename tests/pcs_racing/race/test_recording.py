@@ -2,11 +2,11 @@ import re
 
 import numpy as np
 import pytest
+from recorded_races import PYTHON
 from scipy.interpolate import CubicSpline
 
 from pcs_racing import (
     InputError,
-    Parameter,
     Planner,
     RaceSetup,
     Starts,
@@ -18,23 +18,14 @@ from pcs_racing import (
     start_races,
 )
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.view import OWN_PSI, OWN_S
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.rates import PLAN_EVERY
 from pcs_racing.race.recording import LAST_INDEX, record_drive, tell_apart
-from pcs_racing.track.frenet import SPEED
 
 PAPER = load_race_config("paper", duration=6.0)
 CONTEST = load_race_config("contest", duration=6.0)
 
 
-def along(track, theta, view, memory):
-    sample = track.line[int(view[OWN_S] / track.arrays.ds) % len(track.line)]
-    turn = np.mod(sample[4] - view[OWN_PSI] + np.pi, 2.0 * np.pi) - np.pi
-    return turn + 0.33 * sample[5], theta[0] * sample[SPEED]
-
-
-PYTHON = Planner("python", (Parameter("pace", 0.1, 1.0, 0.6, "share of the speed"),), drive=along)
 BLIND = Planner("blind", (), drive=lambda track, theta, view, memory: (0.0, 6.0))
 
 
@@ -74,6 +65,8 @@ def test_policies_may_change_on_the_way(oval):
     np.testing.assert_array_equal(replay.cars[-1], state.cars[0])
     np.testing.assert_array_equal(replay.progress[-1], state.progress[0])
     assert replay.car_names == ("a", "b")
+    assert replay.candidates is None
+    assert replay.paths is not None
     with pytest.raises(InputError, match="step_ticks is 15"):
         record_drive(setup, start, noise[0], theta, names=("a", "b"), step_ticks=15)
     with pytest.raises(InputError, match="there are 2 starts"):
@@ -90,10 +83,12 @@ def test_what_a_replay_holds(oval):
     assert replay.duration == pytest.approx(PAPER.duration)
     assert replay.paths.shape[:2] == (plans, 2)
     assert len(replay.candidates) == plans
-    assert replay.car_names == ("lattice (car 0)", "lattice (car 1)")  # both policies are of one name
+    # Both policies are of one name.
+    assert replay.car_names == tell_apart(("lattice", "lattice")) == ("lattice (car 0)", "lattice (car 1)")
+    assert tell_apart(("lattice", "python")) == ("lattice", "python")
+    assert re.match(r"lattice \(car [01]\) wins by ", replay.outcome)
     np.testing.assert_allclose(replay.half_sizes, [[0.29, 0.155], [0.25, 0.125]])
     assert ((replay.ittc > 0.0) & (replay.ittc <= PAPER.ittc_horizon)).all()
-    assert "wins by" in replay.outcome
 
 
 def test_plans_begin_near_the_car_and_run_ahead_in_time(oval):
@@ -136,12 +131,6 @@ def test_a_driver_without_plans_leaves_them_out(oval):
     assert neither.candidates is None
 
 
-def test_candidates_can_be_left_out(oval):
-    replay = record_race(oval, *policies("lattice"), PAPER, candidates=False)
-    assert replay.candidates is None
-    assert replay.paths is not None
-
-
 def test_a_race_that_ends_in_a_crash_ends_the_replay(oval):
     replay = record_race(oval, *policies("blind"), PAPER)
     (crash,) = [event for event in replay.events if event.kind == "crash"]
@@ -163,15 +152,6 @@ def test_the_race_of_a_large_number_is_drawn_without_those_before_it(oval):
     )
     np.testing.assert_array_equal(near.cars[0], far.cars[0])
     assert not np.array_equal(near.cars[-1], far.cars[-1])
-
-
-def test_two_cars_of_one_policy_are_told_apart(oval):
-    ego, opponent = policies("lattice")
-    assert (ego.name, opponent.name) == ("lattice", "lattice")
-    replay = record_race(oval, opponent, ego, PAPER)
-    assert re.match(r"lattice \(car [01]\) wins by ", replay.outcome)
-    assert replay.car_names == tell_apart(("lattice", "lattice")) == ("lattice (car 0)", "lattice (car 1)")
-    assert tell_apart(("lattice", "python")) == ("lattice", "python")
 
 
 @pytest.mark.parametrize("index", [-1, 1.5, True, LAST_INDEX + 1, 10**12])

@@ -1,4 +1,4 @@
-"""Grids drawn for these tests: rings around a closed line."""
+"""Grids drawn for these tests, rings around a closed line, and what the oval of all tests is made of."""
 
 import numpy as np
 import pytest
@@ -19,3 +19,16 @@ def box():
     line = superellipse(12.0, 7.0)
     grid, origin = walls_to_grid(line, 2.2, 0.05)
     return line, grid, 0.05, origin
+
+
+@pytest.fixture
+def values(oval):
+    """What the oval was built from, or nearly so: its grid is cropped, and infield and outfield are walls too."""
+    arrays = oval.arrays
+    return {
+        "occupied": arrays.distance == 0.0,
+        "resolution": arrays.cell,
+        "origin": (arrays.origin_x, arrays.origin_y),
+        "centerline": oval.centerline.copy(),
+        "raceline_xy": oval.line[::3, :2].copy(),
+    }

@@ -2,17 +2,16 @@
 
 import dataclasses
 import logging
-import shutil
 
 import numba
 import numpy as np
 import pytest
-from oval_values import oval_values, write_oval
 
 from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.track import loading
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT
 from pcs_racing.track.loading import load_track
+from pcs_racing.track.maps import MapFolder, write_map
 from pcs_racing.track.track import Calibration, build_track
 
 
@@ -25,8 +24,15 @@ def cache(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def folder(oval, tmp_path):
-    return write_oval(oval, tmp_path)
+def folder(values, tmp_path):
+    """A complete map folder of the oval, its name with a space in it."""
+    line = values["raceline_xy"]
+    rows = np.zeros((len(line) + 1, 7))
+    rows[:, 1:3] = np.vstack([line, line[:1]])
+    grid = (values["occupied"], values["resolution"], values["origin"])
+    own = {"speed_range": [0.9, 1.1], "start_spacing": 0.45, "start_places": {"front": [[1.0, 5.5]]}, "left_share": 0.5}
+    info = {"calibration": {"contest": own}}
+    return write_map(MapFolder("Big Oval", tmp_path / "Big Oval", *grid, values["centerline"], rows, info))
 
 
 def test_a_folder_gives_the_same_track_as_its_values(folder, oval):
@@ -197,20 +203,9 @@ def test_real_circuits_can_be_raced_on(real_maps, name):
     assert np.minimum(jumps, track.length - jumps).max() < 1.5
 
 
-def test_a_real_map_with_nothing_but_yaml_and_picture(real_maps, tmp_path):
-    folder = tmp_path / "with space"
-    folder.mkdir()
-    for kind in ("map.yaml", "map.png"):
-        shutil.copy(real_maps / "Oschersleben" / f"Oschersleben_{kind}", folder)
-    track = load_track(folder)
-    assert track.name == "Oschersleben"
-    assert track.wall_distance(track.line[:, :2]).min() >= 0.28
-    assert abs(track.length - 251.0) < 5.0
-
-
-def test_all_tracks_have_one_compiled_type(oval, folder):
+def test_all_tracks_have_one_compiled_type(oval, values, folder):
     load_track(folder)
     loading._loaded.clear()
     restored = load_track(folder)
-    types = {numba.typeof(track.arrays) for track in (oval, build_track("again", **oval_values(oval)), restored)}
+    types = {numba.typeof(track.arrays) for track in (oval, build_track("again", **values), restored)}
     assert len(types) == 1

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import InputError, Lidar
-from pcs_racing.car.collision import car_hits_wall, rectangles_overlap
+from pcs_racing.car.collision import Rectangle, car_hits_wall, rectangles_overlap
 from pcs_racing.track.obstacles import with_obstacles
 
 BOX = [0.0, -4.0, 0.3, 0.6, 0.4]  # on the lower straight of the oval, whose race line runs through (x, -4)
@@ -64,10 +64,9 @@ def test_the_lidar_measures_the_way_to_a_box(oval, blocked):
 
 @given(x=st.floats(-1.5, 1.5), y=st.floats(-4.6, -3.4), heading=st.floats(0.0, 6.28))
 def test_a_car_hits_a_box_when_the_two_rectangles_overlap(blocked, x, y, heading):
-    box = BOX[0], BOX[1], BOX[2]
     for scale in (0.9, 1.1):  # exact contacts are a matter of the field's cells
-        half = 0.5 * scale
-        overlap = rectangles_overlap(x, y, heading, *box, 0.29, 0.155, half * BOX[3], half * BOX[4])
+        box = Rectangle(*BOX[:3], 0.5 * scale * BOX[3], 0.5 * scale * BOX[4])
+        overlap = rectangles_overlap(Rectangle(x, y, heading, 0.29, 0.155), box)
         if overlap == (scale < 1.0):
             s, _ = blocked.to_frenet([x, y])
             assert car_hits_wall(blocked.arrays, x, y, heading, 0.29, 0.155, s) == overlap

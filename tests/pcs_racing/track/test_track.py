@@ -4,16 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from oval_values import oval_values
 
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, PSI, RIGHT, SIN, SPEED
 from pcs_racing.track.track import build_track
-
-
-@pytest.fixture
-def values(oval):
-    return oval_values(oval)
 
 
 def test_the_oval_has_the_measures_of_a_stadium(oval):
@@ -68,74 +62,61 @@ def test_pairs_are_asked_for(oval):
         oval.to_frenet([1.0, 2.0, 3.0])
 
 
-def _break(values, what):
-    line, grid = values["raceline_xy"], values["occupied"]
-    rows, cols = grid.shape
-    if what == "gap to the border":
-        values["occupied"] = np.pad(grid, 10, constant_values=False)
-        values["origin"] = tuple(corner - 10 * values["resolution"] for corner in values["origin"])
-        values["occupied"][:30, 200] = False
-    elif what == "gap to the infield":
-        far = np.hypot(np.maximum(np.abs(np.arange(cols) - cols / 2) - 80, 0.0), np.arange(rows)[:, None] - rows / 2)
-        values["occupied"] = grid & ~(far < 45)
-        values["occupied"][rows // 2 :, cols // 2] &= np.arange(rows // 2, rows) > rows / 2 + 80
-    elif what == "self-crossing":
-        values["raceline_xy"] = np.column_stack([line[:, 0], line[:, 1] * np.sign(line[:, 0]) * 0.2])
-    elif what == "open":
-        values["raceline_xy"] = line[: len(line) // 2]
-    elif what == "open centre line":
-        values["centerline"] = values["centerline"][: len(values["centerline"]) // 2]
-    elif what == "in a wall":
-        values["raceline_xy"] = line * 0.65
-    elif what == "off the map":
-        values["raceline_xy"] = line + 100.0
-    elif what == "centre line in a wall":
-        values["centerline"][:, :2] *= 0.6
-    elif what == "nan":
-        line[7, 1] = np.nan
-    elif what == "zero width":
-        values["centerline"][4, 2] = 0.0
-    elif what == "few points":
-        values["raceline_xy"] = line[:9]
-    elif what == "kink":
-        values["raceline_xy"] = np.insert(line, 30, line[30] + [0.0, 0.3], axis=0)
-    elif what == "resolution":
-        values["resolution"] = np.nan
-    elif what == "grid of numbers":
-        values["occupied"] = grid.astype(np.uint8)
-    elif what == "origin":
-        values["origin"] = (0.0, np.inf)
-    return values
+def gap_to_the_border(values):
+    occupied = np.pad(values["occupied"], 10, constant_values=False)
+    occupied[:30, 200] = False
+    return {"occupied": occupied, "origin": tuple(corner - 10 * values["resolution"] for corner in values["origin"])}
+
+
+def gap_to_the_infield(values):
+    rows, cols = values["occupied"].shape
+    far = np.hypot(np.maximum(np.abs(np.arange(cols) - cols / 2) - 80, 0.0), np.arange(rows)[:, None] - rows / 2)
+    occupied = values["occupied"] & ~(far < 45)
+    occupied[rows // 2 :, cols // 2] &= np.arange(rows // 2, rows) > rows / 2 + 80
+    return {"occupied": occupied}
+
+
+def race_line(change):
+    return lambda values: {"raceline_xy": change(values["raceline_xy"])}
+
+
+def centre_line(change):
+    return lambda values: {"centerline": change(values["centerline"])}
+
+
+def with_value(array, index, value):
+    array[index] = value
+    return array
 
 
 @pytest.mark.parametrize(
-    ("what", "message"),
+    ("change", "message"),
     [
-        ("gap to the border", r"gap, .* border"),
-        ("gap to the infield", r"gap, .*times the track"),
-        ("self-crossing", "crosses itself"),
-        ("open", "race line is open"),
-        ("open centre line", "centre line is open"),
-        ("in a wall", "through a wall"),
-        ("off the map", "race line leaves"),
-        ("centre line in a wall", "centre line leaves"),
-        ("nan", "impossible point"),
-        ("zero width", "0.0 m wide to the right"),
-        ("few points", "9 different points"),
-        ("kink", "a kink"),
-        ("resolution", "resolution is nan"),
-        ("grid of numbers", "boolean array"),
-        ("origin", "origin must"),
+        (gap_to_the_border, r"gap, .* border"),
+        (gap_to_the_infield, r"gap, .*times the track"),
+        (race_line(lambda xy: np.column_stack([xy[:, 0], xy[:, 1] * np.sign(xy[:, 0]) * 0.2])), "crosses itself"),
+        (race_line(lambda xy: xy[: len(xy) // 2]), "race line is open"),
+        (race_line(lambda xy: xy * 0.65), "through a wall"),
+        (race_line(lambda xy: xy + 100.0), "race line leaves"),
+        (race_line(lambda xy: with_value(xy, (7, 1), np.nan)), "impossible point"),
+        (race_line(lambda xy: xy[:9]), "9 different points"),
+        (race_line(lambda xy: np.insert(xy, 30, xy[30] + [0.0, 0.3], axis=0)), "a kink"),
+        (centre_line(lambda rows: rows[: len(rows) // 2]), "centre line is open"),
+        (centre_line(lambda rows: rows * [0.6, 0.6, 1.0, 1.0]), "centre line leaves"),
+        (centre_line(lambda rows: with_value(rows, (4, 2), 0.0)), "0.0 m wide to the right"),
+        (lambda values: {"resolution": np.nan}, "resolution is nan"),
+        (lambda values: {"occupied": values["occupied"].astype(np.uint8)}, "grid is uint8"),
+        (lambda values: {"origin": (0.0, np.inf)}, "origin holds inf"),
     ],
 )
-def test_impossible_tracks_are_refused(values, what, message):
+def test_impossible_tracks_are_refused(values, change, message):
     with pytest.raises(MapError, match=message):
-        build_track("broken", **_break(values, what))
+        build_track("broken", **(values | change(values)))
 
 
 def test_a_gap_is_found_where_it_is(values):
     """The message leads to the hole."""
-    broken = _break(values, "gap to the border")
+    broken = values | gap_to_the_border(values)
     x = broken["origin"][0] + 200.5 * broken["resolution"]
     with pytest.raises(MapError, match=rf"near \({x:.2f}, -5\."):
         build_track("broken", **broken)

@@ -1,4 +1,4 @@
-"""docs/agents.md, docs/zoo.md and docs/zoo/: what the zoo says of itself stands there."""
+"""docs/agents.md and the page of the zoo: what the zoo says of itself stands there."""
 
 import sys
 
@@ -10,9 +10,8 @@ from pcs_racing_agents import make, names
 from pcs_racing_agents.agents import describe, make_setting
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.describe import Measured, facts_of, measurements, option_meanings
-from pcs_racing_agents.agents.zoo import entries, options
+from pcs_racing_agents.agents.zoo import SHIPPED, entries, options
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.tournament import RaceRow
 
 sys.path.insert(0, str(REPOSITORY / "tools"))
 import zoo_page
@@ -22,39 +21,21 @@ sys.path.remove(str(REPOSITORY / "tools"))
 DOCS = REPOSITORY / "docs"
 PAGE = (DOCS / "agents.md").read_text(encoding="utf-8")
 AGAIN = "run: python benchmarks/zoo.py --write"
-WRITE = "run: python tools/zoo_page.py"
 
 
-@pytest.fixture(scope="module")
-def written():
-    return zoo_page.zoo_pages()
+def test_the_page_of_the_zoo_has_a_section_for_every_agent_and_a_row_for_every_measurement():
+    page = zoo_page.zoo_page()
+    for name in (*SHIPPED, "always-MOVE"):
+        assert f"\n### `{name}`\n" in page
+    for one in measurements().values():
+        assert f"\n| `{one.agent}` | {one.score:.3f} | " in page
+    assert "nan" not in page
 
 
-def test_every_agent_has_its_page_as_it_is_now(written):
-    kept = {file.relative_to(DOCS).as_posix(): file.read_text(encoding="utf-8") for file in DOCS.glob("zoo/*.md")}
-    kept["zoo.md"] = (DOCS / "zoo.md").read_text(encoding="utf-8")
-    assert sorted(kept) == sorted(written), WRITE
-    for path, text in written.items():
-        assert kept[path] == text, f"docs/{path} is not what the code says: {WRITE}"
-
-
-def test_an_agent_without_a_network_or_measurements_has_a_page(monkeypatch):
-    """As agents have between the day they are written and the day they are trained and measured."""
-    ppo = entries()["ppo"]
-    page = zoo_page.agent_page("ppo", ppo, [make_setting("contest", "paper")])
-    assert "\n## Archive `contest`, paper race\n\n- Not shipped for this game.\n" in page
-    monkeypatch.setattr(zoo_page, "measured", lambda *_: None)
-    table = zoo_page.table_page({"ppo": ppo}, [make_setting("default", "paper")])
-    assert "Not measured yet with the agents as they are." in table
-    assert "nan" not in table
-
-
-def test_pages_of_agents_that_are_gone_are_deleted(monkeypatch, tmp_path):
-    monkeypatch.setattr(zoo_page, "zoo_pages", lambda: {"zoo.md": "table\n", "zoo/new.md": "new\n"})
-    (tmp_path / "zoo").mkdir()
-    (tmp_path / "zoo" / "old.md").write_text("old\n", encoding="utf-8")
-    assert zoo_page.write_pages(tmp_path) == tmp_path / "zoo.md"
-    assert [file.name for file in (tmp_path / "zoo").iterdir()] == ["new.md"]
+def test_without_measurements_the_page_says_so(monkeypatch):
+    """As between the day agents are made and the day they are measured."""
+    monkeypatch.setattr(zoo_page, "measurements", dict)
+    assert zoo_page.zoo_page().count("Not measured yet.") == len(zoo_page.SETTINGS)
 
 
 @pytest.mark.parametrize(("archive", "race"), zoo_page.SETTINGS)
@@ -73,11 +54,6 @@ def test_every_agent_was_measured_as_it_is_now(archive, race):
 def test_every_option_is_explained():
     for name, entry in entries().items():
         assert set(options(name)) <= set(option_meanings(entry.build)), name
-
-
-def test_every_column_of_the_results_is_explained():
-    for column in RaceRow._fields:
-        assert f"`{column}`" in PAGE
 
 
 def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, tmp_path):
@@ -103,9 +79,9 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
         assert cost == "Cost: 46 us for one observation, 0.53 us for each of 1,000 at once."
         assert describe.measured("default", "paper", "never-switch", "0" * 64) is None
         assert np.isnan(measurements()["default", "paper", "lane-switcher"].many_us)
-        page = zoo_page.table_page({}, [setting])
-        assert "| [`never-switch`](zoo/never-switch.md) | 0.500 | -12 [-40, +20] | 2.0% | 46 | 0.53 |" in page
-        assert "lane-switcher.md) | 0." not in page
+        page = zoo_page.zoo_page()
+        assert f"| `never-switch` | 0.500 | -12 [-40, +20] | 2.0% | 46 | 0.53 | `{digest[:12]}` |" in page
+        assert f"| `lane-switcher` | 0.500 | -12 [-40, +20] | 2.0% | 46 |  | `{digest[:12]}` |" in page
     finally:
         measurements.cache_clear()
 

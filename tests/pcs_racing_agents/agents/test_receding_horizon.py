@@ -201,12 +201,12 @@ def test_matches_with_agents_and_drivers(noisy, archive):
     driver = get_planner("pure-pursuit").policy()
     for opponent in (never_switch(setting), random_moves(setting), driver):
         played = play_games(noisy, agent, opponent, **given)
-        assert (played.moves[:, 0, 0] >= 0).all()
+        assert (played.moves.codes[:, 0, 0] >= 0).all()
         again = play_games(noisy, pickle.loads(pickle.dumps(agent)), opponent, **given)
         np.testing.assert_array_equal(again.lead, played.lead)
     swapped = play_games(noisy, driver, agent, **{**given, "policies": given["policies"][:, ::-1]})
-    assert (swapped.moves[:, 1, 0] >= 0).all()
-    assert (swapped.moves[:, 0] == -1).all()
+    assert (swapped.moves.codes[:, 1, 0] >= 0).all()
+    assert (swapped.moves.codes[:, 0] == -1).all()
 
 
 def test_without_the_move_stay(game, archive):

@@ -7,7 +7,8 @@ import pcs_racing_agents
 from pcs_racing import UnknownNameError, make_game
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.zoo import entries
-from pcs_racing_agents.tournament.games import play_games, variant_count
+from pcs_racing_agents.tournament import play_games
+from pcs_racing_agents.tournament.games import variant_count
 
 GAMES = (("default", "paper", "Tarnfjord"), ("contest", "contest", "Brackwater"))
 

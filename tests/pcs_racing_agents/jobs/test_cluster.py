@@ -251,10 +251,10 @@ def test_a_task_that_kills_its_workers_is_told_in_a_line(tmp_path):
 def test_workers_lost_outside_of_jobs_are_told_in_a_line(monkeypatch, capsys, error):
     """A tournament without a folder keeps nothing, and has no job."""
 
-    def fail(arguments):
+    def fail(*arguments, **options):
         raise error
 
-    monkeypatch.setattr("pcs_racing_agents.cli.tournament.run", fail)
+    monkeypatch.setattr("pcs_racing_agents.tournament.plan_tournament", fail)
     assert main(["tournament", "--track", "Pipkin"]) == 2
     told = capsys.readouterr().err
     assert (

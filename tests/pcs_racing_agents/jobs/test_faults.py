@@ -155,26 +155,6 @@ def test_half_written_files_of_a_killed_command_are_cleared_away(long_commands, 
     assert [file.name for file in tmp_path.glob(".*") if file.name != ".lock"] == [".gitignore"]
 
 
-@pytest.mark.parametrize("what", ["synthesize", "tree", "ego trees", "tournament"])
-def test_a_damaged_chunk_is_named_and_made_again(long_commands, tmp_path, what, caplog):
-    command = [*long_commands[what], "--out", str(tmp_path)]
-    assert main(command) == 0
-    before = files(tmp_path)
-    chunks = sorted(tmp_path.rglob("chunks/*.npz"))
-    damaged = chunks[len(chunks) // 2]
-    content = bytearray(damaged.read_bytes())
-    content[len(content) // 3] ^= 1
-    damaged.write_bytes(content)
-    for name in before:
-        if "job.yaml" not in name and "chunks" not in name:
-            (tmp_path / name).unlink()  # results are made again, too
-    assert main(command) == 0
-    assert [record.getMessage() for record in caplog.records] == [
-        f"{damaged} is damaged: it is not what was written; it is made again"
-    ]
-    assert files(tmp_path) == before
-
-
 @pytest.mark.parametrize("what", ["synthesize", "tree", "train", "tournament"])
 def test_the_second_of_two_in_one_folder_is_refused(long_commands, tmp_path, what, capsys):
     import fcntl

@@ -2,10 +2,8 @@ import errno
 import os
 import signal
 import sys
-import threading
 import time
 import zipfile
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +12,11 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from repository import REPOSITORY
-from warm_start import call_python, kill, start_python
+from warm_start import kill, start_python
 
 from pcs_racing import InputError, load_race_config, load_track
 from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
+from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.executors import make_executor, tasks_in_flight
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.folders import JobError
@@ -83,32 +82,6 @@ def test_dask_workers_give_the_same(tmp_path):
         assert tasks_in_flight(executor) == 4
         same(job.run("square", square, tasks, executor=executor), expected)
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
-
-
-def test_a_bounded_number_of_tasks_is_under_way(tmp_path, monkeypatch):
-    """Ten thousand tasks must not stand in a queue, each with its arrays."""
-    running, most, lock = 0, 0, threading.Lock()
-
-    class Counting(ThreadPoolExecutor):
-        def submit(self, *arguments):
-            nonlocal running, most
-            with lock:
-                running += 1
-                most = max(most, running)
-            future = super().submit(*arguments)
-            future.add_done_callback(lambda _: finished())
-            return future
-
-    def finished():
-        nonlocal running
-        with lock:
-            running -= 1
-
-    monkeypatch.setattr("pcs_racing_agents.jobs.executors.default_threads", lambda: 2)
-    with open_job(tmp_path, "squares", SETTINGS) as job, Counting(2) as executor:
-        assert job.run("square", square, range(60), executor=executor, keep=False) == []
-        assert len(list((tmp_path / "chunks").iterdir())) == 60
-    assert most <= tasks_in_flight(executor) == 16
 
 
 def test_progress_counts_what_was_done_before(tmp_path):
@@ -197,15 +170,6 @@ def test_a_chunk_made_for_another_task_is_not_used(tmp_path, caplog):
     assert int(results[1]["count"]) == 4
     assert "square-00001.npz belongs to another task" in caplog.text
     assert len(caplog.records) == 1
-
-
-def test_half_written_files_of_a_killed_run_are_cleared_away(tmp_path):
-    with open_job(tmp_path, "squares", SETTINGS) as job:
-        job.run("square", square, [2])
-    (tmp_path / "chunks" / ".square-00001.npz.0123abcd").write_bytes(b"half")
-    with open_job(tmp_path, "squares", SETTINGS):
-        pass
-    assert [file.name for file in (tmp_path / "chunks").iterdir()] == ["square-00000.npz"]
 
 
 SCRIPT = """
@@ -402,15 +366,6 @@ def test_a_manifest_that_is_none_is_refused(tmp_path, text):
         pass
 
 
-def test_one_process_at_a_time(tmp_path):
-    with (
-        open_job(tmp_path, "squares", SETTINGS),
-        pytest.raises(JobError, match=f"process {os.getpid()}"),
-        open_job(tmp_path, "squares", SETTINGS),
-    ):
-        pass
-
-
 def test_a_folder_that_cant_be_made(tmp_path):
     (tmp_path / "file").write_text("")
     with (
@@ -438,38 +393,6 @@ def test_a_full_disk_is_told_in_a_line_and_loses_nothing(tmp_path, monkeypatch):
     monkeypatch.undo()
     with open_job(tmp_path, "squares", SETTINGS) as job:
         assert len(job.run("square", square, range(5))) == 5
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="needs a limit on the size of files")
-def test_a_really_full_disk(tmp_path):
-    """A limit on the size of files stands in for a full disk: the write itself fails."""
-    code = """
-import resource, sys
-import numpy as np
-from pcs_racing import InputError
-from pcs_racing_agents.jobs.jobs import open_job
-with open_job(sys.argv[1], "k", {}) as job:
-    job.run("small", lambda n: {"x": np.zeros(n)}, [10])
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-    try:
-        job.run("large", lambda n: {"x": np.zeros(n)}, [10, 100_000])
-    except InputError as error:
-        print(error)
-"""
-    done = call_python("-c", code, tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(
-        f"can't write {tmp_path}/chunks/large-00001.npz: File too large; what is done is kept"
-    )
-    names = sorted(file.name for file in (tmp_path / "chunks").iterdir())
-    assert names == ["large-00000.npz", "small-00000.npz"]
-
-
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
-def test_a_read_only_folder(tmp_path):
-    tmp_path.chmod(0o500)
-    with pytest.raises(JobError, match=r"can't work in the folder .*Permission denied"), open_job(tmp_path, "k", {}):
-        pass
 
 
 @pytest.mark.parametrize("name", ["", "../up", "A", "a b", "x" * 81])
@@ -530,3 +453,9 @@ def test_the_time_left_counts_only_this_run(capsys, monkeypatch):
     clock[0] += 20.0
     show(100, 100, "tree")
     assert capsys.readouterr().err.splitlines() == ["55/100 trees, 10 s, about 90 s left: tree", "100/100 trees, 30 s"]
+
+
+def test_shipped_configurations_go_by_their_names():
+    shipped = shipped_configs("train")
+    assert list(shipped) == ["quick", "study"]
+    assert all(file.is_file() for file in shipped.values())

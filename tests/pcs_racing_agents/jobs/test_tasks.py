@@ -1,4 +1,4 @@
-"""Work that is more than a list of tasks: several groups side by side, and chains."""
+"""Work that is more than a list of tasks: several groups side by side."""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -76,9 +76,6 @@ def test_groups_of_several_jobs_are_done_side_by_side(tmp_path):
 
 def test_no_groups_are_no_work():
     assert run_groups([]) == []
-
-
-# Chains
 
 
 # torch

@@ -1,22 +1,7 @@
-"""The table of families in docs/self_play.md is that of the package."""
-
-from repository import read_page
+"""Families of opponents for training and for tests are apart."""
 
 from pcs_racing_agents.agents.zoo import SHIPPED
 from pcs_racing_agents.study.family_gains import FAMILIES, family_of
-
-PAGE = read_page("self_play.md")
-
-
-def test_the_page_names_every_family_and_its_use():
-    rows = [
-        line.split(" | ")
-        for line in PAGE.splitlines()
-        if line.startswith("| ") and line.endswith(("training |", "test |"))
-    ]
-    assert [(row[0].removeprefix("| "), row[-1].removesuffix(" |")) for row in rows] == [
-        (family.name, family.use) for family in FAMILIES
-    ]
 
 
 def test_an_opponent_is_for_training_or_for_tests_never_both():

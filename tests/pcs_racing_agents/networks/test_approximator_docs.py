@@ -24,10 +24,3 @@ def test_the_pages_code_runs(tmp_path):
     lines = run_python(page).splitlines()
     assert lines[0] == "(2, 2, 4) [[0 0]"
     assert lines[-1].startswith("<RegretNetwork 'mine': 31-16-4, first inputs, archive 'default', preset 'paper'>")
-
-
-def test_every_measured_figure_names_its_command():
-    for table in re.findall(r"(?:^\|.*\n)+", PAGE, flags=re.MULTILINE):
-        before = PAGE[: PAGE.index(table)].rstrip().splitlines()[-4:]
-        measured = re.search(r"\d\.\d", table)
-        assert not measured or any("`python benchmarks/" in line or "`pcs-racing study" in line for line in before)

@@ -130,8 +130,5 @@ def test_what_network_strategies_may_look_like():
 def test_impossible_profiles(profile, message):
     with pytest.raises(InputError, match=message):
         play_value(PENNIES, profile)
-
-
-def test_there_are_two_players():
     with pytest.raises(InputError, match="player is 2"):
         best_response(PENNIES, uniform_profile(PENNIES), 2)

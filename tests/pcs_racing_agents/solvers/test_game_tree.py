@@ -2,7 +2,7 @@ import copy
 
 import numpy as np
 import pytest
-from small_games import random_profile, random_tree
+from small_games import random_profile
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers import GameTree, play_value
@@ -70,22 +70,6 @@ def test_observations_add_to_what_is_remembered():
     assert [tree.with_observations(pairs).rows(k, 1) for k in range(3)] == [1, 4, 16]
 
 
-def test_exchanged_cars():
-    tree = random_tree(3, 2, 3, 4, 2, chance=2, blur=2)
-    other = tree.swapped()
-    assert other.moves == ((3, 2), (2, 4))
-    assert [(other.rows(k, 0), other.rows(k, 1)) for k in range(2)] == [
-        (tree.rows(k, 1), tree.rows(k, 0)) for k in (0, 1)
-    ]
-    back = other.swapped()
-    assert np.array_equal(back.payoffs, tree.payoffs)
-    for rows, wanted in zip(back.infosets, tree.infosets, strict=True):
-        assert np.array_equal(rows, wanted)
-    plain = random_tree(4, 2, 3)
-    x, y = random_profile(plain)[0]
-    assert play_value(plain.swapped(), [(y, x)]) == pytest.approx(-play_value(plain, [(x, y)]))
-
-
 def test_a_tree_is_a_value():
     given = np.zeros((2, 2))
     tree = GameTree.from_payoffs(given)
@@ -120,23 +104,23 @@ def test_impossible_trees(payoffs, chance, message):
         GameTree.from_payoffs(payoffs, chance)
 
 
+TWO_STEPS, ONE_STEP = GameTree.from_payoffs(np.zeros((2, 2, 2, 2))), GameTree.from_payoffs(np.zeros((2, 2)))
+
+
 @pytest.mark.parametrize(
-    ("labels", "message"),
+    ("see", "labels", "message"),
     [
-        ([([0], [0])], "must be 2 pairs"),
-        ([([0], [0]), ([0, 0, 1], [0] * 4)], "must be 4 whole numbers"),
-        ([([0], [0]), ([0.0] * 4, [0] * 4)], "type float64"),
-        ([([0], [0]), ([0, 1, 0, 1], [0, 1, 0, 1])], "level 1, car 0: node 2"),  # forgets its own move
-        ([([0], [0]), ([0, 0, 1, 1], [0, 0, 1, 1])], "level 1, car 1: node 1"),
+        (TWO_STEPS.with_infosets, [([0], [0])], "must be 2 pairs"),
+        (TWO_STEPS.with_infosets, [([0], [0]), ([0, 0, 1], [0] * 4)], "must be 4 whole numbers"),
+        (TWO_STEPS.with_infosets, [([0], [0]), ([0.0] * 4, [0] * 4)], "type float64"),
+        # These forget their own move.
+        (TWO_STEPS.with_infosets, [([0], [0]), ([0, 1, 0, 1], [0, 1, 0, 1])], "level 1, car 0: node 2"),
+        (TWO_STEPS.with_infosets, [([0], [0]), ([0, 0, 1, 1], [0, 0, 1, 1])], "level 1, car 1: node 1"),
+        (ONE_STEP.with_observations, [(np.zeros(1), np.zeros(2))], "level 0, car 1"),
+        (ONE_STEP.with_observations, [(np.zeros(1), np.zeros((1, 1, 1)))], "level 0, car 1"),
+        (ONE_STEP.with_observations, [(np.zeros(1), [np.nan])], "level 0, car 1"),
     ],
 )
-def test_impossible_infosets(labels, message):
+def test_what_no_player_can_see(see, labels, message):
     with pytest.raises(InputError, match=message):
-        GameTree.from_payoffs(np.zeros((2, 2, 2, 2))).with_infosets(labels)
-
-
-def test_impossible_observations():
-    tree = GameTree.from_payoffs(np.zeros((2, 2)))
-    for seen in (np.zeros(2), np.zeros((1, 1, 1)), [np.nan]):
-        with pytest.raises(InputError, match="level 0, car 1"):
-            tree.with_observations([(np.zeros(1), seen)])
+        see(labels)

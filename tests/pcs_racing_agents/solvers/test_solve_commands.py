@@ -2,20 +2,11 @@ import csv
 
 import numpy as np
 import pytest
-from small_games import kuhn_poker, random_tree
 
 from pcs_racing import make_game
-from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.solvers import (
     METHODS,
-    GameTree,
-    agreement,
-    compare_methods,
-    exploitability,
-    regret_argmax,
-    solve_exact,
-    uniform_profile,
 )
 from pcs_racing_agents.trees import build_trees
 
@@ -46,9 +37,6 @@ def test_solve_prints_and_writes_every_method_on_every_tree(folder, tmp_path, ca
     exact = [row for row in rows if row["method"] == "exact"]
     assert all(abs(float(row["exploitability"])) < 1e-12 for row in exact)
     assert all(float(row["agreement"]) == float(row["on_path"]) == 1.0 for row in exact)
-
-
-def test_some_methods_only(folder, capsys):
     out = run(capsys, "solve", folder, "--methods", "linear", "exact")[1]
     assert "vanilla" not in out
     assert out.count("linear") == 3
@@ -86,36 +74,3 @@ def test_an_error_is_one_line(arguments, message, folder, tmp_path, monkeypatch,
     assert message in err
     assert err.count("\n") == 1
     assert not list(tmp_path.iterdir())
-
-
-def test_agreement_counts_best_moves_where_they_matter():
-    payoffs = np.zeros((2, 2, 2, 1))
-    payoffs[..., 0] = [[[3.0, 1.0], [2.0, 2.0]], [[1.0, 0.0], [0.0, 0.0]]]
-    tree = GameTree.from_payoffs(payoffs)
-    exact = solve_exact(tree)
-    profile = uniform_profile(tree)
-    # Best: car 0 takes 0 at the start, car 1 takes 1; then car 0 takes 0 after (0, 0) and (1, 0). Even strategies count
-    # as the first move, which is right for car 0 everywhere and wrong for car 1.
-    assert agreement(tree, exact, profile) == 3 / 4
-    profile[1][0][0] = [0.0, 1.0]
-    assert agreement(tree, exact, profile) == 2 / 4
-    assert agreement(tree, exact, profile, on_path=True) == 1 / 2  # nobody comes to (0, 0)
-    nothing = GameTree.from_payoffs(np.zeros((2, 2)))
-    assert agreement(nothing, solve_exact(nothing), uniform_profile(nothing)) == 1.0
-
-
-def test_the_paper_s_rule_can_be_exploited():
-    """A pure strategy can't be an equilibrium where one must mix."""
-    tree = random_tree(0, 4, 4, 4, 4)
-    rows = {row.method: row for row in compare_methods(tree, 200)}
-    assert rows["exact"].exploitability < 1e-12 < rows["alternating+"].exploitability < 0.05
-    assert rows["argmax-regret"].exploitability > 0.1
-    assert set(np.unique(regret_argmax(tree, 200)[1][0])) == {0.0, 1.0}
-    assert exploitability(tree, regret_argmax(tree, 200)).exploitability == rows["argmax-regret"].exploitability
-
-
-def test_impossible_comparisons():
-    with pytest.raises(UnknownNameError, match="method 'guess' is unknown"):
-        compare_methods(random_tree(0, 2, 2), methods=["guess"])
-    with pytest.raises(InputError, match="use solve_sequence_form or cfr"):
-        compare_methods(kuhn_poker())

@@ -7,7 +7,8 @@ from toy_races import toy_races
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.results.races import concatenate_races
-from pcs_racing_agents.study.family_gains import family_gains, family_rows, write_family_gains
+from pcs_racing_agents.results.text_table import table_rows
+from pcs_racing_agents.study.family_gains import COLUMNS, family_gains, write_family_gains
 
 
 @pytest.fixture(scope="module")
@@ -23,11 +24,11 @@ def races():
 
 def test_a_family_pools_its_opponents_on_all_circuits(races):
     archive, switching = family_gains(races, "clever", "blind")
-    assert (archive.family.name, archive.family.use, archive.opponents) == ("archive", "training", ("never-switch",))
-    assert (switching.family.name, switching.family.use) == ("switching agents", "test")
+    assert (archive.family, archive.use, archive.opponents) == ("archive", "training", ("never-switch",))
+    assert (switching.family, switching.use) == ("switching agents", "test")
     assert switching.opponents == ("best-schedule", "ppo")
     assert switching.tracks == archive.tracks == ("Oval", "Hut")
-    assert switching.gain.units == 2 * archive.gain.units
+    assert switching.races == 2 * archive.races
 
 
 def test_the_gain_is_the_mean_difference_of_the_scores(races):
@@ -42,17 +43,19 @@ def test_the_gain_is_the_mean_difference_of_the_scores(races):
         for ego in ("clever", "blind")
     }
     mean = sum(scores["clever"]) / len(scores["clever"]) - sum(scores["blind"]) / len(scores["blind"])
-    assert archive.gain.mean == pytest.approx(mean)
-    assert archive.gain.low < mean < archive.gain.high
+    assert archive.gain == pytest.approx(mean)
+    assert archive.low < mean < archive.high
 
 
 def test_the_table_and_the_file_say_the_same(races, tmp_path):
     gains = family_gains(races, "clever", "blind")
-    file = write_family_gains(gains, tmp_path / "families.csv")
-    with open(file, newline="", encoding="utf-8") as stream:
+    with open(write_family_gains(gains, tmp_path / "families.csv"), newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
-    assert [row["family"] for row in rows] == [cells[0] for cells in family_rows(gains)]
-    assert [f"{float(row['gain']):+.3f}" for row in rows] == [cells[5] for cells in family_rows(gains)]
+    _, *cells = table_rows(COLUMNS, gains)
+    assert [(row["family"], row["use"], row["races"]) for row in rows] == [(*line[:2], line[4]) for line in cells]
+    assert [f"{float(row['gain']):+.3f}" for row in rows] == [line[5] for line in cells]
+    assert rows[1]["opponents"] == "best-schedule; ppo"
+    assert cells[1][2] == "best-schedule, ppo"
 
 
 def test_an_agent_is_not_compared_where_it_meets_itself(races):

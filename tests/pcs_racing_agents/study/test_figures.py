@@ -84,17 +84,19 @@ def test_differences_that_may_be_nothing_are_hollow(table):
             assert (mark.get_markerfacecolor() == "white") == (one.p_holm >= 0.05)
 
 
-def test_what_can_not_be_drawn_is_named(table):
-    with pytest.raises(InputError, match="no adaptivity gains"):
-        figures.adaptivity_picture(make_table(toy_races(egos=3, variants=3)))
-    with pytest.raises(InputError, match="no learning curves"):
-        curves_picture({})
-    with pytest.raises(InputError, match="no learning curves"):
-        curves_picture({"regret": []})
-    with pytest.raises(InputError, match="no agent whose score"):
-        figures.exploitability_picture([])
-    with pytest.raises(InputError, match=r"shape \(2, 2\)"):
-        payoffs_picture(["a", "b", "c"], PAYOFFS)
+@pytest.mark.parametrize(
+    ("draw", "value"),
+    [
+        (lambda: figures.adaptivity_picture(make_table(toy_races(egos=3, variants=3))), "adaptivity gains"),
+        (lambda: curves_picture({}), "curves"),
+        (lambda: curves_picture({"regret": []}), "curves"),
+        (lambda: figures.exploitability_picture([]), "score"),
+        (lambda: payoffs_picture(["a", "b", "c"], PAYOFFS), r"\(2, 2\)"),
+    ],
+)
+def test_what_can_not_be_drawn_is_named(draw, value):
+    with pytest.raises(InputError, match=value):
+        draw()
 
 
 def test_drawing_leaves_the_readers_settings_alone(table):

@@ -1,9 +1,6 @@
 import base64
 import html
-import json
 import re
-import shutil
-import subprocess
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -12,23 +9,51 @@ import numpy as np
 import pytest
 from toy_races import toy_races
 
-from pcs_racing import InputError
+from pcs_racing import InputError, make_game
 from pcs_racing.race.replay_files import read_replay
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.explain.situations import Situations
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
-from pcs_racing_agents.study.report import Picture, ReportContent, TitledTable, report_page, write_page
+from pcs_racing_agents.study.report import ReportContent, TitledTable, report_page, write_page
 from pcs_racing_agents.study.report_inputs import (
+    ExplainedRace,
     ReplyLoss,
+    mean_scores,
+    read_curves,
+    read_losses,
+    scores_and_losses,
+    select_highlights,
     software,
+    total_losses,
+    watch_race,
 )
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import overview_rows
+from pcs_racing_agents.tournament import cross_pairing, play_pairings
 from pcs_racing_agents.tournament.round_robin import round_robin
 
 NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
 VOID = {"meta", "img", "br"}
+
+
+@pytest.fixture(scope="module")
+def raced(oval, archive):
+    """A pairing of an agent, its races, and those of the agent that never switches."""
+    game = make_game(oval, archive, "contest", step_seconds=0.8)
+    setting = make_setting(archive, game.config)
+    agent, base, rival = (build(name, setting) for name in ("random-moves", "never-switch", "lane-switcher"))
+    pairings = [cross_pairing(game, arm, rival, egos=4, opponents=4, lines=2, seed=3) for arm in (agent, base)]
+    return pairings[0], *play_pairings(pairings)
+
+
+@pytest.fixture(scope="module")
+def watched(raced) -> ExplainedRace:
+    pairing, ours, baseline = raced
+    title, race = next(iter(select_highlights(ours, baseline).values()))
+    return watch_race(pairing, race, title)
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +82,7 @@ def content(archive, watched) -> ReportContent:
         situations=[
             Situations(NASTY, ("stay", NASTY), "pace", np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 3, 3, 2), int))
         ],
-        ablations=[TitledTable("Ablation", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
-        sheets=[TitledTable("Sheet", ("what",), ((NASTY,),))],
-        pictures=[Picture(NASTY, NASTY, b"\x89PNG\r\n")],
+        sheets=[TitledTable("Sheet", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
         races=[watched, watched._replace(title=NASTY, text=NASTY)],
         settings={"race": NASTY, "tracks": ["a", "b"]},
         versions=software(),
@@ -110,13 +133,13 @@ def test_the_page_loads_nothing(page):
     outside = re.sub(r'srcdoc="[^"]*"', "", page)
     assert not re.search(r"https?://", outside)
     assert not re.search(r"<(link|script)|@import|url\(", outside)
-    assert set(re.findall(r'src="([^,"]*),', outside)) == {"data:image/svg+xml;base64", "data:image/png;base64"}
+    assert set(re.findall(r'src="([^,"]*),', outside)) == {"data:image/svg+xml;base64"}
 
 
 def test_every_section_is_there_and_linked(parsed):
     assert parsed.links == [f"#{name}" for name in parsed.ids]
     assert parsed.ids == [
-        *("findings", "results", "adaptivity-gain", "ablations", "races-to-watch", "which-move-in-which-situation"),
+        *("findings", "results", "adaptivity-gain", "races-to-watch", "which-move-in-which-situation"),
         *("policies", "exploitability", "ratings", "more", "how-it-was-made"),
     ]
 
@@ -183,7 +206,7 @@ def test_sections_without_content_are_left_out():
 
 def test_without_matplotlib_the_page_says_so(monkeypatch, content):
     monkeypatch.setattr(report, "find_spec", lambda name: None)
-    page = report_page(replace(content, pictures=(), races=[race._replace(picture=b"") for race in content.races]))
+    page = report_page(replace(content, races=[race._replace(picture=b"") for race in content.races]))
     assert "matplotlib is not installed" in page
     assert "<img" not in page
 
@@ -202,39 +225,94 @@ def test_every_field_is_told(content):
             assert report_page(replace(empty, **{name: getattr(content, name)})) != report_page(empty), name
 
 
-VISIT = """
-<script>
-addEventListener("load", () => setTimeout(() => {
-  const seen = { images: [...document.images].map((image) => image.naturalWidth), title: document.title,
-                 links: document.querySelectorAll("nav a").length, wide: document.body.scrollWidth };
-  document.body.dataset.seen = JSON.stringify(seen);
-}, 500));
-</script>
-</body>"""
 TELL = """<script>console.log("a race of " + race.car_names + ", " + duration + " s");</script></body>"""
 
 
-def test_the_page_works_in_a_browser(tmp_path, content):
-    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if program is None:
-        pytest.skip("no chromium on PATH to open the page with")
-    displayed = report_page(replace(content, pictures=(), races=content.races[:1]))
-    # The race tells that it is there; nothing else in the page may complain.
-    displayed = displayed.replace(html.escape("</body>"), html.escape(TELL))
+def test_the_page_works_in_a_browser(tmp_path, content, browser):
+    displayed = report_page(replace(content, races=content.races[:1]))
+    # The race tells that it is there; nothing else in the page may say anything.
     path = tmp_path / "report.html"
-    path.write_text(displayed.replace("</body>", VISIT))
-    quiet = "--disable-gpu --disable-quic --no-first-run --disable-background-networking --disable-component-update"
-    command = [program, "--headless", "--no-sandbox", *quiet.split(), "--disable-sync", "--enable-logging=stderr"]
-    command += [f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1200,8000", "--virtual-time-budget=4000"]
-    done = subprocess.run(
-        [*command, "--dump-dom", path.as_uri()], capture_output=True, text=True, timeout=120, check=True
-    )
-    seen = json.loads(html.unescape(re.search(r'data-seen="([^"]*)"', done.stdout).group(1)))
-    assert seen["title"] == content.title
-    assert seen["links"] == 11
-    assert len(seen["images"]) == 8 + 1
-    assert min(seen["images"]) > 100
-    assert seen["wide"] <= 1200
-    lines = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-    assert len(lines) == 1, lines
-    assert f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g}" in lines[0]
+    path.write_text(displayed.replace(html.escape("</body>"), html.escape(TELL)))
+    browser.open(path, 1200, 8000)
+    assert browser.run("document.title") == content.title
+    assert browser.run("document.querySelectorAll('nav a').length") == 10
+    images = browser.run("[...document.images].map((image) => image.naturalWidth)")
+    assert len(images) == 8 + 1
+    assert min(images) > 100
+    assert browser.run("document.body.scrollWidth") <= 1200
+    assert browser.said == [f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g} s"]
+    assert browser.complaints == []
+
+
+# What the report is made of
+
+
+def test_highlights_are_what_they_are_called(raced):
+    _, ours, baseline = raced
+    result = select_highlights(ours, baseline)
+    assert len(result) >= 2
+    for kind, (title, race) in result.items():
+        assert title.startswith(f"A {kind}")
+        if kind == "win":
+            assert ours.winner[race] == 0
+            assert len(set(ours[race].ego_path)) > 1
+        if kind == "loss":
+            assert ours.winner[race] == 1
+        if kind == "crash":
+            assert ours.fault[race, 0] == 1
+        else:
+            assert not ours.crash[race]
+        if "starts alike" in title:
+            assert baseline.winner[race] == 1 - ours.winner[race]
+
+
+def test_a_race_to_watch_is_the_race(raced, watched):
+    _, ours, baseline = raced
+    race = dict(select_highlights(ours, baseline).values())[watched.title]
+    assert watched.replay.lead[-1] == ours.lead[race]
+    assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")
+
+
+def test_losses_to_best_replies_are_read_and_stand_beside_the_score(tmp_path):
+    path = tmp_path / "best_replies.csv"
+    head = ",".join(("agent", "track", *ReplyLoss._fields[2:])) + "\n"
+    lines = ("a,Oval,0.1,0,0.2,400,0.6,0.4,0.05", "a,Hut,0.3,0.2,0.4,400,0.8,0.2,0", "a,all,0.2,0.1,0.3,800,0.7,0.3,0")
+    path.write_text(head + "\n".join(lines) + "\nb,Oval,-0.1,-0.2,0,40,0.4,0.6,0\n")
+    losses = read_losses(path)
+    assert losses[0] == ReplyLoss("a", "Oval", 0.1, 0.0, 0.2, 400, 0.6, 0.4, 0.05)
+    totals = total_losses(losses)
+    assert {name: (total.track, total.loss) for name, total in totals.items()} == {
+        "a": ("all", 0.2),
+        "b": ("Oval", -0.1),
+    }
+    table = make_table(toy_races(strengths={"a": 0.0, "c": 0.1}, egos=3, variants=3))
+    (place,) = scores_and_losses(table, losses)
+    assert (place.name, place.loss, place.low, place.high) == ("a", 0.2, 0.1, 0.3)
+    assert place.score == pytest.approx(np.mean([row.arms[0].score for row in table.rows]))
+    assert scores_and_losses(None, losses) == []
+    assert mean_scores(table)["c"] == pytest.approx(np.mean([row.arms[1].score for row in table.rows]))
+    assert mean_scores(
+        replace(table, rows=(*table.rows, replace(table.rows[0], arms=table.rows[0].arms[:1])))
+    ).keys() == {"a"}
+
+
+@pytest.mark.parametrize(
+    ("agent", "loss", "value"),
+    [("name", "0.1", "'agent'"), ("agent", "much", "'much'"), ("agent", "", "'a'"), ("agent", "inf", "'inf'")],
+)
+def test_files_without_losses_are_refused(tmp_path, agent, loss, value):
+    path = tmp_path / "best_replies.csv"
+    head = ",".join((agent, "track", *ReplyLoss._fields[2:]))
+    path.write_text(f"{head}\na,Oval,{loss},0,0.2,400,0.6,0.4,0.05\n")
+    with pytest.raises(InputError, match=value):
+        read_losses(path)
+
+
+def test_curves_come_from_the_files_beside_networks(tmp_path):
+    path = tmp_path / "learning_curves.csv"
+    path.write_text("epoch,training_loss,validation_loss\n1,0.5,\n2,0.25,0.3\n")
+    training, validation = read_curves(path)
+    assert (training.label, training.y.tolist(), training.x.tolist()) == ("training", [0.5, 0.25], [1.0, 2.0])
+    assert np.isnan(validation.y[0])
+    with pytest.raises(InputError, match="can't read"):
+        read_curves(tmp_path / "nothing.csv")

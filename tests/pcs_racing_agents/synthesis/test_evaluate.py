@@ -100,6 +100,8 @@ def test_policies_with_many_races_are_driven_one_by_one(scenarios, raced, monkey
 
 
 def test_policies_do_not_disturb_each_other(scenarios, raced):
+    with pytest.raises(InputError, match=r"parameters .*\(2, 3\)"):
+        evaluate(scenarios, np.zeros((2, 3)))
     alone = race_policies((scenarios, policies(5)[3:4]))
     for key, values in alone.items():
         np.testing.assert_array_equal(values[0], raced[key][3])
@@ -150,11 +152,6 @@ def test_impossible_races(oval, change, message):
     }
     with pytest.raises(InputError, match=message):
         draw_scenarios(**{**given, **change})
-
-
-def test_policies_of_the_wrong_shape(scenarios):
-    with pytest.raises(InputError, match=r"parameters .*\(2, 3\)"):
-        evaluate(scenarios, np.zeros((2, 3)))
 
 
 def test_a_characteristic_that_is_not_a_number(oval, monkeypatch):

@@ -1,4 +1,6 @@
-"""What a search knows: means, front and scale against the definitions, one point after the other."""
+"""What a search knows: front and scale against the definitions, one point after the other."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -36,32 +38,13 @@ def test_the_front_is_what_no_other_feasible_member_beats_and_the_first_of_equal
 def test_points_are_added_as_members_unless_stated():
     one = ParetoArchive.empty(2).joined(np.array([[0.1, 0.2]]), np.array([[1.0, 2.0, 3.0]]), np.array([-1.0]))
     assert len(one) == 1
-    assert (one.evaluations.tolist(), one.member.tolist(), one.front.tolist()) == ([1], [True], [0])
+    assert (one.member.tolist(), one.front.tolist()) == ([True], [0])
     two = one.joined(np.array([[0.3, 0.4]]), np.array([[9.0, 9.0, 9.0]]), np.array([0.0]), np.array([False]))
     assert two.parameters.tolist() == [[0.1, 0.2], [0.3, 0.4]]
     assert two.objectives.tolist() == [[1.0, 2.0, 3.0], [9.0, 9.0, 9.0]]
     assert two.violation.tolist() == [-1.0, 0.0]
-    assert (two.evaluations.tolist(), two.member.tolist(), two.front.tolist()) == ([1, 1], [True, False], [0])
+    assert (two.member.tolist(), two.front.tolist()) == ([True, False], [0])
     assert len(one) == 1  # a value
-
-
-def test_values_are_means_over_all_evaluations():
-    explored = known()
-    rng = np.random.default_rng(1)
-    draws = {row: [explored.objectives[row]] for row in range(3)}
-    excess = {row: [explored.violation[row]] for row in range(3)}
-    for rows in ([0, 2, 0], [2], [1, 0]):
-        values, violation = rng.normal(size=(len(rows), 2)), rng.normal(size=len(rows))
-        for row, value, over in zip(rows, values, violation, strict=True):
-            draws[row].append(value)
-            excess[row].append(over)
-        explored = explored.averaged(np.array(rows), values, violation)
-    for row in range(3):
-        np.testing.assert_allclose(explored.objectives[row], np.mean(draws[row], axis=0))
-        assert explored.violation[row] == pytest.approx(np.mean(excess[row]))
-        assert explored.evaluations[row] == len(draws[row])
-    assert (explored.evaluations[3:] == 1).all()
-    np.testing.assert_array_equal(explored.objectives[3:], known().objectives[3:])
 
 
 def test_the_scale_runs_from_the_worst_to_the_best_of_the_front():
@@ -83,5 +66,5 @@ def test_where_the_front_has_no_extent_all_feasible_points_give_it_or_it_is_1():
     assert single.front.tolist() == [0]
     scale = single.scale()
     assert (scale.nadir.tolist(), scale.ideal.tolist()) == ([4.0, 2.0], [5.0, 3.0])
-    nothing = single.averaged(np.arange(3), single.objectives, np.full(3, 9.0)).scale()
+    nothing = replace(single, violation=np.full(3, 9.0)).scale()
     assert (nothing.nadir.tolist(), nothing.ideal.tolist()) == ([0.0, 0.0], [1.0, 1.0])

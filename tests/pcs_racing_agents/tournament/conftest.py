@@ -1,20 +1,48 @@
+import numpy as np
 import pytest
 
-from pcs_racing import RaceGame, load_race_config, load_track, make_game, parse_policy
-from pcs_racing_agents.tournament import (
-    Tournament,
-    play_tournament,
-)
+from pcs_racing import RaceGame, Starts, load_race_config, load_track, make_game, parse_policy
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.race.races import draw_starts
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.tournament import Pairing, Tournament, play_tournament
 
 CONTEST = load_race_config("contest", duration=6.0)
 POLICIES = [parse_policy(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
 MIXED = ["random-moves", "best-fixed:target=3", "lane-switcher", POLICIES[1]]
+GAMES = 12
 
 
 @pytest.fixture(scope="session")
 def contest(oval, archive) -> RaceGame:
-    """Games with short steps."""
-    return make_game(oval, archive, "contest", step_seconds=0.8)
+    """Games with short steps, so disturbed that some end in a crash."""
+    return make_game(oval, archive, load_race_config("contest", steering_noise=0.2), step_seconds=0.8)
+
+
+@pytest.fixture(scope="session")
+def zoo(contest) -> dict:
+    setting = make_setting(contest.archive, contest.config)
+    names = ("random-moves", "never-switch", "random-policy", "pure-pursuit", "lane-switcher")
+    return {name: build(name, setting) for name in names}
+
+
+@pytest.fixture(scope="session")
+def starts(contest) -> Starts:
+    return draw_starts(contest.track, contest.setup.config, GAMES, 5)
+
+
+@pytest.fixture(scope="session")
+def games_of(contest, starts):
+    """Twelve games of two competitors from the same starts, as a pairing."""
+
+    def pairing(ego, opponent) -> Pairing:
+        variants = np.random.default_rng(3).integers(0, 12, (GAMES, 2))
+        for car, competitor in enumerate((ego, opponent)):
+            variants[:, car] %= len(getattr(competitor, "policies", range(12)))  # a driver may have a single one
+        return Pairing(contest, ego, opponent, variants, starts, race_seeds(6, GAMES), 0)
+
+    return pairing
 
 
 @pytest.fixture(scope="session")

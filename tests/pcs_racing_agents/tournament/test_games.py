@@ -1,68 +1,55 @@
-from dataclasses import replace
+"""Games of one or several egos: what is driven is the game, whoever else is driven with it."""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, RaceGame, Starts, get_planner
+from pcs_racing import InputError, RaceGame
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.competitor import ask_moves
-from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.agents.blind import always, never_switch, random_moves
+from pcs_racing_agents.agents.blind import always, best_fixed, never_switch, random_moves
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.tournament.games import PlayedGames, play_games
+from pcs_racing_agents.tournament import play_games, record_game
 
 GAMES = 12
 
 
-@pytest.fixture(scope="module")
-def given(contest) -> dict:
-    """Starts of some games."""
-    rng = np.random.default_rng(3)
-    return {
-        "policies": rng.integers(0, 12, (GAMES, 2)),
-        "starts": draw_starts(contest.track, contest.setup.config, GAMES, 5),
-        "seeds": race_seeds(6, GAMES),
-    }
+def played(pairing, **changes):
+    """Races of a pairing by the function that documentation shows."""
+    given = {"policies": pairing.variants, "starts": pairing.starts, "seeds": pairing.noise, **changes}
+    return play_games(pairing.game, pairing.ego, pairing.opponent, **given)
 
 
-@pytest.fixture(scope="module")
-def cars(contest):
-    setting = make_setting(contest.archive, contest.config)
-    return {name: build(name, setting) for name in ("random-moves", "never-switch", "random-policy", "pure-pursuit")}
+def assert_same(found, expected) -> None:
+    """The same columns to the last bit."""
+    for name in expected:
+        np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
 
 
-def some(given: dict, chosen: list[int]) -> dict:
-    rows = np.array(chosen, int)
-    return {
-        "policies": given["policies"][rows],
-        "starts": given["starts"].take(rows),
-        "seeds": given["seeds"][rows],
-    }
-
-
-def assert_same(found: PlayedGames, expected: PlayedGames, rows) -> None:
-    for name in PlayedGames._fields:
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name)[rows], err_msg=name)
-
-
-def test_a_played_game_is_the_game_that_the_moves_make(contest, cars, given):
+def test_a_played_game_is_the_game_that_the_moves_make(contest, zoo, games_of):
     """Played again move by move with the game alone."""
-    played = play_games(contest, cars["random-moves"], cars["never-switch"], **given)
-    state = contest.reset(given["seeds"], policies=given["policies"], starts=given["starts"])
+    pairing = games_of(zoo["random-moves"], zoo["never-switch"])
+    races = played(pairing)
+    moves = races.moves.codes
+    state = contest.reset(pairing.noise, policies=pairing.variants, starts=pairing.starts)
     for step in range(4):
-        np.testing.assert_array_equal(state.policy[~contest.done(state)], played.policy[~contest.done(state), :, step])
-        state = contest.step(state, np.maximum(played.moves[:, :, step], 0))
-    np.testing.assert_array_equal(played.lead, state.race.lead)
-    np.testing.assert_array_equal(played.winner, contest.winner(state))
-    np.testing.assert_array_equal(played.utility, contest.reward(state)[:, 0])
-    np.testing.assert_array_equal(played.observations, contest.observation(state))
-    assert (played.moves[:, 1][played.moves[:, 1] >= 0] == 4).all()
-    assert len(set(played.moves[:, 0].ravel().tolist())) > 3
-    crashed = played.crash.any(axis=1)
-    assert (played.duration[~crashed] == 4.0).all()
-    assert (played.duration[crashed] < 4.0).all()
-    assert ((played.policy >= 0).sum(axis=2)[~crashed] == 5).all()
+        going = ~contest.done(state)
+        np.testing.assert_array_equal(state.policy[going], races.path[going, :, step])
+        state = contest.step(state, np.maximum(moves[:, :, step], 0))
+    np.testing.assert_array_equal(races.lead, state.race.lead)
+    np.testing.assert_array_equal(races.winner, contest.winner(state))
+    np.testing.assert_array_equal(races.crash, state.race.crash.max(axis=1))
+    np.testing.assert_array_equal(races.fault, state.race.fault)
+    np.testing.assert_array_equal(races.overtakes, state.race.overtakes)
+    np.testing.assert_array_equal(races.observations, contest.observation(state))
+    assert (moves[:, 1][moves[:, 1] >= 0] == 4).all()
+    assert len(set(moves[:, 0].ravel().tolist())) > 3
+    crashed = races.crashed
+    assert 0 < crashed.sum() < GAMES
+    assert (races.duration[~crashed] == 4.0).all()
+    assert (races.duration[crashed] < 4.0).all()
+    assert ((races.path >= 0).sum(axis=2)[~crashed] == 5).all()
 
 
 @pytest.mark.parametrize(
@@ -74,123 +61,133 @@ def test_a_played_game_is_the_game_that_the_moves_make(contest, cars, given):
         ("pure-pursuit", "random-policy"),
     ],
 )
-def test_what_comes_of_a_game_depends_on_the_game_alone(contest, cars, given, pair):
-    ego, opponent = (cars[name] for name in pair)
-    selected = given | {
-        "policies": np.minimum(given["policies"], [0 if name == "pure-pursuit" else 11 for name in pair])
-    }
-    together = play_games(contest, ego, opponent, **selected)
-    for rows in ([0], [7, 3], [11, 0, 5]):
-        assert_same(play_games(replace(contest, threads=1), ego, opponent, **some(selected, rows)), together, rows)
+def test_what_comes_of_a_game_depends_on_the_game_alone(contest, zoo, games_of, pair):
+    together = games_of(*(zoo[name] for name in pair))
+    (expected,) = together.race([together.ego])
+    for rows in ([0], [7, 3], [11, 0, 5], []):
+        some = replace(together.take(np.array(rows, int)), game=replace(contest, threads=1))
+        assert_same(some.race([some.ego])[0], {name: column[rows] for name, column in expected.items()})
     drivers = [name in ("random-policy", "pure-pursuit") for name in pair]
-    assert ((together.moves < 0).all(axis=(0, 2)) == drivers).all()
-    assert ((together.policy < 0).all(axis=(0, 2)) == drivers).all()
+    for name in ("moves", "path"):
+        assert ((expected[name] < 0).all(axis=(0, 2)) == drivers).all()
 
 
-def test_batches_are_cut_without_a_trace(contest, cars, given, monkeypatch):
-    whole = play_games(contest, cars["random-moves"], cars["random-moves"], **given)
-    monkeypatch.setattr("pcs_racing_agents.tournament.games.BATCH", 5)
-    assert_same(play_games(contest, cars["random-moves"], cars["random-moves"], **given), whole, slice(None))
-    none = play_games(contest, cars["random-moves"], cars["random-moves"], **some(given, []))
-    assert none.lead.shape == (0,)
-    assert none.policy.shape == (0, 2, 5)
-
-
-def test_arms_share_everything_until_their_moves_differ(contest, cars, given):
-    """Common random numbers: an ego that stays and one that moves see the same first step."""
-    stay, move = (
-        play_games(contest, cars[name], cars["random-moves"], **given) for name in ("never-switch", "random-moves")
-    )
-    block = 6
-    np.testing.assert_array_equal(stay.observations[:, :, :block], move.observations[:, :, :block])
-    np.testing.assert_array_equal(stay.noise, move.noise)
-    assert (stay.lead != move.lead).any()
-
-
-def test_stay_is_a_move_for_everybody(game, given):
+def test_stay_is_a_move_for_everybody(game, zoo, games_of):
     """Also where the rules do not offer it; who does not know it is not changed by that."""
     bare = replace(game, config=replace(game.config, stay=False))
     setting = make_setting(game.archive, bare.config)
-    played = play_games(bare, never_switch(setting), always(setting, "restraint -"), **given)
-    assert set(played.moves[:, 0].ravel().tolist()) <= {4, -1}
-    assert (np.sort(played.policy, axis=2)[:, 0, -1] == played.policy[:, 0, 0]).all()
-
-
-def test_the_score_counts_wins_and_half_of_the_ties(contest, cars, given):
-    played = play_games(contest, cars["random-moves"], cars["never-switch"], **some(given, [0, 1, 2, 3]))
-    made_up = played._replace(
-        winner=np.array([0, 1, -1, -1], np.int8), crash=np.array([[0, 0], [0, 0], [0, 0], [2, 2]], np.int8)
-    )
-    np.testing.assert_array_equal(made_up.score, [1.0, 0.0, 0.5, 0.0])
-    np.testing.assert_array_equal(made_up.tie, [False, False, True, False])
+    races = played(replace(games_of(never_switch(setting), always(setting, "restraint -")), game=bare))
+    assert set(races.moves.codes[:, 0].ravel().tolist()) <= {4, -1}
+    assert (np.sort(races.path, axis=2)[:, 0, -1] == races.path[:, 0, 0]).all()
 
 
 class Counter:
-    """A model with a memory: its move is how often it was asked."""
+    """A model that counts in its memory, in place, how often it was asked; its move is that number."""
 
     name = "counter"
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         state = np.zeros(len(observation), int) if state is None else state
-        state = np.where(episode_start, 0, state + 1)
-        return state, state
+        state += ~np.asarray(episode_start)
+        return state.copy(), state
 
 
-class Looker:
-    """Decides by the state of the game."""
+@dataclass(frozen=True)
+class Leader:
+    """Decides by the state of the game: another move for the car in front."""
 
-    name = "looker"
-
-    def __init__(self) -> None:
-        self.asked: list[int] = []
+    name: str = "leader"
 
     def decide(self, game, state, car):
         assert not game.done(state).any()
-        self.asked.append(state.games)
-        return np.where(state.race.lead > 0.0, 1, 3) if car == 0 else np.zeros(state.games, int)
+        return np.where((state.race.lead > 0.0) == (car == 0), 1, 3)
 
 
-def test_models_with_a_memory_and_deciders(contest, cars, given):
-    played = play_games(contest, Counter(), cars["never-switch"], **given)
-    for moves in played.moves[:, 0]:
-        steps = [move for move in moves.tolist() if move >= 0]
-        assert steps == list(range(len(steps)))
-    looker = Looker()
-    played = play_games(contest, looker, cars["never-switch"], **given)
-    assert looker.asked[0] == (played.moves[:, 0, 0] >= 0).sum()
-    assert set(played.moves[:, 0].ravel().tolist()) <= {1, 3, -1}
+def test_a_model_remembers_its_own_game(zoo, games_of):
+    for moves in played(games_of(Counter(), zoo["never-switch"])).moves.codes[:, 0]:
+        made = moves[moves >= 0].tolist()
+        assert made == list(range(len(made)))
 
 
-def test_moves_of_one_car(contest, cars):
-    state = contest.reset(games=5, seed=1)
-    moves = ask_moves(cars["random-moves"], contest, state, 1)
-    np.testing.assert_array_equal(moves, cars["random-moves"].predict(contest.observation(state)[:, 1])[0])
-    assert (ask_moves(cars["pure-pursuit"], contest, state, 1) == 0).all()
+# Several egos
 
 
-class Wrong:
-    name = "wrong"
+@pytest.fixture(scope="module")
+def egos(contest, zoo) -> list:
+    setting = make_setting(contest.archive, contest.config)
+    others = [always(setting, "aggressiveness +"), random_moves(setting, seed=9), best_fixed(setting, target=3)]
+    return [zoo["never-switch"], zoo["random-moves"], *others, Leader(), Counter()]
 
-    def __init__(self, answer) -> None:
-        self.answer = answer
 
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return self.answer(len(observation)), None
+@pytest.mark.parametrize("opponent", ["never-switch", "random-moves", "pure-pursuit", Counter(), Leader()])
+def test_games_of_several_egos_are_those_of_each_alone(zoo, games_of, egos, opponent):
+    pairing = games_of(egos[0], zoo.get(opponent, opponent))
+    together = pairing.race(egos)
+    for ego, columns in zip(egos, together, strict=True):
+        assert_same(columns, pairing.race([ego])[0])
+    assert len({columns["lead"].tobytes() for columns in together}) >= 5
+    assert any(columns["crash"].any() for columns in together)
+
+
+@pytest.fixture
+def driven(monkeypatch) -> list[int]:
+    """Games that each step drives, which a test fills by playing."""
+    counts: list[int] = []
+    apply = RaceGame.apply
+
+    def counted(self, state, *arguments):
+        counts.append(state.games)
+        return apply(self, state, *arguments)
+
+    monkeypatch.setattr(RaceGame, "apply", counted)
+    return counts
+
+
+def test_what_is_the_same_is_driven_once(contest, zoo, games_of, egos, driven):
+    pairing = games_of(zoo["never-switch"], zoo["never-switch"])
+    pairing.race([zoo["random-moves"]] * 4)
+    assert driven == [GAMES] * 4
+    driven.clear()
+    pairing.race(egos)
+    assert GAMES < driven[0] <= len(contest.competitor_moves) * GAMES < len(egos) * GAMES
+    assert driven == sorted(driven)  # games part, and never meet again
+    assert driven[0] < driven[-1] <= len(egos) * GAMES
+
+
+def test_two_moves_to_one_policy_are_one_drive(contest, zoo, games_of, driven):
+    """From the edge of the archive some moves lead nowhere, as to stay does."""
+    targets = contest.next_policy(np.zeros(5, int), np.arange(5))
+    (nowhere, *_) = [move for move in range(4) if targets[move] == targets[contest.competitor_moves.index("stay")]]
+    other = always(make_setting(contest.archive, contest.config), contest.move_names[nowhere])
+    pairing = replace(games_of(zoo["never-switch"], zoo["never-switch"]), variants=np.zeros((GAMES, 2), int))
+    stays, moves = pairing.race([zoo["never-switch"], other])
+    assert driven == [GAMES] * 4
+    np.testing.assert_array_equal(stays["lead"], moves["lead"])
+    assert (stays["moves"][:, 0] != moves["moves"][:, 0]).any()
+
+
+# Recording
 
 
 @pytest.mark.parametrize(
-    ("answer", "message"),
-    [
-        (lambda n: np.full(n, 5), "competitor 'wrong': game 0: move 5"),
-        (lambda n: np.full(n, -1), r"move -1"),
-        (lambda n: np.zeros(n), r"shape \(12,\) and type float64"),
-        (lambda n: np.zeros(n + 1, int), "predict returned"),
-        (lambda n: 0, "predict returned"),
-    ],
+    "pair", [("random-moves", "random-moves"), ("random-moves", "lane-switcher"), ("pure-pursuit", "random-policy")]
 )
-def test_wrong_moves_are_refused(contest, cars, given, answer, message):
-    with pytest.raises(InputError, match=message):
-        play_games(contest, Wrong(answer), cars["never-switch"], **given)
+def test_a_recorded_game_is_the_game(contest, zoo, games_of, pair):
+    pairing = games_of(*(zoo[name] for name in pair))
+    races = played(pairing)
+    names = pair if pair[0] != pair[1] else tuple(f"{name} (car {car})" for car, name in enumerate(pair))
+    for i in range(6):
+        recording = record_game(contest, pairing.ego, pairing.opponent, **pairing.race_arguments(i), candidates=False)
+        replay = recording.replay
+        assert replay.lead[-1] == races.lead[i]
+        assert recording.played[0] == races[i]._replace(race=0)
+        np.testing.assert_array_equal(recording.played.observations[0], races.observations[i])
+        assert replay.duration == pytest.approx(races.duration[i], abs=0.04)
+        assert ("crash" in replay.outcome) == races.crashed[i]
+        assert replay.car_names == names
+
+
+# Refusals
 
 
 class Narrow:
@@ -203,22 +200,45 @@ class Narrow:
         raise AssertionError("must not be asked")
 
 
-def test_what_does_not_fit_is_refused_before_the_first_race(contest, game, cars, given, monkeypatch):
+def test_wrong_moves_are_refused(zoo, games_of):
+    class Wrong:
+        name = "wrong"
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return np.full(len(observation), 5), None
+
+    with pytest.raises(InputError, match="'wrong': game 0: move 5"):
+        played(games_of(Wrong(), zoo["never-switch"]))
+
+
+@pytest.mark.parametrize(
+    ("cars", "change", "value"),
+    [
+        ((Narrow(), "never-switch"), {}, r"'Narrow' .*\(7,\)"),
+        (("never-switch", "never-switch"), {"policies": np.full((GAMES, 2), 12)}, "game 0: the ego's variant is 12"),
+        (("never-switch", "never-switch"), {"policies": np.zeros((3, 2), int)}, r"\(3, 2\)"),
+        (("never-switch", "never-switch"), {"policies": np.zeros((GAMES, 2))}, "whole numbers"),
+        (("never-switch", "never-switch"), {"seeds": race_seeds(0, 3)}, r"\(3,\)"),
+        (("never-switch", "pure-pursuit"), {"policies": np.ones((GAMES, 2), int)}, "opponent's variant is 1"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_the_first_race(zoo, games_of, monkeypatch, cars, change, value):
     monkeypatch.setattr(RaceGame, "reset", lambda *_, **__: pytest.fail("a race was driven"))
-    stay, lattice = cars["never-switch"], get_planner("lattice").policy()
-    with pytest.raises(InputError, match=r"competitor 'Narrow' takes observations of shape \(7,\)"):
-        play_games(contest, Narrow(), stay, **given)
-    for change, message in [
-        ({"policies": np.full((GAMES, 2), 12)}, "game 0: the ego's variant is 12"),
-        ({"policies": np.zeros((3, 2), int)}, r"policies of shape \(3, 2\)"),
-        ({"policies": np.zeros((GAMES, 2))}, "must be whole numbers"),
-        ({"seeds": race_seeds(0, 3)}, r"seeds of shape \(3,\)"),
+    with pytest.raises(InputError, match=value):
+        played(games_of(*(zoo.get(car, car) for car in cars)), **change)
+
+
+def test_impossible_egos_are_refused(contest, zoo, games_of, starts):
+    pairing = games_of(zoo["never-switch"], zoo["never-switch"])
+    other = build("never-switch", make_setting("default", "paper"))
+    for egos, value in [
+        ([], "nobody"),
+        ([zoo["random-moves"], zoo["pure-pursuit"]], "a driver only alone"),
+        ([zoo["random-moves"], other], "never-switch"),
     ]:
-        with pytest.raises(InputError, match=message):
-            play_games(contest, stay, stay, **(given | change))
-    with pytest.raises(InputError, match="game 0: the opponent's variant is 1"):
-        play_games(contest, stay, lattice, **(given | {"policies": np.ones((GAMES, 2), int)}))
-    with pytest.raises(InputError, match="can't race"):
-        play_games(contest, stay, "never-switch", **given)
-    assert isinstance(given["starts"], Starts)
-    assert random_moves(make_setting(game.archive, game.config)).setting.offered == 5
+        with pytest.raises(InputError, match=value):
+            pairing.race(egos)
+    with pytest.raises(InputError, match="'never-switch' can't race"):
+        play_games(contest, zoo["never-switch"], "never-switch", policies=pairing.variants, starts=starts, seeds=[1])
+    with pytest.raises(InputError, match=r"\(1, 2\)"):
+        record_game(contest, *[zoo["never-switch"]] * 2, policies=[[1, 2]], start=starts.take([0]), seed=1)

@@ -1,28 +1,15 @@
 import numpy as np
 import pytest
 
-from pcs_racing import CONTEST, InputError, make_game
+from pcs_racing import InputError, make_game
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.tournament.pairings import cross_pairing
-from pcs_racing_agents.tournament.runner import play_pairing, play_pairings
-from pcs_racing_agents.tournament.statistics import compare, match_units
-from pcs_racing_agents.tournament.watching import record_game
+from pcs_racing_agents.tournament import cross_pairing, play_pairing, play_pairings
+from pcs_racing_agents.tournament.statistics import match_units
 
 SIZE = {"egos": 4, "opponents": 3, "lines": 2, "seed": 5}
-
-
-@pytest.fixture(scope="module")
-def contest(oval, archive):
-    return make_game(oval, archive, CONTEST, step_seconds=0.8)
-
-
-@pytest.fixture(scope="module")
-def zoo(contest):
-    setting = make_setting(contest.archive, contest.config)
-    return {name: build(name, setting) for name in ("never-switch", "random-moves", "random-policy", "lane-switcher")}
 
 
 def units(pairing):
@@ -62,10 +49,8 @@ def test_arms_pair_up_race_by_race(contest, zoo):
         one, other = map(units, pairings)
         np.testing.assert_array_equal(match_units(one, other), np.arange(48))
         np.testing.assert_array_equal(pairings[0].noise, pairings[1].noise)
-        arms = [play_pairing(pairing) for pairing in pairings]
+        arms = play_pairings(pairings)
         np.testing.assert_array_equal(arms[0].path[:, :, 0], arms[1].path[:, :, 0])
-        result = compare(arms[1].score, arms[0].score, *pairings[0].variants.T)
-        assert result.difference == pytest.approx(arms[1].score.mean() - arms[0].score.mean())
     same = play_pairing(cross_pairing(contest, zoo["never-switch"], zoo["never-switch"], **SIZE))
     reseeded = build("never-switch", zoo["never-switch"].setting, seed=9)
     again = play_pairing(cross_pairing(contest, reseeded, zoo["never-switch"], **SIZE))
@@ -74,48 +59,48 @@ def test_arms_pair_up_race_by_race(contest, zoo):
 
 def test_races_of_a_pairing_in_words(contest, zoo):
     pairing = cross_pairing(contest, zoo["random-moves"], zoo["random-policy"], **SIZE)
-    races = play_pairing(pairing)
-    rows = list(races)
+    rows = list(play_pairing(pairing))
     assert [(row.ego_variant, row.opponent_variant) for row in rows] == [tuple(pair) for pair in pairing.variants]
     assert {(row.ego, row.opponent, row.track, row.seed) for row in rows} == {
         ("random-moves", "random-policy", "oval", 5)
     }
-    scores = [1.0 if row.winner == "ego" else 0.5 if row.winner == row.crash == "none" else 0.0 for row in rows]
-    np.testing.assert_array_equal(scores, races.score)
+    assert [(row.race, row.start_s, row.side) for row in rows] == list(
+        zip(range(48), pairing.starts.s.tolist(), pairing.starts.side.tolist(), strict=True)
+    )
 
 
-def test_one_race_of_a_pairing_is_that_race(contest, zoo):
-    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
-    whole, some = pairing.play(), pairing.take([7, 30]).play()
-    np.testing.assert_array_equal(whole.lead[[7, 30]], some.lead)
-    recording = record_game(contest, pairing.ego, pairing.opponent, **pairing.race_arguments(30), candidates=False)
-    assert recording.played.lead[0] == whole.lead[30]
-    with pytest.raises(InputError, match="race 48"):
-        pairing.race_arguments(48)
-
-
-def test_a_pairing_in_a_job_is_played_once(contest, zoo, tmp_path, monkeypatch):
+def test_the_races_are_the_same_in_blocks_in_a_job_and_together_with_others(contest, zoo, tmp_path, monkeypatch):
+    """Two pairings against one opponent are driven together, a driver's alone; each gets its own races back."""
+    pairings = [
+        cross_pairing(contest, zoo[ego], zoo["lane-switcher"], **SIZE)
+        for ego in ("random-moves", "never-switch", "random-policy")
+    ]
+    expected = [list(play_pairing(pairing)) for pairing in pairings]
     monkeypatch.setattr("pcs_racing_agents.tournament.runner.BLOCK", 20)
-    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
-    (games,) = play_pairings([pairing])
+    assert [list(races) for races in play_pairings(pairings)] == expected
     counts: list[tuple[int, int]] = []
     for _ in range(2):
         with open_job(tmp_path / "job", "races", {}) as job, make_executor("threads", 2) as executor:
-            (played,) = play_pairings(
-                [pairing], job=job, executor=executor, progress=lambda done, total, _: counts.append((done, total))
+            races = play_pairings(
+                pairings, job=job, executor=executor, progress=lambda done, total, _: counts.append((done, total))
             )
-        for name, array in played._asdict().items():
-            np.testing.assert_array_equal(array, getattr(games, name), err_msg=name)
-    assert counts == [(0, 48), (16, 48), (32, 48), (48, 48), (48, 48)]
+        assert list(map(list, races)) == expected
+    # Blocks of 10 races of two agents, and of 20 of the driver: eight tasks, none of them driven twice.
+    assert counts == [(144 * task // 8, 144) for task in (*range(9), 8)]
 
 
 def test_observations_are_kept_where_they_are_asked_for(contest, zoo, tmp_path):
     pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
     with open_job(tmp_path / "job", "races", {}) as job:
-        (bare,) = play_pairings([pairing], job=job)
+        bare = play_pairing(pairing, job=job)
         (whole,) = play_pairings([pairing], observations=True, job=job)
-    assert bare.observations.shape == (48, 2, 0)
-    np.testing.assert_array_equal(whole.observations, pairing.play().observations)
+    assert bare.observations is None
+    np.testing.assert_array_equal(whole.observations, pairing.race([pairing.ego])[0]["observations"])
+
+
+def test_a_race_that_is_not_there_is_refused(contest, zoo):
+    with pytest.raises(InputError, match="race 48"):
+        cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE).race_arguments(48)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,3 @@
-import csv
-import re
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,7 +5,6 @@ from pcs_racing import GameConfig, InputError, load_race_config, load_track, par
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.race_files import read_results
 from pcs_racing_agents.tournament import (
     game_rules,
@@ -17,7 +12,6 @@ from pcs_racing_agents.tournament import (
     play_plan,
     play_tournament,
     record_row,
-    standings,
     tournament_settings,
     write_results,
 )
@@ -92,10 +86,8 @@ def test_a_race_of_a_tournament_can_be_watched(tournament, mixed):
 
 
 def test_the_same_rows_whoever_drives_them(mixed):
-    for kind in ("serial", "threads"):
-        with make_executor(kind, 2 if kind == "threads" else None) as executor:
-            again = play_plan(mixed.plan, executor=executor)
-        assert list(again.races) == list(mixed.races)
+    with make_executor("threads", 2) as executor:
+        assert list(play_plan(mixed.plan, executor=executor).races) == list(mixed.races)
 
 
 def test_a_tournament_that_was_stopped_goes_on(mixed, tmp_path):
@@ -140,21 +132,6 @@ def test_processes_drive_the_same_races(processes):
     assert list(play_plan(plan, executor=processes).races) == list(play_plan(plan).races)
 
 
-def test_a_table_of_races_reads_like_rows_and_takes_a_tenth_of_their_memory(mixed):
-    races, rows = mixed.races, list(mixed.races)
-    assert len(races) == len(rows) == 48
-    assert [races[number] for number in (0, 7, 8, 47, -1)] == [rows[number] for number in (0, 7, 8, 47, -1)]
-    assert list(races.take([3, 40])) == [rows[3], rows[40]]
-    with pytest.raises(IndexError):
-        races[48]
-    assert [row.ego for row in rows] == [races.agents.words[code] for code in races.agents.codes[:, 0]]
-    assert races.score.tolist() == [
-        1.0 if row.winner == "ego" else 0.5 if row.winner == row.crash == "none" else 0.0 for row in rows
-    ]
-    columns = [races.path, races.moves.codes, races.agents.codes, races.fault, races.overtakes, races.variants]
-    assert {column.dtype.itemsize for column in columns} == {1}
-
-
 def test_names_for_models(oval, archive):
     class Model:
         def predict(self, observation, state=None, episode_start=None, deterministic=False):
@@ -177,36 +154,6 @@ def test_a_race_is_cut_into_the_steps_of_a_game():
         game_rules(load_race_config("paper", duration=3.7))
 
 
-def test_results_are_one_line_for_each_race(tournament, tmp_path):
-    file = write_results(tournament.races, tmp_path / "results.csv")
-    with open(file, newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    assert len(rows) == len(tournament.races)
-    assert rows[0]["preset"] == "contest"
-    for result, row in zip(rows, tournament.races, strict=True):
-        assert (result["ego"], result["winner"], result["fault"]) == (row.ego, row.winner, row.fault)
-        assert float(result["lead"]) == pytest.approx(row.lead, abs=1e-4)
-    assert [path.name for path in tmp_path.iterdir()] == ["results.csv"]
-    with pytest.raises(InputError, match="there is no folder"):
-        write_results(tournament.races, tmp_path / "missing" / "results.csv")
-
-
-def test_the_results_say_what_was_moved(mixed, tmp_path):
-    with open(write_results(mixed.races, tmp_path / "results.csv"), newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    for result, row in zip(rows, mixed.races, strict=True):
-        assert result["ego_path"] == "; ".join(map(str, row.ego_path))
-        assert result["ego_moves"].split("; ") == (list(row.ego_moves) or [""])
-        assert int(result["opponent_variant"]) == row.opponent_variant
-
-
-def test_progress_is_told_in_plain_lines_where_there_is_no_terminal(oval, capsys):
-    play_tournament(oval, POLICIES[:2], CONTEST, races_per_pair=2, progress=show_progress())
-    err = capsys.readouterr().err
-    assert re.search(r"2/2 races, \d+ s\n\Z", err)
-    assert "\x1b" not in err
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -227,8 +174,11 @@ def test_bad_input_is_refused_before_any_race(oval, change, message):
     assert not driven
 
 
-def test_the_same_bytes_come_back_from_the_file(mixed, tmp_path):
+def test_the_races_come_back_from_the_file(mixed, tmp_path):
     written = write_results(mixed.races, tmp_path / "results.csv")
     read = read_results(written)
     assert write_results(read, tmp_path / "again.csv").read_bytes() == written.read_bytes()
-    assert repr(standings(replace(mixed, races=read))) == repr(standings(mixed))  # NaN where lines are too few
+    for row, again in zip(mixed.races, read, strict=True):
+        assert again == row._replace(
+            **{name: pytest.approx(getattr(row, name), abs=6e-5) for name in ("start_s", "lead", "duration")}
+        )

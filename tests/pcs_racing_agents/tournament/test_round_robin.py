@@ -7,7 +7,7 @@ from pcs_racing import InputError
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.tournament.ratings import rate
-from pcs_racing_agents.tournament.round_robin import excess, round_robin
+from pcs_racing_agents.tournament.round_robin import alpha_rank, excess, round_robin
 
 NAMES = ("paper", "rock", "scissors")
 
@@ -67,6 +67,7 @@ def test_what_start_lines_decide_counts_as_noise():
     assert result.noise == pytest.approx(1.96 * np.sqrt(8 / 7 / 8))
     sure = round_robin(("a", "b"), table(["a"] * 32, ["b"] * 32, ["ego"] * 32, [False] * 32, line))
     assert sure.noise == 0.0
+    assert sure.equilibrium == pytest.approx([1.0, 0.0])
 
 
 def test_what_the_races_do_not_tell_is_left_open():
@@ -80,6 +81,47 @@ def test_what_the_races_do_not_tell_is_left_open():
     assert np.isnan(nothing.rating("a")).all()
 
 
-def test_strangers_are_refused():
-    with pytest.raises(InputError, match="'d' raced, but is not one of a, b"):
-        round_robin(("a", "b"), table(["a"], ["d"], ["ego"], [False], [1]))
+# The game of choosing an agent
+
+CYCLE = np.array([[0.5, 0.6, 0.3], [0.4, 0.5, 0.7], [0.7, 0.3, 0.5]])
+LADDER = np.array([[0.5, 0.6, 0.7], [0.4, 0.5, 0.7], [0.3, 0.3, 0.5]])
+
+
+def test_excess_of_scores():
+    scores = np.array([[np.nan, 0.5], [0.1, np.nan]])  # 40 % of the races paid nobody
+    assert excess(scores) == pytest.approx(np.array([[0.0, 0.2], [-0.2, 0.0]]))
+    assert np.isnan(scores[0, 0])
+
+
+def test_alpha_rank_prefers_who_beats_all_and_keeps_cycles():
+    pytest.importorskip("pyspiel")
+    pytest.importorskip("networkx")
+    assert alpha_rank(LADDER)[0] > 0.99
+    assert alpha_rank(CYCLE) == pytest.approx(np.full(3, 1 / 3))
+    assert alpha_rank(LADDER, tolerance=0.25) == pytest.approx([0.5, 0.5, 0.0], abs=0.01)
+    # Two agents, a beats b: a is taken over with a probability of 0.001, b with 0.999.
+    assert alpha_rank([[0.5, 0.8], [0.2, 0.5]]) == pytest.approx([0.999, 0.001])
+
+
+def test_a_missing_library_is_named_with_its_extra(monkeypatch):
+    monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None if name == "pyspiel" else object())
+    with pytest.raises(ModuleNotFoundError, match=r"\[games\]") as error:
+        alpha_rank(CYCLE)
+    assert error.value.name == "pyspiel"
+
+
+@pytest.mark.parametrize(
+    ("call", "value"),
+    [
+        (lambda: round_robin(("a", "b"), table(["a"], ["d"], ["ego"], [False], [1])), "'d' .* a, b"),
+        (lambda: excess([]), r"\(0,\)"),
+        (lambda: excess([["a"]]), "numbers"),
+        (lambda: excess([[1.0, 2.0]]), r"\(1, 2\)"),
+        (lambda: excess([[0.5, np.nan], [0.5, 0.5]]), "row 0 .* column 1 is nan"),
+        (lambda: alpha_rank([[0.5]]), "1 agent"),
+        (lambda: alpha_rank(CYCLE, tolerance=-1.0), "tolerance is -1"),
+    ],
+)
+def test_bad_input(call, value):
+    with pytest.raises(InputError, match=value):
+        call()

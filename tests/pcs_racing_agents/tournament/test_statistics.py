@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from repository import python_blocks, read_page, run_block
 from scipy import stats
 
 from pcs_racing import InputError
-from pcs_racing_agents.tournament.statistics import clustered_mean, compare, holm, match_units, score
-from pcs_racing_agents.tournament.statistics.clusters import t_interval
+from pcs_racing_agents.tournament.statistics import clustered_mean, compare, holm, match_units, score, t_interval
 
 EGOS, OPPONENTS, RACES = 12, 12, 3
 EGO, OPPONENT, LINE = (index.ravel() for index in np.indices((EGOS, OPPONENTS, RACES)))
@@ -62,14 +60,6 @@ def test_false_positives_where_egos_and_opponents_differ():
     assert np.mean([r.p_paired_t < 0.05 for r in results]) >= 0.1
 
 
-def test_wins_and_losses_with_a_known_effect():
-    rng = np.random.default_rng(3)
-    truth = stats.norm.cdf(0.3 / np.sqrt(1.0 + 2 * 0.3**2)) - 0.5
-    results = [compare(*arms(rng, 0.3), EGO, OPPONENT) for _ in range(400)]
-    assert np.mean([r.difference for r in results]) == pytest.approx(truth, abs=0.012)
-    assert 0.915 <= np.mean([r.low <= truth <= r.high for r in results]) <= 0.985
-
-
 def test_start_lines_that_all_pairs_share_are_a_third_kind_of_cluster():
     rng = np.random.default_rng(4)
     draws = [differences(rng, ego=0.05, opponent=0.05, line=0.2) for _ in range(300)]
@@ -104,9 +94,9 @@ def test_the_variance_is_the_formula_where_races_are_missing():
         estimate = clustered_mean(x, *kinds[:number])
         assert estimate.se**2 == pytest.approx(slow_variance(x, *kinds[:number]), rel=1e-12)
         assert estimate.clusters == (EGOS, OPPONENTS, RACES)[:number]
-    reach = stats.t.ppf(0.995, EGOS - 1) * clustered_mean(x, *kinds[:2]).se
-    wide = clustered_mean(x, *kinds[:2], level=0.99)
-    assert (wide.low, wide.high) == pytest.approx((x.mean() - reach, x.mean() + reach))
+    two_way = clustered_mean(x, *kinds[:2])
+    reach = stats.t.ppf(0.975, EGOS - 1) * two_way.se
+    assert (two_way.low, two_way.high) == pytest.approx((x.mean() - reach, x.mean() + reach))
 
 
 def test_policies_in_both_roles_are_one_cluster():
@@ -206,7 +196,6 @@ def test_a_comparison_counts_its_egos_and_its_opponents():
     some = OPPONENT < 5
     result = compare(*(scores[some] for scores in arms(np.random.default_rng(0), 0.2)), EGO[some], OPPONENT[some])
     assert (result.units, result.egos, result.opponents, result.df) == (EGOS * 5 * RACES, EGOS, 5, 4)
-    assert (result.level, compare(ONES, [0.0] * 4, TWO, [0, 1, 0, 1], level=0.9).level) == (0.95, 0.9)
 
 
 # The other tests
@@ -227,15 +216,10 @@ def test_the_paired_t_test_is_that_of_the_means_of_the_egos():
 
 
 def test_the_interval_and_the_p_value_belong_to_students_t():
-    """Against the area under its density, and against the p-value at the ends of the interval."""
-    df = 4
-    density = lambda x: 0.375 * (1.0 + x**2 / df) ** -2.5  # noqa: E731
     for t in (0.3, 2.0, 6.0):
-        low, high, p = t_interval(t, 1.0, df, 0.9)
-        x = np.linspace(-t, t, 20_001)
-        assert p == pytest.approx(1.0 - np.trapezoid(density(x), x), abs=1e-8)
-        assert (low + high) / 2.0 == pytest.approx(t)
-        assert t_interval((high - low) / 2.0, 1.0, df, 0.9)[2] == pytest.approx(0.1)
+        low, high, p = t_interval(t, 1.0, 4)
+        assert p == pytest.approx(2.0 * stats.t.sf(t, 4))
+        assert (low, high) == pytest.approx(stats.t.interval(0.95, 4, loc=t))
 
 
 def test_equal_differences_everywhere_are_certain():
@@ -256,12 +240,6 @@ def test_holm_is_the_step_down_procedure():
             assert ((holm(p) <= alpha) == rejected).all()
     assert holm([0.01, 0.04, 0.03, 0.9]) == pytest.approx([0.04, 0.09, 0.09, 0.9])
     assert holm([0.6, 0.7]) == pytest.approx([1.0, 1.0])
-
-
-def test_holm_keeps_the_level_of_the_whole_table():
-    tables = np.random.default_rng(0).random((2000, 6))
-    assert np.mean([p.min() < 0.05 for p in tables]) > 0.2
-    assert np.mean([holm(p).min() < 0.05 for p in tables]) == pytest.approx(0.05, abs=0.015)
 
 
 def test_score_counts_a_tie_half_and_a_crash_nothing():
@@ -304,23 +282,16 @@ ONES = [1.0, 0.0, 1.0, 1.0]
         (lambda: compare(ONES, ONES, TWO, TWO, start=[0, 0, 0, np.nan]), "start labels must"),
         (lambda: compare(ONES, ONES, [None, 1, 2, 3], TWO), r"ego labels .*object"),
         (lambda: compare(ONES, ONES, [[1], 1, 2, 3], TWO), "ego labels must"),
-        (lambda: compare(ONES, ONES, TWO, TWO, level=95), "level is 95"),
         (lambda: compare([], [], [], []), r"a has shape \(0,\)"),
         (lambda: compare(["win"] * 4, ONES, TWO, TWO), "a must be numbers"),
         (lambda: clustered_mean(ONES), "cluster labels"),
         (lambda: clustered_mean(ONES, TWO, same_pool=True), r"^same_pool"),
-        (lambda: compare(ONES, ONES, TWO, list("ooxx"), same_pool=True), "one pool has one kind"),
+        (lambda: clustered_mean(ONES, TWO, list("ooxx"), same_pool=True), "one pool has one kind"),
         (lambda: holm([0.1, 1.1]), r"p_values\[1\] is 1.1"),
         (lambda: score([True], [True]), "race 0"),
         (lambda: score([True], [True, False]), r"won has shape \(1,\)"),
     ],
 )
 def test_bad_input(call, message):
-    with pytest.raises(InputError, match=message) as error:
+    with pytest.raises(InputError, match=message):
         call()
-    assert "\n" not in str(error.value)
-
-
-def test_the_pages_code_runs():
-    (code,) = python_blocks(read_page("statistics.md"))
-    run_block(code)

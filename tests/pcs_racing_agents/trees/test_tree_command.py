@@ -29,15 +29,13 @@ def test_trees_are_played_and_taken_up(run, small, tmp_path):
     code, text, told = run(*GAME, "--archive", small, "--pairs", 2, "--out", out)
     assert code == 0
     assert "2/2 trees" in told
-    assert re.search(r"\n2 trees in .*: \d+\.\d s, .* s each\n$", text)
+    assert text.endswith(f"\n2 trees in {out}\n")
     trees = load_trees(out)
     driven = sum(tree.statistics.driven for tree in trees)
     assert f"{driven} segments driven of " in text
     assert f"of the {2 * 273} of trees that share only beginnings" in text
     assert f"of the {2 * 768} of races from the start" in text
-    again = run(*GAME, "--archive", small, "--pairs", 2, "--out", out)[1]
-    assert again.endswith(": all of them were there already\n")
-    assert again.splitlines()[:3] == text.splitlines()[:3]
+    assert run(*GAME, "--archive", small, "--pairs", 2, "--out", out)[1] == text
 
 
 def test_ego_trees_are_played(run, small, tmp_path):

@@ -1,5 +1,4 @@
 import pytest
-from chromium_pipe import Browser, chromium
 
 from pcs_racing_agents.cli.main import main
 
@@ -10,12 +9,3 @@ def page(tournament_folder, tmp_path_factory):
     path = tmp_path_factory.mktemp("pages") / "view.html"
     assert main(["view", str(tournament_folder[0]), "--replays", "5", "--out", str(path), "--no-open"]) == 0
     return path
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    if chromium() is None:
-        pytest.skip("no chromium on PATH to open the page with")
-    result = Browser(tmp_path_factory.mktemp("profile"))
-    yield result
-    result.close()

@@ -8,10 +8,11 @@ import pytest
 from zoo_games import CONFIG, toy_archive
 
 from pcs_racing import InputError, make_game
+from pcs_racing.base.seeds import race_seed
+from pcs_racing.race.races import starts_of
 from pcs_racing_agents import make
-from pcs_racing_agents.cli import options
+from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.tournament import play_games
 from pcs_racing_agents.view.person_race import MOST_RACES, PersonRaces, play_page
 from pcs_racing_agents.view.view_server import make_server
 
@@ -43,33 +44,21 @@ def test_what_was_driven_does_not_depend_on_moves_to_come(races):
     assert races.situation(1, (0, 3))["history"] == races.situation(1, (0, 3, 1))["history"][:2]
 
 
-def test_a_race_to_its_end_is_that_of_a_tournament(races):
+def test_a_race_to_its_end_is_the_game_of_these_moves(races):
     moves = (0, 3, 1, 4)
     told = races.situation(2, moves)
     assert told["over"]
     assert told["outcome"] == races.replay(2, moves).outcome != ""
-
-    class Person:
-        name = "person"
-
-        def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            step = 0 if state is None else state
-            return np.array([moves[step]]), step + 1
-
     _, played, _ = races._drive(2, moves)
-    start = races.situation(2, ())["policy"], int(played.policy[0, 1, 0])
-    from pcs_racing.base.seeds import race_seed
-    from pcs_racing.race.races import starts_of
-
-    again = play_games(
-        races.game,
-        Person(),
-        races.opponent,
-        policies=np.array([start]),
-        starts=starts_of(races.game.track, races.game.setup.config, [2], races.seed),
-        seeds=np.array([race_seed(races.seed, 2)]),
+    game = races.game
+    state = game.reset(
+        np.array([race_seed(races.seed, 2)], np.uint64),
+        policies=played.variants,
+        starts=starts_of(game.track, game.setup.config, [2], races.seed),
     )
-    assert told["lead"] == pytest.approx(again.lead[0], abs=1e-9)
+    for step, move in enumerate(moves):
+        state = game.step(state, np.array([[move, played.moves.codes[0, 1, step]]]))
+    assert told["lead"] == pytest.approx(state.race.lead[0], abs=1e-9)
 
 
 def test_drivers_can_be_raced_too(races):
@@ -123,7 +112,7 @@ def test_the_command_serves_until_it_is_ended(capsys, monkeypatch):
         raise KeyboardInterrupt
 
     opened = []
-    monkeypatch.setattr(options, "open_page", opened.append)
+    monkeypatch.setattr(view, "open_page", opened.append)
     monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
     assert main(["play", "--opponent", "never-switch", "--track", "Pipkin"]) == 0
     assert f"play at {opened[0]}" in capsys.readouterr().out

@@ -89,10 +89,6 @@ def test_as_many_as_asked_for_each_of_them_once(given_races, count):
         assert choose_races(columns, count - 1) == picks[: count - 1] or len(picks) < count
 
 
-def test_nothing_is_chosen_where_nothing_is_wanted():
-    assert choose_races(columns_of([("a", "b", "t", 3, "ego", "none", "none", "1; 2")]), 0) == []
-
-
 @pytest.mark.parametrize("count", [1, 2, 3, 10, 17])
 def test_leads_come_from_the_middle(count):
     columns = columns_of([("a", "b", "t", lead + 1, "ego", "none", "none", "1; 2") for lead in range(count)])

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.packing import unpack
 from pcs_racing.race.replay_files import read_replay
-from pcs_racing_agents.results.race_files import race_table
+from pcs_racing_agents.results.race_files import race_table, read_results
 from pcs_racing_agents.tournament.play import record_row
 from pcs_racing_agents.view.race_replays import PLACES, RaceRepeater, circuit_values, race_values
 from pcs_racing_agents.view.results_folder import open_results
+from pcs_racing_agents.view.view_page import packed_races
 
 
 @pytest.fixture(scope="module")
@@ -36,8 +38,8 @@ def test_a_race_is_a_replay_with_less_in_it(driver, tournament_folder, tmp_path)
     assert read.plan_dt == pytest.approx(2 * whole.plan_dt)
     assert read.outcome == whole.outcome
     assert [event for event in read.events if event.kind == "move"]
-    assert space["policies"] == recording.played.policy[0].tolist()
-    assert space["made"] == recording.played.moves[0].tolist()
+    assert space["policies"] == recording.played.path[0].tolist()
+    assert space["made"] == recording.played.moves.codes[0].tolist()
 
 
 def test_places_are_where_the_archive_and_the_other_car_saw_them(driver, tournament_folder, archive):
@@ -81,19 +83,53 @@ def test_what_is_left_out_is_optional(driver, tournament_folder):
     assert "line_speed" not in circuit_values(bare)
 
 
-def changed(results, number, **values):
-    rows = list(results.races)
-    rows[number] = rows[number]._replace(**values)
-    return RaceRepeater(replace(results, races=race_table(rows)))
-
-
-def test_a_race_that_is_another_one_is_refused(tournament_folder):
+@pytest.mark.parametrize(
+    ("change", "value"),
+    [({"lead": 12.0}, r"race 3 .*12\.0000 m"), ({"start_s": 12.0}, "race 3 is not"), ({"race": 40}, "number 40 ")],
+)
+def test_a_race_that_is_another_one_is_refused(tournament_folder, change, value):
     results = open_results(tournament_folder[0])
-    with pytest.raises(InputError, match=r"race 3 .*12\.0000 m"):
-        changed(results, 3, lead=12.0).drive(3)
-    with pytest.raises(InputError, match="race 3 is not"):
-        changed(results, 3, start_s=12.0).drive(3)
-    with pytest.raises(InputError, match="race 3 is number 40 "):
-        changed(results, 3, race=40).drive(3)
+    rows = list(results.races)
+    rows[3] = rows[3]._replace(**change)
+    with pytest.raises(InputError, match=value):
+        RaceRepeater(replace(results, races=race_table(rows))).drive(3)
     with pytest.raises(InputError, match="race 18"):
         RaceRepeater(results).drive(18)
+
+
+# Columns of the page
+
+
+@pytest.fixture
+def races(tournament_folder):
+    return read_results(tournament_folder[0] / "results.csv")
+
+
+def test_packing_loses_nothing_that_is_shown(races):
+    packed = packed_races(races)
+    assert packed["length"] == len(races) == 18
+    values = {name: unpack(column) for name, column in packed["columns"].items()}
+    assert values["lead"] == pytest.approx(races.lead, abs=0.00051)
+    assert values["start_s"] == pytest.approx(races.start_s, abs=0.005)
+    assert packed["seeds"] == ["2"]
+    for number, row in enumerate(races):
+        for car, (agent, overtakes, variant, moves) in enumerate((
+            (row.ego, row.ego_overtakes, row.ego_variant, row.ego_moves),
+            (row.opponent, row.opponent_overtakes, row.opponent_variant, row.opponent_moves),
+        )):  # fmt: skip
+            assert packed["agents"][int(values[("ego", "opponent")[car]][number])] == agent
+            assert packed["moves"][int(values[f"moves{car}"][number])] == "; ".join(moves)
+            assert values[f"overtakes{car}"][number] == overtakes
+            assert values[f"variants{car}"][number] == variant
+            assert values[f"switches{car}"][number] == races.switches[number, car]
+        assert ("none", "ego", "opponent")[int(values["winner"][number])] == row.winner
+        assert ("none", "wall", "car")[int(values["crash"][number])] == row.crash
+        assert ("none", "ego", "opponent", "both")[int(values["fault"][number])] == row.fault
+
+
+def test_of_what_is_not_known_the_page_says_so(races):
+    unknown = np.full(len(races), np.nan)
+    no_moves = races.moves._replace(codes=races.moves.codes[..., :0])
+    packed = packed_races(replace(races, duration=unknown, moves=no_moves))
+    assert (unpack(packed["columns"]["duration"]) == -1).all()
+    assert packed["moves"] == [""]

@@ -35,7 +35,6 @@ def played(browser):
 
 
 def test_the_page_lists_the_races_and_says_nothing_wrong(browser, page, tournament_folder):
-    browser.complaints.clear()
     browser.open(page)
     played(browser)
     assert browser.complaints == []
@@ -97,7 +96,6 @@ def test_columns_sort(browser, page, tournament_folder):
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_a_race_plays_with_its_moves_beside_it(browser, page, theme):
-    browser.complaints.clear()
     browser.open(f"{page.as_uri()}#theme={theme}&t=1.5")
     assert played(browser)[0] == pytest.approx(1.5, abs=0.01)
     colours = (BLUE, ORANGE) if theme == "light" else ((88, 166, 255), (255, 176, 59))
@@ -109,9 +107,9 @@ def test_a_race_plays_with_its_moves_beside_it(browser, page, theme):
         return both and sum(coloured(space, colour) for colour in colours) > 40
 
     browser.look(drawn)
-    browser.press(" ")
+    browser.press("Space")
     browser.wait("Number(document.body.dataset.played.split('/')[0]) > 1.7")
-    browser.press(" ")
+    browser.press("Space")
     assert browser.complaints == []
 
 
@@ -164,7 +162,6 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
     )
     path = tmp_path / "hostile.html"
     path.write_text(view_page(content), encoding="utf-8")
-    browser.complaints.clear()
     browser.open(path)
     played(browser)
     assert browser.run("document.title") == NASTY
@@ -188,7 +185,6 @@ def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
     races = many_races(200_000)
     path = tmp_path / "many.html"
     path.write_text(view_page(ViewContent("many", races, why_not="They were never driven.")))
-    browser.complaints.clear()
     browser.open(f"{path.as_uri()}#show=list&sort=lead")
     assert browser.run("Number(document.body.dataset.shown)") == 200_000
     assert browser.run("document.querySelectorAll('#pane .line').length") < 60
@@ -265,7 +261,6 @@ def test_a_served_page_drives_any_race(browser, tournament_folder):
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         try:
-            browser.complaints.clear()
             browser.open(f"http://127.0.0.1:{server.server_address[1]}/#race=7")
             assert played(browser)[1] > 0.1
             assert browser.complaints == []

@@ -31,10 +31,10 @@ def test_a_point_off_the_map_has_no_clearance():
 @pytest.mark.parametrize(
     ("grid", "resolution", "origin", "words"),
     [
-        (np.zeros((5, 5)), 0.05, (0, 0), "float64 array"),
-        (np.zeros(5, bool), 0.05, (0, 0), r"shape \(5,\)"),
-        (np.zeros((5, 5), bool), 0.0, (0, 0), "resolution is 0.0"),
-        (np.zeros((5, 5), bool), 0.05, (0, np.nan), "origin is"),
+        (np.zeros((9, 9)), 0.05, (0, 0), "float64 of shape"),
+        (np.zeros(9, bool), 0.05, (0, 0), r"shape \(9,\)"),
+        (np.zeros((9, 9), bool), 0.0, (0, 0), "resolution is 0.0"),
+        (np.zeros((9, 9), bool), 0.05, (0, np.nan), "origin holds nan"),
     ],
 )
 def test_impossible_grids_are_refused(grid, resolution, origin, words):

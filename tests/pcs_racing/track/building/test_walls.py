@@ -10,9 +10,10 @@ from hypothesis.extra import numpy as hnp
 from numba import njit
 
 from pcs_racing.track import frenet
-from pcs_racing.track.building.walls import simplify, trace_outlines
+from pcs_racing.track.building.walls import TOGETHER, corner_lists, simplify, trace_outlines
 from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.loading import load_track
+from pcs_racing.track.obstacles import with_obstacles
 
 grids = hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))).map(lambda grid: np.pad(grid, 1))
 
@@ -120,32 +121,18 @@ def test_lists_hold_all_that_is_seen(oval):
     assert _missed(oval, 60, 720, np.random.default_rng(7)) == 0.0
 
 
-def test_lists_are_complete_and_near_segments_come_first(oval):
-    arrays = oval.arrays
-    assert arrays.seen_start[0] == 0
-    assert arrays.seen_start[-1] == len(arrays.seen)
-    assert len(arrays.seen_start) == round(oval.length / arrays.seen_stretch) + 1
-    for m in range(0, len(arrays.seen_start) - 1, 5):
-        listed = arrays.seen[arrays.seen_start[m] : arrays.seen_start[m + 1]]
-        assert len(set(listed.tolist())) == len(listed)
-        middle = oval.to_cartesian([(m + 0.5) * arrays.seen_stretch, 0.0])[:2]
-        ends = arrays.walls[listed].reshape(-1, 2, 2)
-        nearest = np.linalg.norm(np.linspace(ends[:, 0], ends[:, 1], 20) - middle, axis=2).min(axis=0)
-        assert nearest[: len(listed) // 4].max() < nearest[-len(listed) // 4 :].max()
-
-
 def test_listed_distances_are_those_of_the_segments_from_the_middle_of_their_stretch(oval):
-    """Rounded down, by less than a millimetre, and rising along each list."""
+    """Rounded down, by less than a millimetre, and rising along each list, in which no segment stands twice."""
     arrays = oval.arrays
+    assert (arrays.seen_start[0], arrays.seen_start[-1]) == (0, len(arrays.seen))
+    assert len(arrays.seen_start) == round(oval.length / arrays.seen_stretch) + 1
     for m in range(len(arrays.seen_start) - 1):
         part = slice(arrays.seen_start[m], arrays.seen_start[m + 1])
-        start, way = (
-            arrays.walls[arrays.seen[part], :2],
-            np.diff(arrays.walls[arrays.seen[part]].reshape(-1, 2, 2), axis=1),
-        )
-        to = arrays.seen_middle[m] - start
-        share = np.clip((to * way[:, 0]).sum(axis=1) / (way[:, 0] ** 2).sum(axis=1), 0.0, 1.0)
-        exact = np.linalg.norm(to - share[:, None] * way[:, 0], axis=1)
+        assert len(np.unique(arrays.seen[part])) == part.stop - part.start
+        walls = arrays.walls[arrays.seen[part]]
+        to, way = arrays.seen_middle[m] - walls[:, :2], walls[:, 2:] - walls[:, :2]
+        share = np.clip((to * way).sum(axis=1) / (way**2).sum(axis=1), 0.0, 1.0)
+        exact = np.linalg.norm(to - share[:, None] * way, axis=1)
         listed = arrays.seen_distance[part].astype(float)
         assert (listed <= exact + 1e-12).all()
         np.testing.assert_allclose(listed, exact, atol=1e-3)
@@ -160,34 +147,38 @@ def test_lists_of_real_circuits_hold_nearly_all_that_is_seen(real_maps, name):
     assert _missed(load_track(real_maps / name), 60, 720, np.random.default_rng(7)) < 1e-4
 
 
-def test_scans_of_the_walls_agree_with_the_exact_ones(real_maps, reference):
-    """The walls stand for the cells: the goals of the lidar are met by them, before anything else."""
-    walls = load_track(real_maps / "Spielberg").arrays.walls
-    everything = np.arange(len(walls), dtype=np.int32)
-    with np.load(reference / "scans_spielberg.npz") as file:
-        poses, angles, exact, reach = file["poses"], file["beam_angles"], file["exact_scans"], float(file["max_range"])
-    found = np.array([_scan(walls, everything, x, y, psi + angles, reach) for x, y, psi in poses])
-    error = np.abs(found - exact)
-    assert np.median(error) <= 0.01
-    assert np.quantile(error, 0.99) <= 0.2
-    assert np.mean(error > 1.0) <= 1e-3
-    # These scans take pixels up to 128 for wall, the map's own threshold those up to 140: its walls are a bit nearer.
-    assert abs(np.mean(np.clip(found - exact, -0.3, 0.3))) < 0.01
+# Corners
+
+BOXES = np.array([[1.0, 2.0, 0.3, 0.4, 0.3], [3.0, 1.0, 0.0, 0.5, 0.0]])  # a box and a round one
 
 
-def test_distances_on_a_real_circuit_are_those_to_the_nearest_wall(real_maps):
-    """Interpolated distances against the wall cells' squares: within the bound that the docstring states."""
-    track = load_track(real_maps / "Oschersleben")
-    arrays = track.arrays
-    rng = np.random.default_rng(2)
-    rows, cols = np.nonzero(arrays.distance > 0.0)
-    for k in rng.integers(len(rows), size=300):
-        i, j = rows[k], cols[k]
-        u, v = rng.random(2)
-        near = arrays.distance[max(i - 40, 0) : i + 41, max(j - 40, 0) : j + 41]
-        wall_i, wall_j = np.nonzero(near == 0.0)
-        dx = np.maximum(np.abs(wall_j + max(j - 40, 0) - j - u + 0.5) - 0.5, 0.0)
-        dy = np.maximum(np.abs(wall_i + max(i - 40, 0) - i - v + 0.5) - 0.5, 0.0)
-        exact = arrays.cell * np.hypot(dx, dy).min()
-        point = [arrays.origin_x + (j + u) * arrays.cell, arrays.origin_y + (i + v) * arrays.cell]
-        assert abs(track.wall_distance(point) - exact) <= 0.71 * arrays.cell
+def segments_between(corners: np.ndarray) -> set[tuple[float, ...]]:
+    """The segments between successive corners, shape (2, C); none begins or ends at NaN."""
+    pairs = np.concatenate([corners[:, :-1], corners[:, 1:]]).T
+    found = [tuple(pair) for pair in pairs[~np.isnan(pairs).any(axis=1)].tolist()]
+    assert len(found) == len(set(found))
+    return set(found)
+
+
+def test_each_list_holds_the_segments_that_its_stretch_sees(oval):
+    for track in (oval, with_obstacles(oval, BOXES)):
+        t = track.arrays
+        everywhere = t.corners[:, t.corners_start[-1] :]
+        assert (everywhere.shape[1] == 0) == (track is oval)
+        assert everywhere.shape[1] % TOGETHER == 0
+        assert (t.corners_start % TOGETHER == 0).all()
+        for m in range(len(t.seen_middle)):
+            listed = t.walls[t.seen[t.seen_start[m] : t.seen_start[m + 1]]]
+            corners = t.corners[:, t.corners_start[m] : t.corners_start[m + 1]]
+            assert segments_between(corners) | segments_between(everywhere) == {tuple(wall) for wall in listed.tolist()}
+
+
+def test_segments_that_meet_share_a_corner():
+    """Three sides of a square, of which the last is listed first, and a wall far away."""
+    walls = np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [9, 9, 8, 9]], float)
+    start, corners = corner_lists(walls, np.array([0, 4, 6]), np.array([2, 0, 3, 1, 3, 0], np.int32))
+    assert start.tolist() == [0, 16, 32]
+    nan = [np.nan, np.nan]
+    expected = [[0, 0], [1, 0], [1, 1], [0, 1], nan, [9, 9], [8, 9], *[nan] * 9]
+    np.testing.assert_array_equal(corners[:, :16].T, expected)
+    np.testing.assert_array_equal(corners[:, 16:].T, [[0, 0], [1, 0], nan, [9, 9], [8, 9], *[nan] * 11])

@@ -11,7 +11,7 @@ from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_IDS
 from pcs_racing_agents.learning.ppo.tuned import learning_rate, tuned_environments, tuned_ppo
 
-PAGE = read_page("tuned_ppo.md")
+PAGE = read_page("reports/tuned_ppo.md")
 
 
 def test_every_environment_has_settings():

@@ -1,0 +1,302 @@
+"""Environments over a batch of one episode: Gymnasium's for one agent, and PettingZoo's for the agents of both cars."""
+
+import copy
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from pcs_racing.base.checks import check_seed, check_whole
+from pcs_racing.base.errors import InputError
+from pcs_racing.envs.batch import Batch
+from pcs_racing.envs.infos import words
+from pcs_racing.envs.over_batch import FILM, OverBatch
+
+AGENTS = ("car_0", "car_1")
+
+Observations = dict[str, NDArray[np.float32]]
+Infos = dict[str, dict[str, Any]]
+
+
+class EnvState(NamedTuple):
+    """A moment of an environment: a value that can be kept, copied, pickled and restored."""
+
+    batch: tuple[Any, ...]  #: State of the batch of one episode.
+    steps: int | None  #: Since the episode began; None before the first reset.
+    running: bool  #: Whether the episode goes on.
+    generator: Mapping[str, Any] | None  #: State of the random generator that the next episodes are drawn from.
+
+
+class SingleEnv(OverBatch):
+    """One episode: it begins, makes steps, ends, and is a value."""
+
+    ignored_options: ClassVar[tuple[str, ...]] = ()  #: Options of a reset that do nothing.
+    _row: ClassVar[NDArray[np.int64]] = np.zeros(1, np.int64)
+    _steps: int | None = None
+    _running = False
+    # The names of Gymnasium, whose checker and wrappers look for them.
+    _np_random: np.random.Generator | None = None
+    _np_random_seed: int | None = None
+
+    def _make_batch(self, arguments: dict[str, Any]) -> Batch:
+        batch: Batch = self.batch_type(1, threads=1, **arguments)
+        return batch
+
+    def _restart(self, seed: Any, options: Any) -> None:
+        """Begin a new episode, or continue from the state among the options."""
+        number = None if seed is None else check_seed(seed)
+        given = self._options(options, "state", *self.ignored_options)
+        for name in self.ignored_options:
+            given.pop(name, None)
+        # Everything that can be refused is refused before the environment changes.
+        batch, arguments = self._batch_for(given)
+        state = given.pop("state", None)
+        if state is None:
+            generator = self._np_random
+            if number is not None or generator is None:
+                generator, self._np_random_seed = seeding.np_random(number)
+            if number is not None:
+                batch.forget(self._row)
+            batch.restart(self._row, [generator], given)
+            self._change_to(batch, arguments)
+            self._np_random, self._steps, self._running = generator, 0, True
+        elif given or number is not None:
+            raise InputError("reset option 'state' was given with others or a seed; a state leaves nothing to choose")
+        else:
+            self._change_to(batch, arguments)
+            self.set_state(state)
+        if self.render_mode == "human":
+            self.render()
+
+    def _advance(self, actions: NDArray[Any], most_steps: int | None = None) -> Any:
+        """Make a step with checked actions: observations, rewards, and whether the episode ended or was cut off."""
+        self._check_started()
+        if not self._running:
+            raise InputError("the episode has ended; call reset() before step()")
+        observations, rewards, terminated, truncated = self.batch.step(actions, [self._np_random])  # type: ignore[list-item]
+        self._steps = (self._steps or 0) + 1
+        ended = bool(terminated[0])
+        late = bool(truncated[0]) or (most_steps is not None and self._steps >= most_steps)
+        self._running = not (ended or late)
+        if self.render_mode == "human":
+            self._show_step()
+        return observations, rewards, ended, late and not ended
+
+    def _observe(self) -> NDArray[np.float32]:
+        """What the players observe, shape (players, D)."""
+        out = np.zeros((self.batch.players, *self.batch.observation_space.shape), np.float32)
+        if self._steps is not None:
+            self.batch.observe(self._row, out)
+        return out
+
+    def render(self) -> Any:
+        """Return a frame (``"rgb_array"``), or show it (``"human"``)."""
+        return self.batch.draw(self._open_renderer(), 0)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self._close_renderer()
+
+    def get_state(self) -> EnvState:
+        """Return all that the rest of this episode, and all later ones, depend on."""
+        generator = None if self._np_random is None else dict(self._np_random.bit_generator.state)
+        return EnvState(self.batch.get_state(), self._steps, self._running, generator)
+
+    def set_state(self, state: EnvState) -> Any:
+        """Continue from what `get_state` returned, here or in an environment with equal arguments."""
+        if not isinstance(state, EnvState):
+            raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
+        # A generator of its own: two environments restored from one state must not share a stream.
+        generator = None
+        if state.generator is not None:
+            generator = np.random.default_rng()
+            try:
+                generator.bit_generator.state = state.generator
+            except (TypeError, ValueError, KeyError) as error:
+                raise InputError(f"the state's random generator can't be restored: {error}") from None
+        self.batch.set_state(state.batch)
+        self._np_random, self._steps, self._running = generator, state.steps, state.running
+
+    def _check_started(self) -> None:
+        if self._steps is None:
+            raise InputError("the episode has not begun; call reset() first")
+
+
+class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
+    """Base class of the environments for one agent; subclasses name the batch and document themselves."""
+
+    _unseen: list[Any]  # steps that `render` has not returned the frames of
+
+    def _begin(
+        self,
+        *,
+        arguments: dict[str, Any],
+        render_mode: str | None = None,
+        view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
+    ) -> None:
+        self._set_looks(render_mode, view, render_size)
+        self._use(self._make_batch(arguments), arguments)
+        self.observation_space = self.batch.observation_space
+        self.action_space = self.batch.action_space
+        self._unseen = []
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin a new episode; without a seed the random generator goes on.
+
+        Of the options, "track" and "opponent" replace the environment's arguments from now on; "state" continues from
+        what `get_state` returned; the class lists the others.
+        """
+        self._restart(seed, options)
+        self._unseen = []
+        self._keep_step()
+        return self._observe()[0], self.batch.info(0)
+
+    def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Make a step; the class describes its actions."""
+        observations, rewards, ended, late = self._advance(self.batch.check_actions(action, ()))
+        self._keep_step()
+        return observations[0], float(rewards[0]), ended, late, self.batch.info(0)
+
+    def outcome(self) -> dict[str, Any]:
+        """Return the info of this moment in words, for people."""
+        self._check_started()
+        return words(self.batch.info(0), self.batch.codes)
+
+    def set_state(self, state: EnvState) -> NDArray[np.float32]:
+        """Continue from what `get_state` returned, and return the observation at that moment."""
+        super().set_state(state)
+        self._unseen = []
+        if self._steps is not None:
+            self._keep_step()
+        return self._observe()[0]
+
+    def render(self) -> Any:
+        """Return a frame (``"rgb_array"``), show it (``"human"``), or return a list of frames (``"rgb_array_list"``).
+
+        The list holds all frames since it was last asked for, or since the reset, 25 for each second of racing; it is
+        empty if nothing was driven since.
+        """
+        if self.render_mode != FILM:
+            return super().render()
+        renderer, batch = self._open_renderer(), self.batch
+        steps, self._unseen = self._unseen, []
+        frames = [frame for step in steps for frame in batch.film(renderer, 0, step=step)]
+        return frames or [batch.draw(renderer, 0) for _ in steps[:1]]  # of a restored state, the moment
+
+    def _keep_step(self) -> None:
+        # Races are driven again for a film, so that what nobody asks for need not be drawn.
+        if self.render_mode == FILM:
+            self._unseen.append(self.batch.last_step(0))  # type: ignore[attr-defined]
+
+
+class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
+    """Base class of the environments for two agents; subclasses name the batch and document themselves.
+
+    Both agents act in every step, and both end with the episode: from then on `agents` is empty.
+    Where the argument `opponent` is not None it drives car 1, and ``car_0`` is the only agent.
+    """
+
+    ignored_options = ("options",)  # what the API tests of PettingZoo hand over to every environment
+    possible_agents: list[str] = []  # noqa: RUF012
+
+    def _begin(
+        self,
+        *,
+        arguments: dict[str, Any],
+        render_mode: str | None = None,
+        view: str = "both",
+        render_size: tuple[int, int] = (960, 640),
+        max_cycles: int | None = None,
+    ) -> None:
+        self._set_looks(render_mode, view, render_size)
+        if max_cycles is not None:
+            check_whole("max_cycles", max_cycles, 1)
+        self.max_cycles = max_cycles
+        self._use(self._make_batch(arguments), arguments)
+        self.possible_agents = list(AGENTS[: self.batch.players])
+        box, action = self.batch.observation_space, self.batch.action_space
+        self.observation_spaces: dict[str, spaces.Space[Any]] = {
+            name: spaces.Box(box.low, box.high) for name in self.possible_agents
+        }
+        # Each is seeded for itself: with a shared one the first agent's samples would change the second's.
+        self.action_spaces: dict[str, spaces.Space[Any]] = {
+            name: copy.deepcopy(action) for name in self.possible_agents
+        }
+        self.state_space = spaces.Box(np.tile(box.low, 2), np.tile(box.high, 2))
+
+    def _make_batch(self, arguments: dict[str, Any]) -> Batch:
+        players = 2 if arguments["opponent"] is None else 1
+        if self.possible_agents and len(self.possible_agents) != players:
+            raise InputError("reset option 'opponent' needs an environment that was made with an opponent")
+        return super()._make_batch({**arguments, "players": players})
+
+    @property
+    def agents(self) -> list[str]:
+        """Agents that act in the next step: all, or none when the episode is over."""
+        return list(self.possible_agents) if self._running else []
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """Observation space of an agent; always the same object."""
+        return self.observation_spaces[self._known(agent)]
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """Action space of an agent; always the same object."""
+        return self.action_spaces[self._known(agent)]
+
+    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
+        """Begin a new episode; with a seed, the one that belongs to it."""
+        self._restart(seed, options)
+        return self._by_agent(self._observe()), self._infos()
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+        """Let all agents act, and drive a step."""
+        agents = self.possible_agents
+        if not isinstance(actions, Mapping) or any(agent not in actions for agent in agents):
+            raise InputError(f"actions are {actions!r}; they must hold an action for each of {', '.join(agents)}")
+        checked = self.batch.check_actions([actions[agent] for agent in agents], (len(agents),))
+        observations, rewards, ended, late = self._advance(checked, self.max_cycles)
+        return (
+            self._by_agent(observations),
+            {agent: float(reward) for agent, reward in zip(agents, rewards, strict=True)},
+            dict.fromkeys(agents, ended),
+            dict.fromkeys(agents, late),
+            self._infos(),
+        )
+
+    def state(self) -> NDArray[np.float32]:
+        """Observations of both cars, one after the other, whoever drives them."""
+        self._check_started()
+        return self.batch.both_views()[0].reshape(-1).copy()
+
+    def outcome(self) -> dict[str, dict[str, Any]]:
+        """Return the info of each agent at this moment in words, for people."""
+        return {agent: words(info, self.batch.codes) for agent, info in self._infos().items()}
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw this moment: an array (height, width, 3) of uint8; None where a window shows it or nothing is drawn."""
+        frame: NDArray[np.uint8] | None = None if self.render_mode is None else super().render()
+        return frame
+
+    def _frames_per_second(self) -> int:
+        return self.batch.film_rate or self.batch.frame_rate
+
+    def _by_agent(self, observations: NDArray[np.float32]) -> Observations:
+        return {agent: observations[car].copy() for car, agent in enumerate(self.possible_agents)}
+
+    def _infos(self) -> Infos:
+        return {agent: self.batch.info(car) for car, agent in enumerate(self.possible_agents)}
+
+    def _known(self, agent: str) -> str:
+        if agent not in self.possible_agents:
+            raise InputError(f"agent {agent!r} is unknown; the agents are {', '.join(self.possible_agents)}")
+        return agent

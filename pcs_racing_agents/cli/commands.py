@@ -1,0 +1,168 @@
+"""Commands from functions: the parameters become words and options of a command line, the docstring becomes its help::
+
+    @command("wave", "pcs-racing wave Ada --times 3")
+    def wave(
+        name: Annotated[str, Option("who is greeted")],
+        *,
+        times: Annotated[int, Option("number of waves", "N")] = 1,
+        workers: Workers,
+    ) -> None:
+        "Wave at somebody."
+
+A parameter before ``*`` is a word of the command line, which may be left out if it has a default; one behind ``*`` is
+an option. The type says how a value is read: ``bool`` is a switch, ``Sequence[T]`` takes one value or more, and
+``tuple[T, T]`` two. A dataclass whose fields are declared like parameters stands for all the options that it holds.
+"""
+
+import argparse
+from argparse import ArgumentParser, BooleanOptionalAction, Namespace, RawDescriptionHelpFormatter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, is_dataclass
+from functools import partial
+from inspect import Parameter, getdoc, signature
+from types import ModuleType, NoneType, UnionType
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+
+from pcs_racing.base.settings import Settings, add_setting_options, stated_options
+
+Parsers = argparse._SubParsersAction  # what ``add_subparsers`` returns; it has no public name
+
+
+@dataclass(frozen=True)
+class Option:
+    """What the help says of a parameter; its default is added."""
+
+    help: str
+    metavar: str | tuple[str, ...] | None = None
+    choices: Iterable[Any] | None = None
+
+
+class SettingOptions:
+    """A parameter that gets those settings of a class, by name, that the command line states."""
+
+    def __init__(self, cls: type[Settings], *names: str) -> None:
+        self.cls, self.names = cls, names
+
+    def values(self, parsed: Namespace) -> dict[str, Any]:
+        """Return what was stated; lists become tuples, as settings hold them."""
+        stated = {name: value for name, value in stated_options(parsed, self.cls).items() if name in self.names}
+        return {name: tuple(value) if isinstance(value, list) else value for name, value in stated.items()}
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, or a group of commands, which has no function."""
+
+    name: str  #: Of a command in a group: the names of both, as they are typed.
+    summary: str
+    examples: tuple[str, ...]
+    function: Callable[..., None] | None = None
+
+
+def command(name: str, *examples: str) -> Callable[[Callable[..., None]], Command]:
+    """Make a command of a function; the first paragraph of its docstring is the summary."""
+
+    def make(function: Callable[..., None]) -> Command:
+        summary = str(getdoc(function)).partition("\n\n")[0]
+        return Command(name, summary.replace("\n", " "), examples, function)
+
+    return make
+
+
+def add_commands(parsers: "Parsers[ArgumentParser]", module: ModuleType) -> None:
+    """Add all commands of a module, in their order; a group stands before its commands."""
+    groups = {"": parsers}
+    # A module keeps the order in which its names were bound: that of the file, and so that of the help.
+    for made in [value for value in vars(module).values() if isinstance(value, Command)]:
+        group, _, name = made.name.rpartition(" ")
+        parser = groups[group].add_parser(
+            name,
+            help=f"{made.summary[0].lower()}{made.summary[1:].rstrip('.')}".replace("%", "%%"),
+            description=made.summary,
+            epilog="\n  ".join(["examples:" if len(made.examples) > 1 else "example:", *made.examples]),
+            formatter_class=RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        if made.function is None:
+            groups[name] = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+        else:
+            add_parameters(parser, made.function)
+            parser.set_defaults(run=partial(_run, made.function))
+
+
+def _run(function: Callable[..., None], parsed: Namespace) -> None:
+    function(**parameter_values(function, parsed))
+
+
+def add_parameters(parser: ArgumentParser, target: Callable[..., Any]) -> None:
+    """Add the parameters of a function, or the fields of a dataclass, to a parser."""
+    for parameter, kind, declared in _parameters(target):
+        if isinstance(declared, SettingOptions):
+            add_setting_options(parser, declared.cls, *declared.names)
+        elif declared is None:
+            add_parameters(parser, kind)
+        else:
+            parser.add_argument(*_name(parameter), **_reading(parameter, kind, declared))
+
+
+def parameter_values(target: Callable[..., Any], parsed: Namespace) -> dict[str, Any]:
+    """Return the values that a command line states for what :func:`add_parameters` added."""
+    values = {}
+    for parameter, kind, declared in _parameters(target):
+        if isinstance(declared, SettingOptions):
+            values[parameter.name] = declared.values(parsed)
+        elif declared is None:
+            values[parameter.name] = kind(**parameter_values(kind, parsed))
+        else:
+            values[parameter.name] = getattr(parsed, parameter.name)
+    return values
+
+
+def _parameters(target: Callable[..., Any]) -> Iterator[tuple[Parameter, Any, Option | SettingOptions | None]]:
+    """Parameters with their types and declarations; a dataclass of options has none."""
+    hints = get_type_hints(target, include_extras=True)
+    for name, parameter in signature(target).parameters.items():
+        hint = hints[name]
+        if get_origin(hint) is Annotated:
+            kind, declared = get_args(hint)
+            yield parameter, kind, declared
+        else:
+            assert is_dataclass(hint), f"parameter {name} is not declared"
+            yield parameter, hint, None
+
+
+def _name(parameter: Parameter) -> tuple[str, ...]:
+    word = parameter.kind is not Parameter.KEYWORD_ONLY
+    return (parameter.name,) if word else (f"--{parameter.name.replace('_', '-')}",)
+
+
+def _reading(parameter: Parameter, kind: Any, option: Option) -> dict[str, Any]:
+    """How argparse reads a parameter and what it says of it."""
+    word, needed = parameter.kind is not Parameter.KEYWORD_ONLY, parameter.default is Parameter.empty
+    default = None if needed else parameter.default
+    said = " ".join(map(str, default)) if isinstance(default, tuple) else default
+    # `is False`, not falsehood: a default of 0 is worth telling.
+    shown = "" if default is None or default is False or default == () else f" (default: {said})"
+    reading: dict[str, Any] = {"default": default, "help": f"{option.help}{shown}".replace("%", "%%")}
+    if kind is bool:
+        return {**reading, "action": "store_true"}
+    # A type and None: None stands for an option that was not stated.
+    if get_origin(kind) is UnionType:
+        (kind,) = (part for part in get_args(kind) if part is not NoneType)
+    # What is left of ``bool | None`` has three answers: not stated, yes, and no.
+    if kind is bool:
+        return {**reading, "action": BooleanOptionalAction}
+    # The origin of ``Sequence[str]`` is the class of collections.abc, the one that is imported above.
+    if get_origin(kind) is Sequence:
+        kind, reading["nargs"] = get_args(kind)[0], "+"
+    elif get_origin(kind) is tuple:
+        kind, reading["nargs"] = get_args(kind)[0], len(get_args(kind))
+    elif word and not needed:
+        reading["nargs"] = "?"
+    if not word:
+        reading["required"] = needed
+        reading["metavar"] = option.metavar or {int: "N", float: "X"}.get(kind)
+    elif option.metavar is not None:
+        reading["metavar"] = option.metavar
+    choices = None if option.choices is None else list(option.choices)
+    return {**reading, "type": kind, "choices": choices}

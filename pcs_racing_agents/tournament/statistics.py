@@ -1,0 +1,329 @@
+"""Statistics of paired races: scores, cluster-robust means and comparisons of two arms (agents), adjusted p-values.
+
+A unit is one race that both arms drove: (ego start policy, opponent, start line, side). Units that share an ego policy
+or an opponent are correlated, so 4,000 races of 20 ego policies against 20 opponents hold far less information than
+4,000 independent ones. ``docs/reports/statistics.md`` measures the coverage of the estimators on such data.
+"""
+
+import math
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+
+def score(won: ArrayLike, tied: ArrayLike) -> Floats:
+    """Return the score of races: 1 for a win, 0.5 for a tie, 0 for the rest (a crash without a winner is no tie).
+
+    Parameters
+    ----------
+    won, tied : array_like of bool, shape (U,)
+    """
+    wins, ties = np.asarray(won, dtype=bool), np.asarray(tied, dtype=bool)
+    if wins.shape != ties.shape:
+        raise InputError(f"won has shape {wins.shape} and tied {ties.shape}; they must be the same races")
+    both = wins & ties
+    if both.any():
+        raise InputError(f"race {int(np.argmax(both.ravel()))} is won and tied; it can be only one of them")
+    return wins + 0.5 * ties
+
+
+def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Ints:
+    """Return the order of the units of arm b that matches those of arm a: ``units_b[order[i]] == units_a[i]``.
+
+    A unit is the identity of a race, for instance ``(ego, opponent, start_s, side)``.
+    """
+    indices: list[dict[Hashable, int]] = []
+    for arm, units in (("a", units_a), ("b", units_b)):
+        index = {unit: i for i, unit in enumerate(units)}
+        if len(index) < len(units):
+            twice = next(unit for i, unit in enumerate(units) if index[unit] != i)
+            raise InputError(f"arm {arm} raced unit {twice!r} more than once; every unit must be there once")
+        indices.append(index)
+    for arm, own, others in (("b", indices[0], indices[1]), ("a", indices[1], indices[0])):
+        missing = [unit for unit in own if unit not in others]
+        if missing:
+            raise InputError(
+                f"arm {arm} did not race unit {missing[0]!r} ({len(missing)} missing); both must race the same units"
+            )
+    return np.array([indices[1][unit] for unit in units_a], dtype=np.intp)
+
+
+def check_values(name: str, values: ArrayLike) -> Floats:
+    """Return finite numbers of shape (U,), U at least 1, or raise InputError naming the first that is none."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{name} must be numbers, one for each race") from None
+    if array.ndim != 1 or array.size == 0:
+        raise InputError(f"{name} has shape {array.shape}; it must be one number for each race")
+    wrong = ~np.isfinite(array)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(f"{name}[{at}] is {array[at]}; it must be a finite number")
+    return array
+
+
+def check_arms(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the scores of two arms, or raise InputError if their lengths differ."""
+    first, second = check_values("a", a), check_values("b", b)
+    if first.shape != second.shape:
+        raise InputError(f"a has {len(first)} scores and b {len(second)}; both arms must have raced the same units")
+    return first, second
+
+
+def cluster_codes(labels: ArrayLike, values: Floats, kind: str) -> tuple[Ints, int]:
+    """Return labels as numbers from 0, shape (U,), and how many different ones there are; InputError below 2."""
+    try:
+        array = np.asarray(labels)
+    except ValueError:
+        raise InputError(f"{kind} labels must be text or numbers, one for each race") from None
+    if array.shape != values.shape:
+        raise InputError(f"{kind} labels have shape {array.shape}; there must be one for each of {len(values)} races")
+    if array.dtype.kind not in "biufUS" or (array.dtype.kind == "f" and not np.isfinite(array).all()):
+        raise InputError(f"{kind} labels must be text or finite numbers, not {array.dtype}")
+    # Labels are compared, never ordered or averaged: text and numbers are as good.
+    unique, codes = np.unique(array, return_inverse=True)
+    if len(unique) < 2:
+        raise InputError(
+            f"there is 1 {kind} variant, {unique[0]!s}; a test needs at least 2, since it looks at how they differ"
+        )
+    return codes.astype(np.intp), len(unique)
+
+
+def pool_codes(ego: ArrayLike, opponent: ArrayLike) -> tuple[Ints, Ints]:
+    """Return checked labels of both roles as numbers from 0, equal for the same policy in both, shape (U,) each."""
+    first, second = np.asarray(ego), np.asarray(opponent)
+    if (first.dtype.kind in "US") != (second.dtype.kind in "US"):
+        raise InputError(f"ego labels are {first.dtype} and opponent labels {second.dtype}; one pool has one kind")
+    _, codes = np.unique(np.concatenate([first, second]), return_inverse=True)
+    both = codes.astype(np.intp)
+    return both[: len(first)], both[len(first) :]
+
+
+def t_interval(mean: float, se: float, df: int) -> tuple[float, float, float]:
+    """Return the ends of the 95 % interval of an estimate, and the two-sided p-value of its being 0."""
+    from scipy.special import stdtr, stdtrit  # a quarter of a second that importing this package does not pay
+
+    reach = float(stdtrit(df, 0.975)) * se
+    t = abs(ratio(mean, se))
+    p = 0.0 if math.isinf(t) else 2.0 * float(stdtr(df, -t))
+    return mean - reach, mean + reach, p
+
+
+def ratio(value: float, scale: float) -> float:
+    """Return ``value / scale``; 0 where both are 0 (identical arms), infinite where only the scale is."""
+    if scale > 0.0:
+        return float(value / scale)
+    return 0.0 if value == 0.0 else math.copysign(math.inf, value)
+
+
+Kind = tuple[Ints, ...]
+"""One code for each race, or two where races of a kind of cluster share it in either of two roles; shape (U,) each."""
+
+KINDS = ("ego", "opponent", "start")
+
+
+class Estimate(NamedTuple):
+    """A mean over races that are not independent."""
+
+    mean: float
+    low: float  #: ``low``, ``high``: 95 % confidence interval.
+    high: float
+    se: float  #: Cluster-robust standard error.
+    df: int  #: Degrees of freedom of its t distribution: the smallest number of clusters minus 1.
+    p: float  #: Two-sided p-value of the mean being 0.
+    units: int  #: Number of races.
+    clusters: tuple[int, ...]  #: Number of clusters of each kind.
+
+
+def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = False) -> Estimate:
+    """Return a mean with an interval that is robust to clusters of one or several crossed kinds.
+
+    The variance is the sum over the kinds of clusters minus what is counted twice (Cameron, Gelbach and Miller
+    2011), each term with the factor ``G / (G - 1)`` of its own ``G`` clusters. As it can come out too small, even
+    negative, where clusters matter little, it is at least the largest of its terms (MacKinnon, Nielsen and Webb 2024,
+    arXiv 2406.08880, take the largest one-way term). The t distribution has the smallest ``G`` minus 1 degrees of
+    freedom.
+
+    Parameters
+    ----------
+    values : array_like, shape (U,)
+        One number for each race; races may be missing from the crossed design.
+    *clusters : array_like, shape (U,)
+        For each kind of cluster the labels of the races, numbers or text: ego variant, opponent.
+    same_pool : bool
+        Egos and opponents, the first two kinds, were drawn from one pool of policies and have the same labels: races
+        that share a policy, in either role, then form a cluster (Aronow, Samii and Assenova 2015). The variance is the
+        larger one of the two with and without this.
+    """
+    x = check_values("values", values)
+    if not clusters:
+        raise InputError("there are no cluster labels; without them there is nothing to be robust to")
+    coded = [cluster_codes(labels, x, KINDS[i] if i < len(KINDS) else "cluster") for i, labels in enumerate(clusters)]
+    numbers = tuple(number for _, number in coded)
+    kinds: list[Kind] = [(codes,) for codes, _ in coded]
+    mean = float(x.mean())
+    variance = _variance(x - mean, kinds)
+    if same_pool:
+        if len(clusters) < 2:
+            raise InputError("same_pool is about the labels of ego and opponent; give both")
+        variance = max(variance, _variance(x - mean, [pool_codes(clusters[0], clusters[1]), *kinds[2:]]))
+    se = float(np.sqrt(variance))
+    # The kind with the fewest clusters limits what is known, however many races there are.
+    df = min(numbers) - 1
+    low, high, p = t_interval(mean, se, df)
+    return Estimate(mean, low, high, se, df, p, len(x), numbers)
+
+
+def _variance(residual: Floats, kinds: list[Kind]) -> float:
+    """Return the variance of the mean: every pair of races that share a label of some kind counts once."""
+    variance, largest = 0.0, 0.0
+    for number in range(1, len(kinds) + 1):
+        for subset in combinations(kinds, number):
+            term = _shared_variance(residual, reduce(_joined, subset))
+            variance += term if number % 2 else -term
+            largest = max(largest, term)
+    return max(variance, largest)
+
+
+def _joined(kind: Kind, other: Kind) -> Kind:
+    """Return the codes of races that share a label of both kinds; the second one has a single code."""
+    (more,) = other
+    codes = np.concatenate([codes * (int(more.max()) + 1) + more for codes in kind])
+    _, small = np.unique(codes, return_inverse=True)
+    return tuple(np.split(small, len(kind)))
+
+
+def _shared_variance(residual: Floats, kind: Kind) -> float:
+    """Sum over all pairs of races that share a label of this kind, divided by the number of races squared.
+
+    With two codes for each race (the policies of a pool that drove it) a pair may share both; it counts once.
+    """
+    # The sum over pairs is that of squared cluster sums: linear in the races, where all pairs would be quadratic.
+    size = max(int(codes.max()) for codes in kind) + 1
+    first, last = kind[0], kind[-1]
+    two = first != last
+    sums = np.bincount(first, residual, size) + np.bincount(last[two], residual[two], size)
+    number = int(np.count_nonzero(np.bincount(first, minlength=size) + np.bincount(last, minlength=size)))
+    total = sums @ sums * _correction(number)
+    # Two races of the same two policies were counted with both of them.
+    if two.any():
+        pairs = np.minimum(first, last)[two] * size + np.maximum(first, last)[two]
+        _, pair = np.unique(pairs, return_inverse=True)
+        twice = np.bincount(pair, residual[two])
+        total -= twice @ twice * _correction(len(twice))
+    return float(total) / len(residual) ** 2
+
+
+def _correction(clusters: int) -> float:
+    return clusters / (clusters - 1) if clusters > 1 else 0.0
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Result of a comparison of arm a with arm b over the same races."""
+
+    mean_a: float  #: ``mean_a``, ``mean_b``: Mean scores.
+    mean_b: float
+    difference: float  #: ``mean_a - mean_b``.
+    #: ``low``, ``high``: Interval of the difference, robust to ego and opponent clusters; the result to quote.
+    low: float
+    high: float
+    se: float  #: Standard error behind it.
+    df: int  #: Its degrees of freedom.
+    p_clustered: float  #: Two-sided p-value that belongs to it.
+    #: p-value of the paper's test over ego variants. It takes the opponents as given: it is about these ones only.
+    p_paired_t: float
+    cohen_d: float  #: Difference over the standard deviation of the ego variants' differences.
+    units: int  #: ``units``, ``egos``, ``opponents``: Number of races of each arm, of ego variants and of opponents.
+    egos: int
+    opponents: int
+
+
+def compare(
+    a: ArrayLike,
+    b: ArrayLike,
+    ego: ArrayLike,
+    opponent: ArrayLike,
+    *,
+    start: ArrayLike | None = None,
+) -> Comparison:
+    """Compare two arms that raced the same units.
+
+    Parameters
+    ----------
+    a, b : array_like, shape (U,)
+        Scores of the arms (:func:`score`: 1 win, 0.5 tie, 0 else), race by race in the same order
+        (:func:`match_units`).
+    ego, opponent : array_like, shape (U,)
+        Labels of the ego start policy and of the opponent of each race. A single opponent is taken as given.
+    start : array_like, shape (U,), optional
+        Labels of the start lines, where all pairs shared the same few: they are then a third kind of cluster. Leave it
+        out where every pair had lines of its own.
+    """
+    first, second = check_arms(a, b)
+    # Such as a driver with one policy: one cluster has no spread, and the interval is for this opponent.
+    single = len(np.unique(np.asarray(opponent))) == 1
+    kinds = [ego, *([] if single else [opponent]), *([] if start is None else [start])]
+    result = clustered_mean(first - second, *kinds)
+    p_paired_t, cohen_d = _paired_t(first - second, ego)
+    return Comparison(
+        mean_a=float(first.mean()),
+        mean_b=float(second.mean()),
+        difference=result.mean,
+        low=result.low,
+        high=result.high,
+        se=result.se,
+        df=result.df,
+        p_clustered=result.p,
+        p_paired_t=p_paired_t,
+        cohen_d=cohen_d,
+        units=result.units,
+        egos=result.clusters[0],
+        opponents=1 if single else result.clusters[1],
+    )
+
+
+def holm(p_values: ArrayLike) -> Floats:
+    """Return the p-values of a table, adjusted for multiple testing by Holm's method (1979).
+
+    The family-wise error rate at 0.05 is at most 0.05, however the tests depend on each other. (scipy adjusts for the
+    false discovery rate only.)
+
+    Both have shape (T,) and the same order.
+    """
+    p = check_values("p_values", p_values)
+    wrong = (p < 0.0) | (p > 1.0)
+    if wrong.any():
+        at = int(np.argmax(wrong))
+        raise InputError(f"p_values[{at}] is {p[at]:g}; it must be from 0 to 1")
+    order = np.argsort(p, kind="stable")
+    adjusted = np.empty_like(p)
+    # The running maximum keeps the order of the p-values: a larger one never becomes the smaller one.
+    adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1)))
+    return adjusted
+
+
+def _paired_t(differences: Floats, ego: ArrayLike) -> tuple[float, float]:
+    """Return the p-value and Cohen's d of the paper's paired t-test over the ego variants.
+
+    Each variant's races are averaged first. The test takes the opponents as given; where an arm's advantage varies over
+    opponents it rejects a true null hypothesis about all such opponents too often.
+    """
+    codes, number = cluster_codes(ego, differences, "ego")
+    means = np.bincount(codes, differences) / np.bincount(codes)
+    mean, deviation = float(means.mean()), float(means.std(ddof=1))
+    if deviation <= 1e-12 * float(np.abs(means).max()):
+        deviation = 0.0  # equal differences whose means differ in the last digit
+    _, _, p = t_interval(mean, deviation / math.sqrt(number), number - 1)
+    return p, ratio(mean, deviation)

@@ -1,0 +1,83 @@
+"""A page in the system's Chromium without a display, driven by playwright."""
+
+import io
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+PATIENCE = 90.0  # seconds; other work may keep the machine busy
+PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+
+
+def missing():
+    """What is missing to open a page, in words; empty if nothing is."""
+    try:
+        import playwright.sync_api  # noqa: F401
+    except ImportError:
+        return 'playwright is not installed: pip install ".[test]"'
+    return "" if chromium() else f"no Chromium on PATH to open the page with ({', '.join(PROGRAMS)})"
+
+
+def chromium():
+    """The program, or None."""
+    return next(filter(None, map(shutil.which, PROGRAMS)), None)
+
+
+class Browser:
+    """One page. ``complaints`` holds the warnings and errors on its console since it was opened, frames included."""
+
+    def __init__(self):
+        from playwright.sync_api import sync_playwright
+
+        self._playwright = sync_playwright().start()
+        options = ["--no-sandbox", "--disable-gpu"]
+        self._chromium = self._playwright.chromium.launch(executable_path=chromium(), args=options)
+        self.page = self._chromium.new_page()
+        self.page.set_default_timeout(1000.0 * PATIENCE)
+        self.said, self.complaints = [], []
+        self.page.on("console", self._hear)
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+
+    def _hear(self, message):
+        self.said.append(message.text)
+        if message.type in ("error", "warning"):
+            self.complaints.append(message.text)
+
+    def open(self, address, width=1280, height=720):
+        self.page.set_viewport_size({"width": width, "height": height})
+        self.page.goto("about:blank")  # or an address that differs in its link alone would not be loaded again
+        self.said.clear()
+        self.complaints.clear()
+        self.page.goto(address if "://" in str(address) else Path(address).as_uri())
+
+    def run(self, expression):
+        return self.page.evaluate(expression)
+
+    def wait(self, expression):
+        return self._until(lambda: self.run(expression), bool, f"{expression} stays false")
+
+    def _until(self, value, right, complaint):
+        # Not by playwright's own waiting: it evaluates texts inside the page, which the pages' policy forbids.
+        end = time.monotonic() + PATIENCE
+        while not right(found := value()):
+            assert time.monotonic() < end, complaint
+            time.sleep(0.1)
+        return found
+
+    def press(self, key):
+        self.page.keyboard.press(key)
+
+    def screenshot(self):
+        """Pixels, shape (height, width, 3)."""
+        return np.array(Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")).astype(int)
+
+    def look(self, right):
+        """Look until a picture is right: what a frame has drawn is on the screen a little later."""
+        return self._until(self.screenshot, right, "the page never looks right")
+
+    def close(self):
+        self._chromium.close()
+        self._playwright.stop()

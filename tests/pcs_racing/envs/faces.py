@@ -1,0 +1,111 @@
+"""The environments with arguments that make their episodes short, and one way to play all of them."""
+
+import numpy as np
+from gymnasium.spaces import MultiDiscrete
+
+from pcs_racing import PolicyArchive, get_planner
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
+from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv, SelfPlayMatchVectorEnv
+from pcs_racing.game.match_observation import decode_match
+
+AXES = ("aggressiveness", "restraint")
+MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]
+MANY = {
+    DriveEnv: DriveVectorEnv,
+    DuelEnv: DuelVectorEnv,
+    MatchEnv: MatchVectorEnv,
+    DriveHeadToHeadEnv: DriveHeadToHeadVectorEnv,
+    HeadToHeadEnv: SelfPlayVectorEnv,
+    HeadToHeadMatchEnv: SelfPlayMatchVectorEnv,
+}
+"""The vector environment of each environment."""
+
+
+def six_policies() -> PolicyArchive:
+    """Six policies from slow to fast, with coordinates that were made up."""
+    planner = get_planner("lattice")
+    pace = np.linspace(0.3, 0.9, 6)
+    parameters = np.array([planner.policy({"pace": value}).parameters for value in pace])
+    coordinates = np.column_stack([20.0 * pace - 10.0, [4.0, 3.0, 3.5, 2.0, 2.5, 1.0]])
+    return PolicyArchive("six", "lattice", planner.parameter_names, parameters, AXES, coordinates)
+
+
+DRIVE = {"race": "contest", "duration": 1.0, "time_step": 0.1, "beams": 3, "lidar_noise": 0.1}
+GAME = {"step_seconds": 0.5, "moves": 2, "race": "contest"}
+MATCH = {"archive": six_policies(), "track": "Pipkin", "step_seconds": 0.5, "moves": 1, "race": "contest"}
+USUAL = {
+    DriveEnv: DRIVE,
+    DuelEnv: GAME,
+    MatchEnv: MATCH,
+    DriveHeadToHeadEnv: DRIVE,
+    HeadToHeadEnv: GAME,
+    HeadToHeadMatchEnv: MATCH,
+}
+"""Arguments of each environment."""
+
+
+class Counting:
+    """An opponent that remembers: its k-th move in a game is move k."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        assert (state is None) == bool(episode_start[0])
+        count = 0 if state is None else state
+        return np.full(len(observation), count % 4), count + 1
+
+
+class Counts:
+    """A chooser that takes policy 0 before the first race, 1 before the second, and so on."""
+
+    def choose(self, observation):
+        return (decode_match(observation, 3, 2).driven > 0.0).sum(axis=1)
+
+
+def by_lead(observation, generator):
+    """An opponent that is a function and draws."""
+    return int(observation[4] < 0.0) + 2 * int(generator.integers(2))
+
+
+def make(kind, **arguments):
+    return kind(**{**USUAL[kind], **arguments})
+
+
+def make_many(kind, episodes, **arguments):
+    """The vector environment of so many episodes."""
+    return MANY[kind](episodes * MANY[kind].players, **{**USUAL[kind], **arguments})
+
+
+def act(env, k=0):
+    """Actions of a step, others for each ``k``: slow driving, or moves."""
+    if hasattr(env, "possible_agents"):
+        return {agent: _act(env.action_space(agent), k + car) for car, agent in enumerate(env.possible_agents)}
+    return _act(env.action_space, k)
+
+
+def _act(space, k):
+    if isinstance(space, MultiDiscrete):
+        return (np.arange(len(space.nvec)) + k) % space.nvec
+    return np.resize([0.2 * np.sin(k), -0.4], space.shape) if space.shape else k % int(space.n)
+
+
+def flat(value):
+    """What an environment answers as something that compares, bit for bit."""
+    if isinstance(value, dict):
+        return {key: flat(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [flat(item) for item in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def ends(answer):
+    """Whether the episode of an environment for one agent, or for two, is over after a step."""
+    _, _, *flags, _ = answer
+    return any(any(flag.values()) if isinstance(flag, dict) else flag for flag in flags)
+
+
+def play(env, seed=None, first=0):
+    """All that an episode returns, from its reset to its end."""
+    answers = [flat(env.reset(seed=seed))]
+    while len(answers) == 1 or not ends(answers[-1]):
+        answers.append(flat(env.step(act(env, first + len(answers)))))
+    return answers

@@ -1,0 +1,256 @@
+"""What an environment refuses: one error that names the value, and nothing has changed."""
+
+import re
+
+import numpy as np
+import pytest
+from faces import act, flat, make, make_many
+
+from pcs_racing import InputError
+from pcs_racing.base.errors import UnknownArgumentError
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
+from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv, SelfPlayMatchVectorEnv
+
+SINGLE = (DriveEnv, DuelEnv, MatchEnv)
+PAIRS = (DriveHeadToHeadEnv, HeadToHeadEnv, HeadToHeadMatchEnv)
+ALL = (*SINGLE, *PAIRS)
+GAMES = (DuelEnv, MatchEnv, HeadToHeadEnv, HeadToHeadMatchEnv)
+STEERING = (DriveEnv, DriveHeadToHeadEnv)
+VECTORS = (DriveVectorEnv, DuelVectorEnv, MatchVectorEnv)
+SELF_PLAY = (SelfPlayVectorEnv, DriveHeadToHeadVectorEnv, SelfPlayMatchVectorEnv)
+EVERYWHERE = (*ALL, *VECTORS, *SELF_PLAY)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "arguments", "message"),
+    [
+        (EVERYWHERE, {"trak": "Pipkin"}, "'trak'; did you mean 'track'?"),
+        (EVERYWHERE, {"track": "Nowhere"}, "Nowhere"),
+        (EVERYWHERE, {"track": []}, "track is []"),
+        (ALL, {"track": [3]}, "track is [3]"),
+        (ALL, {"track": ["Pipkin", "Nowhere"]}, "Nowhere"),
+        (EVERYWHERE, {"race": 5}, "race is 5"),
+        (EVERYWHERE, {"render_mode": "ansi"}, "render_mode is 'ansi'"),
+        (EVERYWHERE, {"view": "moon"}, "view is 'moon'"),
+        (ALL, {"opponent": 3}, "3 is not a competitor"),
+        (ALL, {"opponent": "nobody"}, "nobody"),
+        (ALL, {"opponent": []}, "opponent is an empty list"),
+        (ALL, {"opponent": ["lattice", 7]}, "7 is not a competitor"),
+        (ALL, {"opponent": ["lane-switcher:3", "pure-pursuit"]}, "drive with planners"),
+        (GAMES, {"opponent": "always-left"}, "always-left"),
+        (GAMES, {"opponent": [(1, 2, "random-moves")]}, "opponent 0"),
+        (GAMES, {"opponent": [(-1.0, "random-moves")]}, "weight of opponent 0 is -1.0"),
+        (GAMES, {"archive": "nothing"}, "unknown archive 'nothing'"),
+        (GAMES, {"race": "rally"}, "race settings 'rally' are unknown"),
+        (GAMES, {"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
+        (GAMES, {"epsilon": float("nan")}, "epsilon is nan"),
+        (GAMES, {"epsilon": -1.0}, "epsilon is -1.0"),
+        (GAMES, {"randomize": {"lidar_noise": 0.1}}, "no lidar"),
+        ((DuelEnv, DuelVectorEnv, MatchEnv), {"opponent": None}, "opponent is None"),
+        ((MatchEnv, MatchVectorEnv, HeadToHeadMatchEnv), {"races": 0}, "races is 0"),
+        ((MatchEnv, MatchVectorEnv, HeadToHeadMatchEnv), {"race_moves": 2}, "race_moves is 2"),
+        ((MatchEnv, MatchVectorEnv, HeadToHeadMatchEnv), {"discount": 0.9}, "discount does not count"),
+        ((MatchEnv,), {"rases": 3}, "did you mean 'races'"),
+        (STEERING, {"time_step": 0.03}, "time_step is 0.03"),
+        (STEERING, {"time_step": float("nan")}, "time_step is nan"),
+        (STEERING, {"beams": -1}, "beams is -1"),
+        (STEERING, {"beams": 2.5}, "beams is 2.5"),
+        (STEERING, {"top_speed": 0.0}, "top_speed is 0.0"),
+        (STEERING, {"look_ahead": (0.0,) * 101}, "look_ahead"),
+        (STEERING, {"look_ahead": (), "own_state": False, "see_opponent": "never", "beams": 0}, "nothing is observed"),
+        (STEERING, {"see_opponent": "sometimes"}, "see_opponent is 'sometimes'"),
+        (STEERING, {"crash_penalty": -1.0}, "crash_penalty is -1.0"),
+        (STEERING, {"win_reward": -1.0}, "win_reward is -1.0"),
+        (STEERING, {"normalize": "yes"}, "normalize is 'yes'"),
+        (STEERING, {"duration": 0.05}, "duration"),
+        (STEERING, {"randomize": {"lidar_noise": 0.1}, "beams": 0}, "there is no lidar"),
+        (PAIRS, {"max_cycles": 0}, "max_cycles is 0"),
+        (VECTORS, {"num_envs": 0}, "num_envs is 0"),
+        (VECTORS, {"num_envs": 2.5}, "num_envs is 2.5"),
+        (VECTORS, {"threads": 0}, "threads is 0"),
+        (VECTORS, {"threads": True}, "threads is True"),
+        (VECTORS, {"autoreset_mode": "Sometimes"}, "autoreset_mode is 'Sometimes'"),
+        (VECTORS, {"max_episode_steps": 0}, "max_episode_steps is 0"),
+        ((DriveVectorEnv,), {"num_envs": 100_000, "beams": 10_000}, "100000 environments"),
+        (SELF_PLAY, {"num_envs": 3}, "num_envs is 3"),
+        (SELF_PLAY, {"opponent": "lattice"}, "opponent is 'lattice'"),
+        (ALL, {"vehicle": {"weight": 3.0}}, "weight"),
+        (ALL, {"vehicle": {"mu": -1.0}}, "mu is -1.0"),
+        (ALL, {"vehicle": [{}, {}, {}]}, "lists 3 cars"),
+        (ALL, {"vehicle": 3.0}, "vehicle"),
+        (ALL, {"vehicle": {"steer_delay": 0.03}}, "multiple of 0.02"),
+        (ALL, {"randomize": {"friction": [1.0, 0.5]}}, "friction is [1.0, 0.5]"),
+        (ALL, {"randomize": {"grip": [0.5, 1.0]}}, "grip"),
+        (ALL, {"randomize": {"steering_delay": [0.03, 0.035]}}, "no multiple"),
+        (ALL, {"randomize": 0.5}, "randomization"),
+        (ALL, {"obstacles": {"count": [3, 1]}}, "count of obstacles is [3, 1]"),
+        (ALL, {"obstacles": 200}, "count of obstacles is 200"),
+        (ALL, {"obstacles": {"size": 5.0}}, "size of obstacles is 5.0"),
+        (ALL, {"obstacles": {"speed": 5.0}}, "speed"),
+        (ALL, {"obstacles": {"shape": "star"}}, "shape is 'star'"),
+    ],
+    ids=lambda value: str(value)[:60] if isinstance(value, dict) else "",
+)
+def test_an_impossible_argument_is_one_error_that_names_it(kinds, arguments, message):
+    for kind in kinds:
+        with pytest.raises(InputError, match=re.escape(message)) as caught:
+            kind(**arguments)
+        if isinstance(caught.value, UnknownArgumentError):
+            assert isinstance(caught.value, TypeError)  # as Python's own
+            assert f"{kind.__name__}()" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("kinds", "wrong", "message"),
+    [
+        (STEERING, [np.nan, 0.0], "nan"),
+        (STEERING, [0.0, np.inf], "inf"),
+        (STEERING, [0.0], "shape"),
+        (STEERING, "left", "numbers"),
+        (STEERING, None, "shape|finite"),
+        (GAMES, 99, "move 99 is not one of the moves"),
+        (GAMES, -1, "move -1"),
+        (GAMES, 0.5, "type float64"),
+        (GAMES, np.nan, "type float64"),
+        (GAMES, True, "moves are"),
+        (GAMES, [0, 1], "whole number"),
+        (GAMES, None, "type object"),
+        (GAMES, "left", "whole number"),
+    ],
+)
+def test_an_impossible_action_is_one_error_and_changes_nothing(kinds, wrong, message):
+    for kind in kinds:
+        env = make(kind)
+        env.reset(seed=0)
+        before = flat(env.get_state().batch)
+        action = act(env)
+        with pytest.raises(InputError, match=message):
+            env.step({**action, "car_1": wrong} if isinstance(action, dict) else wrong)
+        if isinstance(action, dict):
+            for missing in ({"car_0": action["car_0"]}, list(action.values())):
+                with pytest.raises(InputError, match="car_0, car_1"):
+                    env.step(missing)
+        assert flat(env.get_state().batch) == before
+        env.step(act(env))
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong", "message"),
+    [
+        (DriveEnv, [[0.0, 0.0], [0.0, 0.0], [0.0, np.nan]], "environment 2"),
+        (DriveEnv, np.zeros((2, 2)), r"\(3, 2\)"),
+        (DuelEnv, [0, 9, 0], "environment 1: move 9"),
+        (MatchEnv, [0, 7, 0], "environment 1: move 7"),
+    ],
+)
+def test_an_impossible_action_of_many_names_the_environment(kind, wrong, message):
+    envs = make_many(kind, 3)
+    envs.reset(seed=0)
+    with pytest.raises(InputError, match=message):
+        envs.step(np.array(wrong))
+
+
+@pytest.mark.parametrize(
+    ("kinds", "arguments", "message"),
+    [
+        (ALL, {"seed": -1}, "seed is -1"),
+        (ALL, {"seed": 0.5}, "seed is 0.5"),
+        (ALL, {"options": [1]}, "options are [1]"),
+        (ALL, {"options": {"trak": "Pipkin"}}, "reset option 'trak' is unknown; did you mean 'track'?"),
+        (ALL, {"options": {"state": "yesterday"}}, "state is a str"),
+        (ALL, {"options": {"track": "Nowhere"}}, "Nowhere"),
+        (ALL, {"options": {"start": (np.nan, 0)}}, "option 'start' is"),
+        (ALL, {"options": {"start": (20.0, 2)}}, "option 'start' is"),
+        (ALL, {"options": {"start": "here"}}, "option 'start' is"),
+        ((*STEERING, DuelEnv), {"options": {"start": (1e9, 0)}}, "1000000000.0"),
+        (ALL, {"options": {"obstacles": "boxes"}}, "option 'obstacles' is"),
+        (ALL, {"options": {"obstacles": [[0.0, 0.0]]}}, "option 'obstacles' is"),
+        (ALL, {"options": {"obstacles": [[0.0, 0.0, 0.0, 0.3, np.nan]]}}, "option 'obstacles' is"),
+        (ALL, {"options": {"obstacles": [[0.0, -4.0, 0.0, 50.0, 0.3]]}}, "obstacle"),
+        (SINGLE, {"options": {"opponent": "nobody"}}, "nobody"),
+        (STEERING, {"options": {"poses": [[0.0, 0.0]]}}, "option 'poses' is"),
+        (STEERING, {"options": {"poses": [[1e3, 0.0, 0.0], [0.0, 1e3, 0.0]]}}, "stands in a wall"),
+        (STEERING, {"options": {"poses": np.zeros((2, 4)) - 1.0}}, "reset option"),
+        (STEERING, {"options": {"start": (5.0, 0), "poses": np.zeros((2, 3))}}, "give one of the two"),
+        (STEERING, {"options": {"policies": (0, 1)}}, "policies"),
+        (GAMES, {"options": {"policies": [1]}}, "policies has shape"),
+        (GAMES, {"options": {"policies": [0, 99]}}, "game 0, car 1: policy 99"),
+    ],
+    ids=lambda value: str(value)[:60] if isinstance(value, dict) else "",
+)
+def test_an_impossible_reset_is_one_error_and_changes_nothing(kinds, arguments, message):
+    for kind in kinds:
+        env = make(kind)
+        env.reset(seed=0)
+        before = env.batch.both_views().tolist()
+        with pytest.raises(InputError, match=re.escape(message)):
+            env.reset(**arguments)
+        assert env.batch.both_views().tolist() == before
+        env.step(act(env))
+
+
+@pytest.mark.parametrize(
+    ("seed", "message"), [([0, -1, 2], "seed of environment 1"), ([0, 1], "2 seeds for 3"), (1.5, "seed is 1.5")]
+)
+def test_an_impossible_seed_of_many_is_refused(seed, message):
+    with pytest.raises(InputError, match=message):
+        make_many(DriveEnv, 3).reset(seed=seed)
+
+
+def changed(index, value):
+    """A state in which one part of the batch's is another."""
+
+    def change(state):
+        parts = list(state.batch)
+        parts[index] = value(parts[index])
+        return state._replace(batch=tuple(parts))
+
+    return change
+
+
+def begun(kind, **arguments):
+    env = make(kind, **arguments)
+    env.reset(seed=0)
+    return env.get_state()
+
+
+@pytest.mark.parametrize(
+    ("kinds", "harm", "message"),
+    [
+        (ALL, lambda state: "yesterday", "state is a str; it must be what get_state returned"),
+        (ALL, lambda state: state._replace(generator={"bit_generator": "dice"}), "random generator"),
+        (GAMES, changed(0, lambda part: "yesterday"), "the state is not one of 1 (games|matches)"),
+        ((DuelEnv,), lambda state: begun(DuelEnv, moves=3), "belongs to another archive, planner or number of moves"),
+        ((DuelEnv,), changed(0, lambda game: game._replace(policy=np.array([[0, 99]]))), r"policies \[0, 99\]"),
+        ((MatchEnv,), lambda state: begun(MatchEnv, races=2), "another number of races"),
+        ((DriveEnv,), changed(1, lambda drawn: np.array([2])), r"opponents array\(\[2\]\) are not among the 1"),
+        ((DriveEnv,), lambda state: begun(DriveEnv, opponent=None), "not one of 1 races with these planners"),
+        ((DriveEnv,), changed(4, lambda variety: (variety[0], np.zeros(3), *variety[2:])), "cars are not of this"),
+        (
+            (DriveEnv,),
+            changed(4, lambda variety: ((np.array([9]), *variety[0][1:]), *variety[1:])),
+            "circuits .* are not those",
+        ),
+    ],
+)
+def test_an_impossible_state_is_one_error_and_changes_nothing(kinds, harm, message):
+    for kind in kinds:
+        env, twin = make(kind), make(kind)
+        env.reset(seed=3)
+        before = env.get_state()
+        with pytest.raises(InputError, match=message):
+            env.set_state(harm(before))
+        twin.set_state(before)
+        assert flat(env.step(act(env))) == flat(twin.step(act(twin)))
+
+
+def test_unknown_agents_and_states_of_another_number_are_refused():
+    with pytest.raises(InputError, match="agent 'car_2' is unknown; the agents are car_0, car_1"):
+        make(HeadToHeadEnv).action_space("car_2")
+    for kind in SINGLE:
+        envs, more = make_many(kind, 2), make_many(kind, 3)
+        more.reset(seed=0)
+        for wrong in (more.get_state(), "yesterday"):
+            with pytest.raises(InputError, match=r"it must be what get_state|not one of 2 (races|games|matches)"):
+                envs.set_state(wrong)

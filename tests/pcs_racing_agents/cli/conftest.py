@@ -1,0 +1,56 @@
+"""Folders of results as commands leave them."""
+
+import pytest
+
+from pcs_racing import load_track, save_archive
+from pcs_racing.base.settings import plain_settings
+from pcs_racing_agents.jobs.folders import claim_folder
+from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.results.races import concatenate_races
+from pcs_racing_agents.study.config import StudyConfig
+from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
+from pcs_racing_agents.tournament.pairings import cross_pairing
+from pcs_racing_agents.tournament.runner import play_pairing
+
+
+@pytest.fixture(scope="package")
+def saved_archive(archive, tmp_path_factory):
+    """The toy archive in a folder, as a command reads it."""
+    return save_archive(archive, tmp_path_factory.mktemp("archives") / "toy")
+
+
+@pytest.fixture(scope="package")
+def study_folder(saved_archive, tmp_path_factory):
+    """The races of a small study, as its stages leave them: cells, and all against all."""
+    place = tmp_path_factory.mktemp("study") / "mine"
+    config = StudyConfig(
+        archive=str(saved_archive),
+        tracks=("Pipkin",),
+        opponents=("lane-switcher",),
+        arms=("never-switch", "always-aggressiveness+"),
+        best="always-aggressiveness+",
+        egos=2,
+        variants=2,
+        lines=2,
+        rated=("never-switch", "random-moves"),
+        rating_races=2,
+        seed=3,
+    )
+    study = Study(config, place, quiet=True)
+    with claim_folder(place, "study", plain_settings(config)):
+        game = study.game("Pipkin")
+        pairs, rival = {"egos": 2, "opponents": 2}, study.agent("lane-switcher")
+        pairings = [cross_pairing(game, study.agent(arm), rival, lines=2, seed=3, **pairs) for arm in config.arms]
+        # A second table has the same pairs with other lines.
+        pairings += [cross_pairing(game, study.agent("never-switch"), rival, lines=1, seed=103, **pairs)]
+        write_results(concatenate_races(map(play_pairing, pairings)), place / "results.csv")
+        rated = {name: study.agent(name) for name in config.rated}
+        plan = plan_tournament(
+            load_track("Pipkin"), rated, config.game, archive=saved_archive, races_per_pair=2, seed=7
+        )
+        with open_job(
+            place / "ratings", "tournament", {**tournament_settings(plan), "archive": str(saved_archive)}
+        ) as job:
+            write_results(play_plan(plan, job=job).races, place / "ratings.csv")
+    return place, pairings
