@@ -15,7 +15,6 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
-from pcs_racing.envs.arguments import Declared
 
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.dense import DenseLayers
@@ -24,6 +23,7 @@ from pcs_racing.base.settings import number, setting
 from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
+from pcs_racing.envs.over_batch import Declared
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.planners.network import INPUTS, TOP_SPEED, WEIGHT_LIMIT, network_inputs, network_planner
 from pcs_racing.planners.planner import Planner, Policy
