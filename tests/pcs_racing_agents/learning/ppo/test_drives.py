@@ -53,7 +53,8 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
     seen, _ = envs.reset(seed=4)
     batch = envs.batch
     seeds, rivals = batch.state.seed.copy(), batch.theta[:, 1].copy()
-    places = [int(np.flatnonzero((batch.grid.cars == car).all(axis=(1, 2)))[0]) for car in batch.state.cars]
+    grid = batch.course(0).grid
+    places = [int(np.flatnonzero((grid.cars == car).all(axis=(1, 2)))[0]) for car in batch.state.cars]
 
     from pcs_racing.race.races import advance
     from pcs_racing.race.state import take
@@ -64,7 +65,7 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
         (trained_planner("driver", weights, hold), np.zeros(0)),
     ):
         setup = replace(batch.setup, planners=(planner, batch.setup.planners[1]))
-        state = take(batch.grid, places)._replace(seed=seeds.copy(), memory=np.zeros((6, 2, setup.memory_size)))
+        state = take(grid, places)._replace(seed=seeds.copy(), memory=np.zeros((6, 2, setup.memory_size)))
         both = np.zeros((6, 2, setup.theta_size))
         both[:, 0, : len(theta)] = theta
         both[:, 1, : rivals.shape[1]] = rivals
