@@ -4,7 +4,6 @@ Strength and cost were measured by ``benchmarks/zoo.py``, which wrote ``measured
 with the same hash (:func:`pcs_racing_agents.agents.agent.competitor_hash`).
 """
 
-import csv
 import inspect
 import re
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build, entries, options
+from pcs_racing_agents.results.csv_files import read_csv
 
 AGAINST = "against "
 TEXTS = ("archive", "race", "agent", "sha256", "tracks")
@@ -63,17 +63,12 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
         return {}
     table = {}
     try:
-        with open(path, newline="", encoding="utf-8") as file:
-            for row in csv.DictReader(file):
-                values: dict[str, Any] = {name: row[name] for name in TEXTS}
-                values.update({name: float(row[name]) if row[name] else np.nan for name in NUMBERS})
-                scores = {
-                    name.removeprefix(AGAINST): float(value)
-                    for name, value in row.items()
-                    if name.startswith(AGAINST) and value
-                }
-                measurement = Measured(**values, against=scores)
-                table[measurement.archive, measurement.race, measurement.agent] = measurement
+        for row in read_csv(path).rows():
+            values: dict[str, Any] = {name: row[name] for name in TEXTS}
+            values |= {name: float(row[name]) if row[name] else np.nan for name in NUMBERS}
+            against = {name.removeprefix(AGAINST): value for name, value in row.items() if name.startswith(AGAINST)}
+            scores = {name: float(value) for name, value in against.items() if value}
+            table[row["archive"], row["race"], row["agent"]] = Measured(**values, against=scores)
     except (KeyError, ValueError, TypeError) as error:
         raise InputError(f"{path} is damaged ({error}); python benchmarks/zoo.py --write makes it again") from None
     return table

@@ -20,12 +20,10 @@ def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 
 
 
 def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str | None = None) -> Driver:
-    """Drive all variants of a planner, or its default policy if it has none.
+    """Drive all variants of a planner, or its default policy if it has none; it needs no archive.
 
     Parameters
     ----------
-    setting, seed
-        Not used: a planner of its own needs no archive.
     planner : str, optional
         Name of the planner; by default that of the driver.
     """
@@ -38,12 +36,10 @@ def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str |
 def trained_driver(
     setting: Setting, *, name: str = "ppo-drive", seed: int = 0, network: str | Path | None = None
 ) -> Driver:
-    """Drive with a network that steers, trained by ``pcs-racing ppo`` at the control level.
+    """Drive with a network that steers, trained by ``pcs-racing ppo`` at the control level; it needs no archive.
 
     Parameters
     ----------
-    setting, seed
-        Not used: it drives without an archive, and by any rules.
     network : str or Path, optional
         Another network: the name of a shipped one or its folder.
     """

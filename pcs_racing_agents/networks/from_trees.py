@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -56,17 +57,15 @@ def train_on_trees(
     about : dict, optional
         What else the network should know of its training, texts and numbers by name.
     executor : Executor, optional
-        Where trees are solved, each as a task, and where the network learns, in another process if there is one. It has
-        no influence on the result.
+        Where trees are solved, and where the network learns, if there is another process. It changes no result.
     solving, learning : callable, optional
         Called as ``progress(done, total, label)`` after every tree and every epoch (in this process).
     """
     settings = settings_for_trees(settings)
     numbers = pair_number(pairs)
     held_out = hold_out(numbers, settings, 3 if settings.test_share > 0.0 else 2, "trees")
-    solve = _TreeSolver(settings)
     rows: list[Rows | None] = [None] * len(held_out)
-    tasks = numbered_tasks(solve, (tree_at(i) for i in range(len(held_out))))
+    tasks = numbered_tasks(partial(_solve, settings), (tree_at(i) for i in range(len(held_out))))
     for done, (i, block) in enumerate(run_tasks(tasks, executor, "solving trees"), start=1):
         rows[i] = block
         if solving is not None:
@@ -76,7 +75,14 @@ def train_on_trees(
     test = [i for i, block in enumerate(rows) if block is not None and held_out[i]]
     # Torch has one random state and one number of threads per process: threads would disturb each other.
     elsewhere = in_other_processes(executor)
-    learn = _NetworkTrainer(training, identity, name, learning if elsewhere is None else None)
+    learn = partial(
+        train_network,
+        training,
+        identity,
+        name=name,
+        clipped=get_target(settings.target).clipped,
+        progress=learning if elsewhere is None else None,
+    )
     network, result = run_task(learn, settings, elsewhere, "learning")
     # Without held-out trees the pairs of the early stopping must do, whose scores are a little too good.
     test_rows = (
@@ -106,40 +112,18 @@ def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, no
     return np.isin(numbers, drawn[: different - 2])
 
 
-@dataclass(frozen=True)
-class _TreeSolver:
-    """The function that solves a tree and returns its rows; it can be pickled."""
-
-    settings: TrainSettings
-
-    def __call__(self, race_tree: PlayedTree) -> Rows | None:
-        """Return the rows; None if the race is over before the first move."""
-        if np.all(race_tree.over[0]):
-            return None
-        settings = self.settings
-        tree = race_tree.game_tree()
-        solution = solve_for(tree, settings.target, iterations=settings.iterations, variant=settings.variant)
-        return tree_rows(
-            race_tree,
-            solution,
-            settings.target,
-            row_weights=settings.row_weights or "uniform",
-            rows_per_step=settings.rows_per_step,
-            seed=settings.seed,
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class _NetworkTrainer:
-    """The function that trains a network on its rows; both are pickled together, once."""
-
-    rows: Rows
-    identity: GameIdentity
-    name: str
-    progress: Progress | None
-
-    def __call__(self, settings: TrainSettings) -> tuple[RegretNetwork, TrainingResult]:
-        clipped = get_target(settings.target).clipped
-        return train_network(
-            self.rows, self.identity, settings, name=self.name, clipped=clipped, progress=self.progress
-        )
+def _solve(settings: TrainSettings, race_tree: PlayedTree) -> Rows | None:
+    """Return the rows of a tree; None if the race is over before the first move."""
+    if np.all(race_tree.over[0]):
+        return None
+    solution = solve_for(
+        race_tree.game_tree(), settings.target, iterations=settings.iterations, variant=settings.variant
+    )
+    return tree_rows(
+        race_tree,
+        solution,
+        settings.target,
+        row_weights=settings.row_weights or "uniform",
+        rows_per_step=settings.rows_per_step,
+        seed=settings.seed,
+    )

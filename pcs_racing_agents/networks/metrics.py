@@ -111,17 +111,10 @@ def play_profile(play: Play, race_tree: PlayedTree) -> Profile:
 
 
 def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | None = None) -> TreeScore:
-    """Evaluate a strategy on a tree.
+    """Evaluate a strategy (:func:`play_profile`) on a tree, with the exact solution of the tree if it is known.
 
     With several noise seeds the strategy sees the observations of each of them; the best response to it, and the
     equilibrium, know the moves made so far but not the seed.
-
-    Parameters
-    ----------
-    profile : Profile
-        See :func:`play_profile`.
-    exact : ExactResult, optional
-        Exact solution of ``race_tree.game_tree()``, if it is known.
     """
     tree = race_tree.game_tree()
     exact = solve_exact(tree) if exact is None else exact

@@ -1,6 +1,6 @@
 """Training rows: an observation of a player, and a target for each of its moves.
 
-Rows come from game trees (:mod:`pcs_racing_agents.networks.tree_rows`), but the trainer takes them from anywhere.
+Rows come from game trees (:mod:`pcs_racing_agents.networks.targets`), but the trainer takes them from anywhere.
 """
 
 from collections.abc import Sequence

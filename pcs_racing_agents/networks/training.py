@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.jobs.progress import Progress
@@ -22,6 +21,7 @@ from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.networks.targets import best_moves
 from pcs_racing_agents.networks.torch_layers import initial_layers, layers_from_torch, relu_forward, torch_alone
 from pcs_racing_agents.pictures.curves import Curve
+from pcs_racing_agents.results.csv_files import write_csv
 
 Floats = NDArray[np.float32]
 
@@ -60,25 +60,16 @@ def train_network(
     clipped: bool = False,
     progress: Progress | None = None,
 ) -> tuple[RegretNetwork, TrainingResult]:
-    """Train a network for a game.
+    """Train a network for the game that rows come from, from whatever source.
 
     Parameters
     ----------
-    rows : Rows
-        From any source.
-    identity : GameIdentity
-        The game that they come from.
     target : str, optional
         What the rows' targets are; by default the settings' target.
     clipped : bool
         Whether the network learns and shows targets below 0 as 0.
     progress : callable, optional
         Called after every epoch as ``progress(epoch, epochs, label)``; an early stop makes ``epochs`` smaller.
-
-    Returns
-    -------
-    network : RegretNetwork
-    result : TrainingResult
     """
     for key, names in (("observations", identity.elements), ("targets", identity.moves)):
         size = getattr(rows, key).shape[1]
@@ -295,10 +286,8 @@ def row_goals(rows: Rows, by: Scaling, clipped: bool, below_zero: float) -> tupl
 
 def write_epochs(result: TrainingResult, file: Path) -> Path:
     """Write a line for each epoch to a CSV file."""
-    lines = [",".join(Epoch._fields)]
-    lines += [f"{epoch.epoch},{','.join(f'{value:.7g}' for value in epoch[1:])}" for epoch in result.epochs]
-    write_atomically(file, lambda stream: stream.write(("\n".join(lines) + "\n").encode("utf-8")))
-    return file
+    rows = [(str(epoch.epoch), *(f"{value:.7g}" for value in epoch[1:])) for epoch in result.epochs]
+    return write_csv([Epoch._fields, *rows], file)
 
 
 def epoch_curves(result: TrainingResult) -> dict[str, list[Curve]]:

@@ -165,23 +165,17 @@ def play_ego(
     seed: int = 0,
     first: int = 0,
 ) -> EgoTrees:
-    """Play ego trees.
+    """Play ego trees of a game in which both cars drive policies of its archive.
 
     Start line, side, policies, noise and the opponent's moves of root ``i`` are functions of ``seed`` and ``i`` alone,
     drawn as :meth:`RaceGame.reset` draws them.
 
     Parameters
     ----------
-    game : RaceGame
-        Both cars drive policies of its archive.
-    roots : int
-        How many, 1 to 1,000,000.
     opponent : {"random", "static"} or array of int, shape (roots, m)
         See :data:`OPPONENTS`; or its moves, -1 to keep the policy.
     policies : array of int, shape (roots, 2) or (2,), optional
         Starting policies; drawn uniformly from the archive by default.
-    seed : int
-        Root of all that is drawn.
     first : int
         Number of the first root.
     """

@@ -93,20 +93,10 @@ def open_trees(
     seed: int = 0,
     one_thread: bool = True,
 ) -> Iterator[TaskGroup]:
-    """Open the folder of :func:`build_trees` for as long as a ``with`` block lasts.
+    """Open the folder of :func:`build_trees` for as long as a ``with`` block lasts, and yield the trees as tasks.
 
-    Parameters
-    ----------
-    game, folder, pairs, seeds_per_pair, seed
-        As for :func:`build_trees`.
-    one_thread : bool
-        Whether a tree is played on one core: where an executor plays several at a time.
-
-    Yields
-    ------
-    TaskGroup
-        The trees as tasks, so that those of several folders can be played side by side
-        (:func:`pcs_racing_agents.jobs.jobs.run_groups`).
+    Those of several folders can be played side by side (:func:`pcs_racing_agents.jobs.jobs.run_groups`), then each tree
+    in ``one_thread``.
     """
     check_game(game)
     start_pairs = _checked_pairs(game.archive, pairs, seed)
@@ -225,15 +215,7 @@ def _read(file: Path) -> Arrays:
 
 
 def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> StoredTrees:
-    """Open a folder of trees.
-
-    Parameters
-    ----------
-    folder : str or Path
-        Where :func:`build_trees` put them.
-    archive : PolicyArchive, optional
-        The archive that they must have been played with.
-    """
+    """Open a folder of trees, played with the archive if one is given."""
     trees = StoredTrees(Path(folder), _checked(read_settings(folder, KIND), Path(folder) / "job.yaml"))
     archive_settings = trees.settings["archive"]
     if archive is not None and archive_settings["sha256"] != archive.content_hash:

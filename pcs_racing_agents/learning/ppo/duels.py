@@ -142,15 +142,8 @@ def make_duel_task(
 
 
 def play_duels(batch: GameBatch, network: RegretNetwork, seed: int) -> MatchupScore:
-    """Play a batch of games with a network's most probable moves, and return the score.
-
-    Parameters
-    ----------
-    batch : GameBatch
-        Overwritten.
-    seed : int
-        Seed of starts, policies and noise: the same seed gives every network the same games.
-    """
+    """Play a batch of games, which is overwritten, with a network's most probable moves, and return the score."""
+    # The same seed gives every network the same starts, policies and noise: evaluations can be compared.
     rngs = [seeding.np_random(seed + i)[0] for i in range(batch.episodes)]
     batch.restart(np.arange(batch.episodes), rngs)
     worth = np.zeros(batch.episodes)

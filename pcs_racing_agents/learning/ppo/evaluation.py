@@ -38,16 +38,7 @@ class MatchupScore(NamedTuple):
 
 
 def score_races(worth: NDArray[np.float64], winner: NDArray[np.int8], race: RaceState) -> MatchupScore:
-    """Return the score of races.
-
-    Parameters
-    ----------
-    worth : ndarray, shape (B,)
-    winner : ndarray, shape (B,)
-        0 where the learner won, 1 where it lost, else -1.
-    race : RaceState
-        Where the races ended.
-    """
+    """Return the score of races from their objective and their winner (0 for the learner), shapes (B,), and ends."""
     count = len(worth)
     return MatchupScore(
         races=count,
@@ -62,13 +53,7 @@ def score_races(worth: NDArray[np.float64], winner: NDArray[np.int8], race: Race
 
 
 def mean_score(scores: Mapping[Matchup, MatchupScore], weights: Mapping[str, int]) -> MatchupScore:
-    """Return the mean over matchups, weighted by opponent.
-
-    Parameters
-    ----------
-    weights : mapping of str to int
-        How often each opponent is met.
-    """
+    """Return the mean over matchups, weighted by how often each opponent is met."""
     shares = np.array([weights[matchup.opponent] for matchup in scores], np.float64)
     shares /= shares.sum()
     rows = np.array([score[1:] for score in scores.values()])
@@ -134,13 +119,7 @@ def read_evaluations(file: Path) -> list[EvaluationCurve]:
 
 
 def evaluation_curves(curves: Sequence[EvaluationCurve], weights: Mapping[str, int]) -> dict[str, list[Curve]]:
-    """Return worth, wins and faults over millions of steps, as panels of a picture with a line for each seed.
-
-    Parameters
-    ----------
-    weights : mapping of str to int
-        How often each opponent is met.
-    """
+    """Return worth, wins and faults over millions of steps, as panels of a picture with a line for each seed."""
     panels: dict[str, list[Curve]] = {}
     for key, title in (("worth", "worth of a race"), ("won", "races won"), ("fault", "crashes by own fault")):
         for curve in curves:

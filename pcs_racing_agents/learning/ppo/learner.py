@@ -52,13 +52,7 @@ def own_randomness() -> Iterator[None]:
 
 
 def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
-    """Return seeds so far apart that no two groups, seeds or purposes share a generator.
-
-    Parameters
-    ----------
-    purpose : int
-        0 for learning, 1 for evaluation.
-    """
+    """Return seeds so far apart that no two groups, seeds or purposes (0 to learn, 1 to evaluate) share a generator."""
     sequences = [np.random.SeedSequence(seed, spawn_key=(purpose, group)) for group in range(groups)]
     # Environment i of a group is seeded with its seed + i: two bits are left so that the sums do not overflow.
     return [int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(2)) for sequence in sequences]

@@ -6,7 +6,7 @@ opponent would: a loss is always stated together with the learner's budget.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -170,38 +170,34 @@ def reply_text(replies: Mapping[str, BestReply], settings: ResponseSettings) -> 
 
 def reply_rows(replies: Mapping[str, BestReply]) -> list[tuple[str, ...]]:
     """Return the lines of the table: each agent on each circuit, and on all if there are several."""
-    rows: list[tuple[str, ...]] = []
-    for agent, reply in replies.items():
-        for track, races, loss in _by_track(reply):
-            won, lost = np.mean(races.winner == 0), np.mean(races.winner == 1)
-            rows.append(
-                (
-                    agent,
-                    track,
-                    f"{loss.mean:+.3f}",
-                    interval_text(loss.low, loss.high),
-                    str(loss.units),
-                    f"{won:.3f}",
-                    f"{lost:.3f}",
-                    f"{np.mean(races.fault[:, 1] > 0):.1%}",
-                )
-            )
-    return rows
+    return [
+        (
+            agent,
+            track,
+            f"{loss.mean:+.3f}",
+            interval_text(loss.low, loss.high),
+            str(loss.units),
+            *(f"{share:.3f}" for share in shares[:2]),
+            f"{shares[2]:.1%}",
+        )
+        for agent, track, loss, shares in _lines(replies)
+    ]
 
 
 def write_replies(replies: Mapping[str, BestReply], path: Path) -> Path:
     """Write a line for each agent and circuit as CSV, and one for all circuits if there are several."""
     lines: list[tuple[object, ...]] = [COLUMNS]
-    for agent, reply in replies.items():
-        for track, races, loss in _by_track(reply):
-            shares = np.mean(races.winner == 0), np.mean(races.winner == 1), np.mean(races.fault[:, 1] > 0)
-            numbers = [f"{value:.6g}" for value in (loss.mean, loss.low, loss.high, loss.se)]
-            lines.append((agent, track, *numbers, loss.df, loss.units, *(f"{share:.6g}" for share in shares)))
+    for agent, track, loss, shares in _lines(replies):
+        numbers = [f"{value:.6g}" for value in (loss.mean, loss.low, loss.high, loss.se)]
+        lines.append((agent, track, *numbers, loss.df, loss.units, *(f"{share:.6g}" for share in shares)))
     return write_csv(lines, path)
 
 
-def _by_track(reply: BestReply) -> list[tuple[str, RaceTable, Estimate]]:
-    words, codes = reply.races.track
-    parts = [(word, reply.races.take(codes == code)) for code, word in enumerate(words)]
-    rows = [(word, races, excess_estimate(races)) for word, races in parts]
-    return rows if len(rows) == 1 else [*rows, (ALL, reply.races, reply.loss)]
+def _lines(replies: Mapping[str, BestReply]) -> Iterator[tuple[str, str, Estimate, list[float]]]:
+    """Agent, circuit, loss, and the shares of races that the reply won, the agent won, and the agent crashed."""
+    for agent, reply in replies.items():
+        words, codes = reply.races.track
+        parts = [(word, reply.races.take(codes == code)) for code, word in enumerate(words)]
+        for track, races in parts if len(parts) == 1 else [*parts, (ALL, reply.races)]:
+            shares = (races.winner == 0, races.winner == 1, races.fault[:, 1] > 0)
+            yield agent, track, excess_estimate(races), [float(np.mean(share)) for share in shares]

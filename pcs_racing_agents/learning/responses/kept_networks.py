@@ -26,6 +26,8 @@ from pcs_racing_agents.networks.settings import TrainSettings
 
 def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwork:
     """Return a network whose output is the mean of the outputs of several networks."""
+    from scipy.linalg import block_diag
+
     if len(networks) == 0:
         raise InputError("there is no network to merge; give at least one")
     first = networks[0]
@@ -47,7 +49,7 @@ def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwor
             weights.append(np.concatenate(blocks, axis=1) * share)
             biases.append(np.sum(shifts, axis=0) * share)
         else:
-            weights.append(np.concatenate(blocks, axis=0) if layer == 0 else _diagonal(blocks))
+            weights.append(np.concatenate(blocks, axis=0) if layer == 0 else block_diag(*blocks))
             biases.append(np.concatenate(shifts))
     if last == 0:
         weights = [np.mean([_layer(network, 0, first)[0] for network in networks], axis=0)]
@@ -67,15 +69,6 @@ def _layer(network: RegretNetwork, layer: int, like: RegretNetwork) -> tuple[NDA
     ratio = like.scale.astype(np.float64) / network.scale
     shift = (like.mean.astype(np.float64) - network.mean) / network.scale
     return weight * ratio, bias + (weight * shift).sum(axis=1)
-
-
-def _diagonal(blocks: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    out = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
-    row = column = 0
-    for block in blocks:
-        out[row : row + len(block), column : column + block.shape[1]] = block
-        row, column = row + len(block), column + block.shape[1]
-    return out
 
 
 class _NetworkTask(NamedTuple):

@@ -1,4 +1,4 @@
-"""docs/agents.md and the page of the zoo: the code runs, and what the zoo says of itself stands there."""
+"""docs/agents.md and the page of the zoo: what the zoo says of itself stands there."""
 
 import sys
 

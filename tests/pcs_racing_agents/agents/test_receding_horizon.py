@@ -122,15 +122,6 @@ def test_it_does_not_know_what_can_not_be_seen(noisy, archive, options, car):
     assert (agent.root_games(noisy, faster, car)[0] != expected).any()
 
 
-def test_it_does_not_know_what_the_network_could_see(game, setting):
-    agent = receding_horizon(setting, leaf="network", network=untrained(setting, "static-q"))
-    state = some_games(game)
-    hidden = state.copy()
-    hidden.own[:, 1] = 0.3
-    hidden.policy[:, 1] = 0
-    np.testing.assert_array_equal(agent.root_games(game, hidden, 0)[0], agent.root_games(game, state, 0)[0])
-
-
 def test_two_views_of_a_network(game, setting):
     """What a situation is worth to one car it is not to the other."""
     network = untrained(setting, "static-q")
@@ -141,6 +132,10 @@ def test_two_views_of_a_network(game, setting):
     running = ~game.done(state)
     best = network(game.observation(state)).max(axis=2)
     np.testing.assert_allclose(first[running], 0.5 * (best[:, 0] - best[:, 1])[running], rtol=1e-5)
+    hidden = state.copy()  # the network sees own policies: the opponent's is only guessed
+    hidden.own[:, 1] = 0.3
+    hidden.policy[:, 1] = 0
+    np.testing.assert_array_equal(agent.root_games(game, hidden, 0)[0], agent.root_games(game, state, 0)[0])
 
 
 @pytest.mark.parametrize(
@@ -238,12 +233,9 @@ def test_by_name(setting):
     ("options", "message"),
     [
         ({"depth": 0}, "the depth of agent 'receding-horizon' is 0"),
-        ({"depth": 1.5}, "the depth of agent 'receding-horizon' is 1.5"),
-        ({"noises": True}, "the noises of agent 'receding-horizon' is True"),
         ({"seed": -1}, "the seed of agent 'receding-horizon' is -1"),
         ({"leaf": "lead"}, "'lead'; it must be one of rollout, now, network"),
         ({"opponent": ["static"]}, "it must be one of static, equilibrium"),
-        ({"decision": "softmax"}, "'softmax'"),
         ({"depth": 4, "opponent": "equilibrium"}, "make its depth 4 or its noises 1 smaller"),
         ({"network": "out/net"}, "only leaf 'network' asks one"),
     ],

@@ -7,7 +7,6 @@ import pcs_racing_agents
 from pcs_racing import UnknownNameError, make_game
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.zoo import entries
-from pcs_racing_agents.networks import list_networks, load_network
 from pcs_racing_agents.tournament import play_games
 from pcs_racing_agents.tournament.games import variant_count
 
@@ -30,14 +29,3 @@ def test_every_name_that_is_offered_races(archive, race, track):
         played = play_games(game, agent, rival, policies=policies, starts=starts, seeds=seeds)
         again = play_games(game, agent, rival, policies=policies[:1], starts=starts.take([0]), seeds=seeds[:1])
         assert played.lead[0] == again.lead[0], name
-
-
-def test_networks_name_what_they_are_for():
-    names = list_networks()
-    assert {"default-paper-regret", "default-paper-gain", "contest-contest-regret", "contest-contest-gain"} <= set(
-        names
-    )
-    for name in names:
-        network = load_network(name)
-        assert network.training, name
-        assert name == network.name

@@ -160,6 +160,7 @@ def test_shipped_networks_are_sound():
     for name in list_networks():
         network = load_network(name)
         assert network.name == name
+        assert network.training
         assert np.isfinite(network(np.zeros(len(network.elements)))).all()
 
 

@@ -1,4 +1,5 @@
 import csv
+import re
 
 import numpy as np
 import pytest
@@ -84,18 +85,10 @@ def test_stored_trees_know_their_game(game, folder):
     assert stored_identity(load_trees(folder).settings) == game_identity(game)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"epsilon": 0.2}, "epsilon is 0.2 in one and"),
-        ({"utility": "win"}, "utility is 'win' in one and"),
-    ],
-)
-def test_trees_of_different_games_are_refused(folder, tmp_path, capsys, change, message):
-    other = make_game("Pipkin", moves=2, step_seconds=1.0, **change)
-    build_trees(other, tmp_path / "other", pairs=2)
+def test_trees_of_different_games_are_refused(folder, tmp_path, capsys):
+    build_trees(make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2), tmp_path / "other", pairs=2)
     assert train(folder, tmp_path / "other", "--out", tmp_path / "out") == 2
-    assert f"hold trees of different games: {message}" in capsys.readouterr().err
+    assert "hold trees of different games: epsilon is 0.2 in one and" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -133,13 +126,6 @@ def test_ego_trees_teach_values_against_static_opponents(game, ego_folder, tmp_p
         assert scores == ["strategy"]
 
 
-def test_ego_trees_give_one_target_and_do_not_mix_with_others(folder, ego_folder, tmp_path, capsys):
-    assert train(ego_folder, "--target", "regret", "--out", tmp_path / "out") == 2
-    assert "target is 'regret'; ego trees have one player and give 'static-q' alone" in capsys.readouterr().err
-    assert train(folder, ego_folder, "--out", tmp_path / "out") == 2
-    assert f"{ego_folder} holds ego trees, others do not; give folders of one kind" in capsys.readouterr().err
-
-
 def test_without_hindsight_a_network_promises_no_more_than_it_gets(ego_folder, game):
     """What hindsight says of the first move is the best of all that could follow, and so at least as much."""
     trees = load_ego_trees(ego_folder)
@@ -158,25 +144,23 @@ def test_without_hindsight_a_network_promises_no_more_than_it_gets(ego_folder, g
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("folders", "arguments", "message"),
     [
-        (["--target", "joy"], "target is 'joy'; it must be one of regret"),
-        (["--epochs", "0"], "epochs is 0"),
-        (["--config", "nowhere"], "train settings 'nowhere' are unknown"),
+        ("trees", ["--target", "joy"], "target is 'joy'; it must be one of regret"),
+        ("trees", ["--config", "nowhere"], "train settings 'nowhere' are unknown"),
+        ("ego", ["--target", "regret"], "target is 'regret'; ego trees have one player and give 'static-q' alone"),
+        ("trees ego", [], "ego holds ego trees, others do not; give folders of one kind"),
+        ("nothing", [], "holds no game trees"),
     ],
 )
-def test_bad_options_are_one_line(folder, tmp_path, capsys, arguments, message):
-    assert train(folder, *arguments, "--out", tmp_path / "out") == 2
+def test_bad_options_are_one_line(folder, ego_folder, tmp_path, capsys, folders, arguments, message):
+    (tmp_path / "nothing").mkdir()
+    known = {"trees": folder, "ego": ego_folder, "nothing": tmp_path / "nothing"}
+    assert train(*(known[name] for name in folders.split()), *arguments, "--out", tmp_path / "out") == 2
     err = capsys.readouterr().err
     assert err.startswith("pcs-racing: error: ")
-    assert message in err
-    assert err.count("\n") == 1
+    assert re.sub(r"\S*/ego\d+", "ego", err).count(message) == err.count("\n") == 1
     assert not (tmp_path / "out").exists()
-
-
-def test_a_folder_without_trees_is_one_line(tmp_path, capsys):
-    assert train(tmp_path, "--out", tmp_path / "out") == 2
-    assert "holds no game trees" in capsys.readouterr().err
 
 
 # What the command calls

@@ -85,20 +85,15 @@ def test_trees_of_another_game_are_noticed(paper, noisy, stored, track):
         build_trees(replace(paper, config=replace(paper.config, moves=1)), stored.folder, pairs=PAIRS, seed=3)
 
 
-def test_numbers_that_are_not_finite_are_refused(stored):
-    arrays = read_chunk(stored.file(1))
-    arrays["payoffs"][0, 0, 0] = np.nan
-    write_chunk(stored.file(1), arrays, "0" * 64)
-    with pytest.raises(InputError, match=r"tree-00001\.npz: payoffs"):
-        stored[1]
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (lambda a: a.pop("leads_1"), "leads_1"),
         (lambda a: a.update(payoffs=a["payoffs"][:, 1:]), r"payoffs has shape \(1,"),
         (lambda a: a.update(table=a["table"] + 1), "names a policy"),
+        (lambda a: a.update(side=a["side"] + 0.5), "side is of type float64"),
+        (lambda a: a.update(points=a["points"][1:]), "do not fit"),
+        (lambda a: a["payoffs"].fill(np.nan), "payoffs holds NaN"),
     ],
 )
 def test_files_that_do_not_fit_are_refused(stored, change, message):

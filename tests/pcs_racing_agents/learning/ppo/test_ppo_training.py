@@ -77,9 +77,7 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained,
 
 
 def test_a_finished_training_is_only_read(settings, trained, monkeypatch):
-    from pcs_racing_agents.learning.ppo import seed_training
-
-    monkeypatch.setattr(seed_training, "learn_once", None)
+    monkeypatch.setattr("pcs_racing_agents.learning.ppo.train.learn_once", None)
     again = train_ppo(settings["drive"], trained["drive"].folder.parent)
     assert again.curves == trained["drive"].curves
 
@@ -110,30 +108,22 @@ def test_two_trainings_in_one_process_do_not_disturb_each_other(settings, traine
         assert list(pool.map(train, settings)) == [None, None]
 
 
-def test_an_executor_changes_no_weight(settings, trained, tmp_path):
+def test_seeds_differ_the_best_is_kept_and_an_executor_changes_no_weight(settings, trained, tmp_path):
     """Two seeds in turn; other processes are in tests/pcs_racing_agents/jobs/test_cluster.py."""
     reports = []
     with make_executor("threads", 2) as executor:
         both = train_ppo(
-            settings["drive"],
-            tmp_path,
-            seeds=(0, 1),
-            executor=executor,
-            progress=lambda *news: reports.append(news),
+            settings["drive"], tmp_path, seeds=(0, 1), executor=executor, progress=lambda *news: reports.append(news)
         )
     assert both.curves[0] == trained["drive"].curves[0]
     assert_same_result(chunk_of(tmp_path), chunk_of(trained["drive"].folder.parent))
-    assert reports[-1][:2] == (1280, 1280)
-    assert [news[0] for news in reports] == sorted(news[0] for news in reports)
-    assert len(reports) == 11  # at the beginning, after every update, and after every seed
-
-
-def test_seeds_differ_and_the_best_is_kept(settings, trained, tmp_path):
-    both = train_ppo(settings["drive"], tmp_path, seeds=(0, 1))
     assert both.curves[1].scores != both.curves[0].scores
     worths = [max(mean_score(s, settings["drive"].opponents).worth for s in curve.scores) for curve in both.curves]
     assert both.seed == int(np.argmax(worths))
     assert mean_score(both.scores, settings["drive"].opponents).worth == max(worths)
+    assert reports[-1][:2] == (1280, 1280)
+    assert [news[0] for news in reports] == sorted(news[0] for news in reports)
+    assert len(reports) == 11  # at the beginning, after every update, and after every seed
 
 
 def test_training_ends_at_a_plateau(settings, tmp_path):
