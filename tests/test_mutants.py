@@ -89,8 +89,11 @@ def test_every_room_has_faults_and_tests_and_the_nearest_tests_come_first(tool):
         assert table.tests_of(of_room[0], table.COMPILED), room
         assert [table.files()[file] for file in of_room] == sorted(map(table.files().get, of_room), reverse=True)
     assert table.tests_of("pcs_racing/track/grid.py", table.PLAIN)[0] == "tests/pcs_racing/track/test_grid.py"
-    first = table.tests_of("pcs_racing_agents/tournament/statistics.py", table.COMPILED)[0]
-    assert first == "tests/pcs_racing_agents/tournament/test_statistics.py"
+    for file in table.files():  # those with its name first, then those that import it
+        tests = table.tests_of(file, table.COMPILED)
+        module, stem = file.removesuffix(".py").replace("/", "."), file.rpartition("/")[2].removesuffix(".py")
+        ranks = [(stem not in test.rpartition("/")[2], module not in (REPOSITORY / test).read_text()) for test in tests]
+        assert ranks == sorted(ranks), file
 
 
 def test_what_the_table_names_is_there(tool):
