@@ -16,7 +16,7 @@ import pettingzoo
 import pytest
 from faces import GAME, MANY, MATCH, MIXTURE, Counting, Counts, act, by_lead, ends, flat, make, make_many, play
 from gymnasium.utils.env_checker import check_env
-from repository import REPOSITORY, run_python
+from repository import run_python
 
 import pcs_racing
 from pcs_racing import GameConfig, InputError, load_race_config
@@ -218,14 +218,6 @@ def test_the_table_of_a_page_is_made_of_the_elements(kind):
     if kind in shown:
         assert observation_table(env.elements, shown[kind]) in text
     assert "{" not in text.partition("## Arguments")[0].replace('{"', "").replace("{'", "")
-
-
-def test_the_page_of_the_environments_has_the_whole_table_and_examples_that_run(capsys):
-    page = (REPOSITORY / "docs" / "environments.md").read_text(encoding="utf-8")
-    assert observation_table(HeadToHeadEnv().elements) in page
-    for section in (page, page.partition("\n## Matches\n")[2]):
-        exec(compile(section.split("```python\n")[1].split("```")[0], "environments.md", "exec"), {})
-    assert re.search(r"races won of 3 (win|tie|loss)", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("kind", PAIRS)
