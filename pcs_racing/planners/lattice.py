@@ -72,6 +72,7 @@ OWN_BRAKING, OPPONENT_BRAKING, ACCELERATION = 4.4, 4.4, 5.0  # m/s^2 at most in 
 SIGHT = 12.0  # m within which the opponent is predicted
 CLOSE = 4.0  # m along the track within which a predicted opponent costs
 BUMPER_AIR = 0.3  # m to keep in front of an opponent that was passed, and behind one
+UNSURE = 0.04  # m that a prediction gets less sure at each step, unless the car follows and can correct it
 MOVE_TIME = 0.4  # s for which an opponent goes on moving sideways
 FOLLOW_GAP = 0.8  # m between the middles of the cars
 LEVEL = 1.0  # m of lead from wholly ahead to wholly behind
@@ -470,10 +471,11 @@ def _predict_opponent(line, per_ds, view, s, scale, gives_way, beside, scratch):
 
 
 @inner_kernel
-def _meet_opponent(scratch, f, s0, gap, side, reach, side_reach, body, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
+def _meet_opponent(scratch, f, s0, gap, side, reach, unsure, side_reach, body, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
     """Trouble (overlaps ahead) and proximity of all moves at one speed with the predicted opponent.
 
-    ``gap`` and ``side`` are the distances at present, along and across the track.
+    ``gap`` and ``side`` are the distances at present, along and across the track; ``reach`` grows by ``unsure`` at each
+    step.
     """
     for g in range(GOALS):
         scratch[_ALONG + g] = -gap
@@ -492,6 +494,7 @@ def _meet_opponent(scratch, f, s0, gap, side, reach, side_reach, body, reject_st
         hard = fade * (REJECTED * wrong if k < reject_steps else later)
         soft = fade * 0.3
         fade *= 0.85
+        reach += unsure
         if abs(driven - ahead) > CLOSE + 2.0:
             continue
         for first in range(0, GOALS, ACROSS):
@@ -724,6 +727,7 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
                 gap,
                 d - view[_view.OPP_D],
                 long_reach,
+                0.0 if f == FOLLOWS else UNSURE,
                 body + margin,
                 body,
                 reject_steps,
