@@ -1,42 +1,22 @@
 """docs/planners.md says what the code says, and its code runs."""
 
+import re
+
 import pytest
 from repository import REPOSITORY, python_blocks, run_python
 
-from pcs_racing import get_planner
 from pcs_racing.planners import view
-from pcs_racing.planners.network import INPUTS
 from pcs_racing.planners.registry import SHIPPED
 from pcs_racing.planners.view import VIEW
 
 PAGE = (REPOSITORY / "docs" / "planners.md").read_text(encoding="utf-8")
 
 
-def table(heading: str, level: str = "###") -> list[list[str]]:
-    """Cells of the first table under a heading, without its head."""
-    section = PAGE.split(f"\n{level} {heading}\n")[1].split("\n#")[0]
-    rows = [line for line in section.splitlines() if line.startswith("|")]
-    return [[cell.strip().strip("`") for cell in row.strip("|").split(" | ")] for row in rows[2:]]
-
-
 def test_the_table_of_the_view_is_the_view():
-    rows = table("The view")
-    assert {name: meaning for _, name, meaning in rows} == VIEW
-    assert [name for _, name, _ in rows] == list(VIEW)
-    assert [getattr(view, constant) for constant, _, _ in rows] == list(range(len(VIEW)))
-
-
-@pytest.mark.parametrize("name", [name for name in SHIPPED if get_planner(name).parameters])
-def test_the_tables_of_parameters_are_the_parameters(name):
-    expected = [
-        [parameter.name, f"{parameter.low:g}", f"{parameter.high:g}", f"{parameter.default:g}", parameter.meaning]
-        for parameter in get_planner(name).parameters
-    ]
-    assert table(name) == expected
-
-
-def test_the_table_of_network_inputs_is_the_inputs():
-    assert dict(table("A neural network", "##")) == INPUTS
+    section = PAGE.split("\n### The view\n")[1].split("\n#")[0]
+    constants = [name for row in re.findall(r"^\|.*", section, flags=re.M) for name in re.findall(r"`(\w+)`", row)]
+    assert [name.removeprefix("OWN_") for name in constants] == list(VIEW)
+    assert [getattr(view, constant) for constant in constants] == list(range(len(VIEW)))
 
 
 @pytest.mark.parametrize("name", SHIPPED)
