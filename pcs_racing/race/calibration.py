@@ -20,9 +20,8 @@ from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
-from pcs_racing.race.config import CONTEST, PAPER, PRESETS, RaceConfig
+from pcs_racing.race.config import CONTEST, DT, PAPER, PRESETS, RaceConfig
 from pcs_racing.race.driving import default_threads, drive, kernel_settings, pad_parameters
-from pcs_racing.race.rates import DT
 from pcs_racing.race.start_places import fit_places, places_of, seconds_driven
 from pcs_racing.race.state import empty_state
 from pcs_racing.track.cache import CALIBRATION, cache_folder, cache_key, load_cached, store
