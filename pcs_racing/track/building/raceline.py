@@ -1,4 +1,4 @@
-"""The race line of a circuit: a closed line of little curvature and length that is clear of the walls, and its speeds."""
+"""The race line of a circuit, a closed line of little curvature and length clear of the walls, and its speeds."""
 
 import math
 
