@@ -28,16 +28,6 @@ from pcs_racing.track.cache import CALIBRATION, cache_folder, cache_key, load_ca
 from pcs_racing.track.frenet import SPEED, X, Y
 from pcs_racing.track.track import Calibration, Track, calibration_from_values, calibration_values
 
-__all__ = [
-    "CalibrationReport",
-    "calibrate",
-    "calibration_of",
-    "hazard_scan",
-    "preset_of",
-    "start_layout",
-    "starts_for",
-]
-
 SCALES = tuple(np.round(np.arange(0.60, 1.801, 0.05), 2).tolist())
 FRICTION_SCALE = 1.43  # where the bends of the race line ask for all that the tyres' friction gives: mu g = 10.3 m/s^2
 HAZARD_WITHOUT_NOISE, WIDTH_WITHOUT_NOISE = 0.10, 0.30
