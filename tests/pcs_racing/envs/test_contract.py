@@ -95,7 +95,7 @@ def test_it_is_made_by_name(name, kind, arguments):
 
 def test_the_code_behind_a_name_is_imported_when_it_is_needed():
     code = "import sys, pcs_racing; print(*[m for m in sys.modules if m.startswith('pcs_racing.envs.')])"
-    assert run_python("-c", code).split() == ["pcs_racing.envs"]
+    assert not run_python("-c", code).split()
 
 
 STEERED = {"time_step": 0.1, "duration": 3.0}
