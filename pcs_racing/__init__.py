@@ -15,7 +15,7 @@ from typing import Any
 from pcs_racing.base.errors import ConfigError, InputError, MapError, UnknownNameError
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams, simulate
-from pcs_racing.envs.registration import register_environments
+from pcs_racing.envs import register_environments
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import list_archives, load_archive, save_archive
 from pcs_racing.game.config import GameConfig, load_game_config

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pcs_racing import list_tracks, load_track
 from pcs_racing.race.config import PRESETS
-from pcs_racing.track.building.speed import lap_time
+from pcs_racing.track.building.raceline import lap_time
 from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.maps import read_map
 from pcs_racing.track.track import Track

@@ -21,7 +21,7 @@ from PIL import Image
 
 from pcs_racing import RaceGame, load_game_config, load_race_config, load_state, load_track, parse_policy, read_replay
 from pcs_racing.base.artifacts import ArtifactFormat
-from pcs_racing.base.reading import plain_yaml, unpack_arrays
+from pcs_racing.base.files import plain_yaml, unpack_arrays
 from pcs_racing.base.settings import Settings, load_settings
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv

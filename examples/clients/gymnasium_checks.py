@@ -22,7 +22,7 @@ from gymnasium.wrappers import vector
 from moviepy import VideoFileClip
 
 import pcs_racing  # noqa: F401  registers the environments
-from pcs_racing.envs.registration import GYMNASIUM_IDS
+from pcs_racing.envs import GYMNASIUM_IDS
 from pcs_racing.envs.video import RecordRaces
 
 SHORT = {

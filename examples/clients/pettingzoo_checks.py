@@ -12,7 +12,7 @@ import pettingzoo
 from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, seed_test, state_test
 
 import pcs_racing  # noqa: F401  registers the environments
-from pcs_racing.envs.registration import PETTINGZOO_IDS
+from pcs_racing.envs import PETTINGZOO_IDS
 
 SHORT = {
     "pcs_racing/head_to_head-v1": {"step_seconds": 0.4, "moves": 2},

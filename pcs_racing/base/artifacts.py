@@ -17,8 +17,7 @@ from typing import Any
 import yaml
 
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.base.files import write_atomically
-from pcs_racing.base.reading import MAX_YAML, parse_yaml, read_limited
+from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
 
 MANIFEST = "manifest.yaml"
 

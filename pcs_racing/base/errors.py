@@ -23,6 +23,7 @@ A function that raises anything else says so in its docstring.
 
 import difflib
 from collections.abc import Iterable
+from importlib.util import find_spec
 
 _LONGEST = 2000
 
@@ -68,6 +69,13 @@ def choices(name: str, known: Iterable[str]) -> str:
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)
     return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names)}"
+
+
+def require(*modules: str, extra: str = "mapping") -> None:
+    """Raise an error that names the extra of this distribution to install if a module is missing; import nothing."""
+    for name in modules:
+        if find_spec(name) is None:
+            raise ModuleNotFoundError(f'{name} is needed for this: pip install "pcs-racing[{extra}]"', name=name)
 
 
 def _shortened(message: str) -> str:

@@ -1,12 +1,33 @@
-"""Atomic writing of files: a reader never sees an incomplete file."""
+"""Files are written completely or not at all, and untrusted ones are read safely: nothing in them is executed.
 
+A few bytes can request much memory: YAML with aliases of aliases, an array header with a size of terabytes, a zip file
+that unpacks to terabytes. The readers here check the size before they build the content.
+"""
+
+import io
+import math
 import os
 import secrets
+import stat
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+
+MAX_YAML = 200_000
+"""Maximum size of a YAML file in bytes; larger files would take seconds to parse."""
+
+_MOST_VALUES = 2_000_000  # of a YAML text, names written out; letters count as a tenth
+_DEEPEST = 50
+_LONGEST_NUMBER = 100  # characters
+_MOST_MEMBERS = 1000  # of a file of arrays
+_KINDS = "biufcUS"  # of arrays: booleans, numbers and texts
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
@@ -27,3 +48,104 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def read_limited(path: str | os.PathLike[str], limit: int, kind: str, error: type[InputError] | None = None) -> bytes:
+    """Return the content of a regular file of at most ``limit`` bytes; ``kind`` ("an archive") is for the message.
+
+    Whatever is wrong is an ``error``; without one, an :class:`OSError` stays what it is.
+    """
+    refused = error or InputError
+    try:
+        with open(path, "rb", opener=_open_at_once) as file:
+            status = os.fstat(file.fileno())
+            # A pipe or a device may never end.
+            if not stat.S_ISREG(status.st_mode):
+                raise refused(f"{path} is no ordinary file")
+            # Not the limit: room for all that is asked for is made at once.
+            content = file.read(min(status.st_size, limit) + 1)
+    except OSError as problem:
+        if error is None:
+            raise
+        raise error(f"can't read {path}: {problem.strerror or problem}") from None
+    if len(content) > limit:
+        raise refused(f"{path} has more than {limit} bytes; that is not {kind}")
+    return content
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """Open a file; a pipe that nobody writes to would be waited for."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def plain_yaml(data: bytes | str) -> Any:
+    """Parse a YAML text of mappings, lists, texts and numbers."""
+    try:
+        loader = yaml.SafeLoader(data.decode("utf-8") if isinstance(data, bytes) else data)
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        if _size(node, {}, 0) > _MOST_VALUES:
+            raise InputError("it holds far more than it seems: its names stand for too much")
+        return loader.construct_document(node)
+    except InputError:
+        raise
+    except RecursionError:
+        raise InputError("it is nested too deeply") from None
+    # Values that only look like dates and numbers fail in a dozen ways.
+    except Exception as error:
+        raise InputError(" ".join(str(error).split())[:200] or type(error).__name__) from None
+
+
+def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputError] = InputError) -> Any:
+    """Parse the content of a YAML file like :func:`plain_yaml`; the error names the file."""
+    try:
+        return plain_yaml(content)
+    except InputError as problem:
+        raise error(f"{file} is not valid YAML: {problem}") from None
+
+
+def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:
+    """Return the number of values of a node with all aliases expanded; every node is visited once."""
+    if isinstance(node, yaml.ScalarNode):
+        number = node.tag.rpartition(":")[2] in ("int", "float", "timestamp")
+        if number and len(node.value) > _LONGEST_NUMBER:
+            raise InputError(f"the number {node.value[:20]}... has {len(node.value)} characters")
+        return 1.0 + 0.1 * len(node.value)
+    if id(node) not in sizes:
+        if depth > _DEEPEST:
+            raise InputError(f"it is nested more than {_DEEPEST} levels deep")
+        # For one that contains itself: its size is asked for while it is being worked out.
+        sizes[id(node)] = math.inf
+        pairs = isinstance(node, yaml.MappingNode)
+        children = [child for pair in node.value for child in pair] if pairs else node.value
+        sizes[id(node)] = 1.0 + sum(_size(child, sizes, depth + 1) for child in children)
+    return sizes[id(node)]
+
+
+def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArray[Any]]:
+    """Return the arrays of the content of an ``.npz`` file by name, ``limit`` bytes at most; objects are refused."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as file:
+            members = file.infolist()
+            # The announced sizes are checked before a single member is unpacked.
+            if len(members) > _MOST_MEMBERS or sum(member.file_size for member in members) > limit:
+                raise InputError(f"it unpacks to more than {limit} bytes or {_MOST_MEMBERS} arrays")
+            return {member.filename.removesuffix(".npy"): _array(file.read(member)) for member in members}
+    except InputError:
+        raise
+    # zipfile and zlib raise a dozen kinds for damaged files.
+    except Exception as error:
+        raise InputError(" ".join(str(error).split())[:200] or type(error).__name__) from None
+
+
+def _array(content: bytes) -> NDArray[Any]:
+    """Return the array of an ``.npy`` file, of numbers or texts and nothing behind it."""
+    stream = io.BytesIO(content)
+    # Numpy reserves the memory that a header announces, but touches no more of it than there is content.
+    array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
+    if array.dtype.kind not in _KINDS or array.dtype.itemsize == 0 or max(array.shape, default=0) > 2**40:
+        raise InputError(f"an array is of type {array.dtype} and shape {array.shape}; there may be numbers and texts")
+    if stream.read(1):
+        raise InputError(f"more follows an array of type {array.dtype} and shape {array.shape}")
+    return array

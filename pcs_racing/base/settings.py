@@ -33,7 +33,7 @@ from pcs_racing.base.checks import (
     within,
 )
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
-from pcs_racing.base.reading import MAX_YAML, parse_yaml, read_limited
+from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited
 
 S = TypeVar("S", bound="Settings")
 

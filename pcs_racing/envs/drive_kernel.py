@@ -16,9 +16,9 @@ from pcs_racing.car.collision import car_hits_wall
 from pcs_racing.car.lidar_kernel import Beams, scan_into
 from pcs_racing.game.reward import step_reward, win_sign
 from pcs_racing.race import state as _state
+from pcs_racing.race.config import CONTROL_EVERY, DT
 from pcs_racing.race.kernel import advance_races
-from pcs_racing.race.progress import count_crossing
-from pcs_racing.race.rates import CONTROL_EVERY, DT
+from pcs_racing.race.positions import count_crossing
 from pcs_racing.race.steering import delayed, steering_noise, steering_sd
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, project
 from pcs_racing.track.grid import cast

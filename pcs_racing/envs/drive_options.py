@@ -16,8 +16,7 @@ from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import ObservationElement as Element
-from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.rates import CONTROL_EVERY, DT
+from pcs_racing.race.config import CONTROL_EVERY, DT, RaceConfig
 
 SEE_OPPONENT = ("never", "in sight", "always")
 """When the opponent is observed; each at the index that the kernel knows it by."""

@@ -29,9 +29,8 @@ from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.starting import check_policies
 from pcs_racing.game.state import GameState, empty_game, put_games, take_games
 from pcs_racing.planners.planner import Policy
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import DT, RaceConfig
 from pcs_racing.race.races import advance
-from pcs_racing.race.rates import DT
 from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, take

@@ -12,8 +12,7 @@ from pcs_racing.envs.duel import AXES, DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.envs.match_batch import MatchBatch, MatchOptions
 from pcs_racing.envs.over_batch import with_table
 from pcs_racing.game.match import MatchGame
-from pcs_racing.game.match_observation import match_elements
-from pcs_racing.game.observation import observation_table
+from pcs_racing.game.observation import match_elements, observation_table
 
 
 @with_table(observation_table(match_elements(AXES, MatchOptions().races)))

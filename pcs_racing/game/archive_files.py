@@ -9,7 +9,7 @@ import numpy as np
 
 from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, shipped_folder
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.reading import unpack_arrays
+from pcs_racing.base.files import unpack_arrays
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.learned import LearnedCharacteristics
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.race.rates import DT
+from pcs_racing.race.config import DT
 from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, LATERAL, PROFILE, STEERING, TIME, RaceState
 
 

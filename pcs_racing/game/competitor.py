@@ -61,7 +61,7 @@ class Chooser(Protocol):
     def choose(self, observation: Observation) -> ArrayLike:
         """Return the policies of the archive, shape (n,), for what was observed of n matches, shape (n, D).
 
-        The numbers are those of :func:`pcs_racing.game.match_observation.match_elements`.
+        The numbers are those of :func:`pcs_racing.game.observation.match_elements`.
         """
 
 

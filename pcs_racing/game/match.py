@@ -2,7 +2,7 @@
 
 1. **Before each race** each player chooses the policy of the archive that its car starts with; both choose at the same
    time (:meth:`MatchGame.start`). What happened in the earlier races has been observed
-   (:mod:`pcs_racing.game.match_observation`).
+   (:mod:`pcs_racing.game.observation`).
 2. **The race** is a game of :class:`pcs_racing.game.rules.RaceGame` on a start line of its own: its players watch the
    first step, and may then move (:meth:`MatchGame.move`). Who keeps the policy of the start makes the move "stay".
    The two cars swap their places on the grid from race to race.
@@ -26,8 +26,7 @@ from pcs_racing.base.checks import as_array
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import Settings, flag, setting, whole
 from pcs_racing.game.competitor import Chooser, competitor_name
-from pcs_racing.game.match_observation import encode_match, match_elements
-from pcs_racing.game.observation import ObservationElement
+from pcs_racing.game.observation import ObservationElement, encode_match, match_elements
 from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.starting import DRAW, check_policies, random_bits
 from pcs_racing.game.state import GameState, put_games, take_games

@@ -1,4 +1,4 @@
-"""What the players of the game observe: name, unit, bounds and meaning of each number, and how they are computed."""
+"""What the players of a game and of a match observe: name, unit, bounds and meaning of each number, and its value."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.errors import InputError
 from pcs_racing.game.characteristics import Characteristic
 
 Indices = NDArray[np.int64]
@@ -16,6 +17,10 @@ LOW, HIGH = -1.0, 2.0
 LEAD_SCALE = 20.0
 """Metres of lead that players observe as 1."""
 LEAD_BOUND = 5.0
+
+# Of an observation between the races of a match:
+AFTER_AXES = 3  # lead, score and share of the duration follow the coordinates of a race
+AFTER_RACES = 2  # the share of races left and the place on the grid follow the races
 
 
 class ObservationElement(NamedTuple):
@@ -82,3 +87,80 @@ def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indi
     parts.transpose(0, 2, 1, 3)[unseen] = 0.0
     observation[..., -1] = (step / (steps - 1))[:, None]
     return observation
+
+
+class RaceMemory(NamedTuple):
+    """What an observation says of the earlier races of B matches."""
+
+    own: Floats  #: shape (B, R, G): Normalised coordinates of the own policy.
+    opponent: Floats  #: shape (B, R, G): Normalised coordinates of the opponent, as measured.
+    lead: Floats  #: shape (B, R): Own lead at the end, 20 m.
+    score: Floats  #: shape (B, R): 1 for a race won, 1/2 for a tie.
+    #: shape (B, R): Share of the duration that a race lasted; 0 for races to come, of which all numbers are 0.
+    driven: Floats
+
+
+def match_elements(characteristics: Sequence[Characteristic], races: int) -> tuple[ObservationElement, ...]:
+    """What each number of an observation between races is, for these axes and so many races."""
+    elements = []
+    for r in range(races):
+        for axis in characteristics:
+            meaning = f"the own policy's {axis.name} in race {r}, from the archive"
+            elements.append(ObservationElement(f"race_{r}_own_{axis.name}", "range", LOW, HIGH, meaning))
+        for axis in characteristics:
+            meaning = f"the opponent's {axis.name} as measured over race {r}"
+            elements.append(ObservationElement(f"race_{r}_opponent_{axis.name}", "range", LOW, HIGH, meaning))
+        meaning = f"own lead at the end of race {r}"
+        elements.append(ObservationElement(f"race_{r}_lead", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning))
+        meaning = f"1 if race {r} was won, 0.5 if it was a tie"
+        elements.append(ObservationElement(f"race_{r}_score", "1", 0.0, 1.0, meaning))
+        meaning = f"share of its duration that race {r} lasted; until it is over it and the numbers above are 0"
+        elements.append(ObservationElement(f"race_{r}_driven", "1", 0.0, 1.0, meaning))
+    return (
+        *elements,
+        ObservationElement("races_left", "1", 0.0, 1.0, "share of the races that are not over"),
+        ObservationElement("front", "1", 0.0, 1.0, "1 if the own car starts the next race on the left or in front"),
+    )
+
+
+def encode_match(
+    own: Floats,
+    measured: Floats,
+    leads: Floats,
+    scores: Floats,
+    driven: Floats,
+    race: NDArray[np.int64],
+    front: NDArray[np.bool_],
+) -> NDArray[np.float32]:
+    """Put what the players saw of earlier races in the order of :func:`match_elements`, shape (B, 2, D).
+
+    The arrays are those of :class:`pcs_racing.game.match.MatchState`; ``front``, of shape (B, 2), says whether each car
+    starts the next race on the left or in front, and is false where there is no next race.
+    """
+    matches, races = leads.shape
+    lead = np.clip(leads / LEAD_SCALE, -LEAD_BOUND, LEAD_BOUND)
+    shared = np.broadcast_to(driven[:, None, :, None], (matches, 2, races, 1))
+    # 0.0 - lead, not -lead: a lead of 0 must not become -0.0, whose bits differ.
+    leads_of_cars = np.stack([lead, 0.0 - lead], axis=1)[..., None]
+    parts = np.concatenate([own, measured[:, ::-1], leads_of_cars, scores[..., None], shared], axis=-1)
+    left = np.broadcast_to(((races - race) / races)[:, None, None], (matches, 2, 1))
+    return np.concatenate([parts.reshape(matches, 2, -1), left, front[..., None]], axis=-1).astype(np.float32)
+
+
+def decode_match(observation: NDArray[np.float32], races: int, axes: int) -> RaceMemory:
+    """Return what observations of shape (B, D) say of the earlier races."""
+    width = 2 * axes + AFTER_AXES
+    blocks = np.asarray(observation[:, : races * width], np.float64).reshape(len(observation), races, width)
+    rest = (blocks[:, :, 2 * axes + i] for i in range(AFTER_AXES))
+    return RaceMemory(blocks[:, :, :axes], blocks[:, :, axes : 2 * axes], *rest)
+
+
+def seen_races(size: int, axes: int) -> int:
+    """Return the number of races R of a match whose players observe ``size`` numbers between races."""
+    races, rest = divmod(size - AFTER_RACES, 2 * axes + AFTER_AXES)
+    if rest or races < 1:
+        raise InputError(
+            f"an observation has {size} numbers; with {axes} axes it has {2 * axes + AFTER_AXES} for each race and "
+            f"{AFTER_RACES} more"
+        )
+    return races

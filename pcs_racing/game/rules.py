@@ -29,13 +29,7 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.moves import check_moves, duplicate_moves, move_names, move_table
-from pcs_racing.game.observation import (
-    HIGH,
-    LOW,
-    ObservationElement,
-    encode_observation,
-    observation_elements,
-)
+from pcs_racing.game.observation import HIGH, LOW, ObservationElement, encode_observation, observation_elements
 from pcs_racing.game.reward import reward
 from pcs_racing.game.starting import DRAW, check_policies, driver_parameters, game_keys, random_bits
 from pcs_racing.game.state import GameState, begun_game, put_games

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
-from pcs_racing.base.reading import read_limited, unpack_arrays
+from pcs_racing.base.files import read_limited, unpack_arrays, write_atomically
 from pcs_racing.race.state import MAX_BYTES, RaceState, empty_state
 from pcs_racing.race.state import take as take_races
 

@@ -20,24 +20,13 @@ from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
-from pcs_racing.race.config import CONTEST, PAPER, PRESETS, RaceConfig
+from pcs_racing.race.config import CONTEST, DT, PAPER, PRESETS, RaceConfig
 from pcs_racing.race.driving import default_threads, drive, kernel_settings, pad_parameters
-from pcs_racing.race.rates import DT
 from pcs_racing.race.start_places import fit_places, places_of, seconds_driven
 from pcs_racing.race.state import empty_state
 from pcs_racing.track.cache import CALIBRATION, cache_folder, cache_key, load_cached, store
 from pcs_racing.track.frenet import SPEED, X, Y
 from pcs_racing.track.track import Calibration, Track, calibration_from_values, calibration_values
-
-__all__ = [
-    "CalibrationReport",
-    "calibrate",
-    "calibration_of",
-    "hazard_scan",
-    "preset_of",
-    "start_layout",
-    "starts_for",
-]
 
 SCALES = tuple(np.round(np.arange(0.60, 1.801, 0.05), 2).tolist())
 FRICTION_SCALE = 1.43  # where the bends of the race line ask for all that the tyres' friction gives: mu g = 10.3 m/s^2

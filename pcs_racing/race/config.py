@@ -19,7 +19,11 @@ from pcs_racing.base.settings import (
     whole,
 )
 
-__all__ = ["CONTEST", "PAPER", "PRESETS", "RaceConfig", "load_race_config"]
+# When the parts of a race take their turn, in steps of the simulation:
+DT = 0.01  # s, one simulation step
+PLAN_EVERY = 10  # steps: 10 Hz
+CONTROL_EVERY = 2  # 50 Hz, as are progress and collisions
+ITTC_EVERY = 5  # 20 Hz
 
 
 def _speed_range(value: Any) -> tuple[float, float]:

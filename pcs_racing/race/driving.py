@@ -15,9 +15,8 @@ from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import CONTROL_EVERY, DT, RaceConfig
 from pcs_racing.race.kernel import GROUP, WORK_SIZE, KernelSettings, advance_races, fill_view
-from pcs_racing.race.rates import CONTROL_EVERY, DT
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track

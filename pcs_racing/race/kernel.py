@@ -15,9 +15,8 @@ from pcs_racing.car.lanes import LANES, LANES_SIZE, load_car, set_target, step_l
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.calling import call_control, call_plan
 from pcs_racing.race import state as _state
-from pcs_racing.race.contacts import collide
-from pcs_racing.race.progress import update_progress
-from pcs_racing.race.rates import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
+from pcs_racing.race.config import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
+from pcs_racing.race.positions import collide, update_progress
 from pcs_racing.race.steering import delayed, steering_noise, steering_sd
 from pcs_racing.track.frenet import COS, SIN, SPEED, WALLS_BEGIN, WALLS_END, WallArrays
 

@@ -14,10 +14,9 @@ from pcs_racing.car.vehicle import COMMAND_PERIOD, F1TENTH, VehicleParams
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
-from pcs_racing.race.config import PAPER, RaceConfig
+from pcs_racing.race.config import DT, PAPER, RaceConfig
 from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
-from pcs_racing.race.rates import DT
 from pcs_racing.race.start_grid import Starts, place_on_grid
 from pcs_racing.race.start_places import places_of, split_places
 from pcs_racing.race.state import RaceState, concatenate, empty_state, take

@@ -17,11 +17,10 @@ from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import PATH_SPEED, PATH_Y, VIEW_SIZE
-from pcs_racing.race.config import PAPER, RaceConfig
+from pcs_racing.race.config import CONTROL_EVERY, DT, PAPER, PLAN_EVERY, RaceConfig
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import RaceResult, RaceSetup, advance, start_races, starts_of
-from pcs_racing.race.rates import CONTROL_EVERY, DT, PLAN_EVERY
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import ITTC, ITTC_SAMPLES, WALL_CRASH, RaceState

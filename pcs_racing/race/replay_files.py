@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
+from pcs_racing.base.files import read_limited, write_atomically
 from pcs_racing.base.packing import (
     COARSE,
     FINE,
@@ -28,7 +28,6 @@ from pcs_racing.base.packing import (
     unpack_paths,
     unpack_segments,
 )
-from pcs_racing.base.reading import read_limited
 from pcs_racing.race.replay import Replay, ReplayEvent
 
 FORMAT = "pcs-racing replay 1"

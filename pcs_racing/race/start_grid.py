@@ -10,7 +10,7 @@ from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.contacts import place_cars
+from pcs_racing.race.positions import place_cars
 from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.track import Track

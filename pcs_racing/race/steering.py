@@ -4,7 +4,7 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.race.rates import CONTROL_EVERY
+from pcs_racing.race.config import CONTROL_EVERY
 
 
 @inner_kernel(forceinline=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.code_cache import SIMULATOR, sources_digest
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.reading import read_limited, unpack_arrays
+from pcs_racing.base.files import read_limited, unpack_arrays
 
 TRACK, CALIBRATION = "track", "calibration"  # kinds of results
 

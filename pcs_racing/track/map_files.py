@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcs_racing.base import reading
+from pcs_racing.base import files
 from pcs_racing.base.checks import check_number, check_whole, is_number
 from pcs_racing.base.errors import MapError
 
@@ -44,7 +44,7 @@ INFO_KEYS = {
 
 def parse_yaml(file: Path, data: bytes) -> dict[Any, Any]:
     """Parse a yaml file that contains a mapping."""
-    values = reading.parse_yaml(file, data, MapError)
+    values = files.parse_yaml(file, data, MapError)
     if not isinstance(values, dict):
         raise MapError(f"{file} must hold keys and values, got {type(values).__name__}")
     return values

@@ -24,7 +24,7 @@ from PIL import Image
 
 from pcs_racing.base import artifacts
 from pcs_racing.base.errors import MapError, UnknownNameError
-from pcs_racing.base.reading import MAX_YAML, read_limited
+from pcs_racing.base.files import MAX_YAML, read_limited
 from pcs_racing.track.map_files import (
     CENTERLINE_COLUMNS,
     RACELINE_COLUMNS,

@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.base.optional import require
+from pcs_racing.base.errors import InputError, require
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork

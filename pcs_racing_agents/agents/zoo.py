@@ -18,7 +18,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.base.reading import plain_yaml
+from pcs_racing.base.files import plain_yaml
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.planners.registry import parse_policy, planner_names

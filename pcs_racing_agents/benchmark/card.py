@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
-from pcs_racing.base.reading import read_limited
+from pcs_racing.base.files import read_limited, write_atomically
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.benchmark.scoring import CardScore
 from pcs_racing_agents.results.text_table import Column, markdown, table_rows, with_interval

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.base.optional import require
+from pcs_racing.base.errors import InputError, require
 from pcs_racing.planners.trained import load_driver
 from pcs_racing_agents.agents.agent import Competitor, as_competitor
 from pcs_racing_agents.agents.setting import Setting

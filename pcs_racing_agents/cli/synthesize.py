@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pcs_racing.base.optional import require
+from pcs_racing.base.errors import require
 from pcs_racing_agents.cli.commands import Option, SettingOptions, command
 from pcs_racing_agents.cli.options import TRACK_HELP, Workers
 from pcs_racing_agents.jobs.progress import duration_text, show_line

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
-from pcs_racing.base.reading import read_limited, unpack_arrays
+from pcs_racing.base.files import read_limited, unpack_arrays, write_atomically
 
 Arrays = dict[str, NDArray[Any]]
 

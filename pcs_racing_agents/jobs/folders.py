@@ -14,8 +14,7 @@ import yaml
 from filelock import FileLock, Timeout
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
-from pcs_racing.base.reading import plain_yaml, read_limited
+from pcs_racing.base.files import plain_yaml, read_limited, write_atomically
 
 FORMAT = "pcs-racing job"
 VERSION = 1

@@ -7,8 +7,8 @@ from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
+from pcs_racing.base.errors import require
 from pcs_racing.base.files import write_atomically
-from pcs_racing.base.optional import require
 
 INK, SOFT, EDGE = "#17202b", "#5c6877", "#dfe4ea"
 CARS = ("#1b6fd8", "#e08700")

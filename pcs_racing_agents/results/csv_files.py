@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
-from pcs_racing.base.reading import read_limited
+from pcs_racing.base.files import read_limited, write_atomically
 
 MAX_BYTES = 500_000_000
 MAX_COLUMNS = 1000

@@ -14,10 +14,8 @@ from typing import NamedTuple
 import yaml
 
 from pcs_racing.base.checks import is_number
-from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.base.files import write_atomically
-from pcs_racing.base.optional import require
-from pcs_racing.base.reading import parse_yaml
+from pcs_racing.base.errors import InputError, UnknownNameError, require
+from pcs_racing.base.files import parse_yaml, write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.jobs.folders import claim_folder

@@ -8,8 +8,7 @@ brings moocore, which computes it exactly.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.base.optional import require
+from pcs_racing.base.errors import InputError, require
 
 Floats = NDArray[np.float64]
 

@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.base.optional import require
+from pcs_racing.base.errors import InputError, require
 from pcs_racing_agents.synthesis.indicators import contributions, hypervolume, total_hypervolume, uncrowded_improvement
 from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
 

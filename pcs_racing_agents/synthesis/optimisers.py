@@ -16,8 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import UnknownNameError
-from pcs_racing.base.optional import require
+from pcs_racing.base.errors import UnknownNameError, require
 from pcs_racing_agents.synthesis.mo_cma_es import MOCMAES, OptimiserOptions
 from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive
 

@@ -19,7 +19,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import ask_moves, check_competitor, competitor_name
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
-from pcs_racing.race.rates import DT
+from pcs_racing.race.config import DT
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.jobs.chunks import Arrays

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.base.optional import require
+from pcs_racing.base.errors import InputError, require
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from pcs_racing_agents.tournament.ratings import Ratings, rate

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.config import PLAN_EVERY
 from pcs_racing.race.driving import default_threads
 from pcs_racing.race.races import advance
-from pcs_racing.race.rates import PLAN_EVERY
 from pcs_racing.race.state import RaceState, concatenate, empty_state, take
 
 Indices = NDArray[np.int64]

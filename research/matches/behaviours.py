@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.reading import unpack_arrays
+from pcs_racing.base.files import unpack_arrays
 from pcs_racing.game.identity import GameIdentity, check_same_game
-from pcs_racing.game.match_observation import RaceMemory
+from pcs_racing.game.observation import RaceMemory
 from pcs_racing_agents.agents.fits import game_fields, recorded_game
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.fingerprint import fingerprint

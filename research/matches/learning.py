@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.match import MatchConfig, MatchGame
-from pcs_racing.game.match_observation import decode_match
+from pcs_racing.game.observation import decode_match
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import start_lines
 from pcs_racing.track.loading import as_track

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.game.match_observation import decode_match, seen_races
+from pcs_racing.game.observation import decode_match, seen_races
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.blind import walk_to
 from pcs_racing_agents.agents.setting import Setting

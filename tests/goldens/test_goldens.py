@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenarios import LEAD, RACES_ID, SCENARIOS, STRAY, differences, file_name, track_hash
 
-from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_IDS
+from pcs_racing.envs import GYMNASIUM_IDS, PETTINGZOO_IDS
 
 HERE = Path(__file__).resolve().parent
 

@@ -121,7 +121,7 @@ def build_arrays(
 
     Grid and race line have been checked by `checked_grid` and `check_line`.
     """
-    from pcs_racing.track.building.speed import speed_profile
+    from pcs_racing.track.building.raceline import speed_profile
 
     samples = sample_closed(raceline, LINE_SPACING)
     sharpest = int(np.argmax(np.abs(samples.kappa)))

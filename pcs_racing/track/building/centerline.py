@@ -7,8 +7,7 @@ import numpy as np
 
 from pcs_racing.base.checks import is_number
 from pcs_racing.base.elementary import arctangent2, headings, lengths, sine_cosine
-from pcs_racing.base.errors import MapError
-from pcs_racing.base.optional import require
+from pcs_racing.base.errors import MapError, require
 from pcs_racing.track.building.clearance import checked_grid
 from pcs_racing.track.building.curves import curve_length, resample, signed_area, smooth
 from pcs_racing.track.grid import distance_to_walls

@@ -1,16 +1,15 @@
-"""The race line of a circuit: a closed line of little curvature and length that keeps clear of the walls."""
+"""The race line of a circuit, a closed line of little curvature and length clear of the walls, and its speeds."""
 
 import math
 
 import numpy as np
 
 from pcs_racing.base.checks import check_number
+from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import headings, lengths
-from pcs_racing.base.errors import MapError
-from pcs_racing.base.optional import require
+from pcs_racing.base.errors import MapError, require
 from pcs_racing.track.building.clearance import checked_grid, corridor, room_at, wall_clearance
 from pcs_racing.track.building.curves import checked_curve, curve_length, first_crossing, resample, smooth
-from pcs_racing.track.building.speed import speed_profile
 from pcs_racing.track.building.splines import sample_closed
 from pcs_racing.track.grid import distance_to_walls
 
@@ -25,6 +24,12 @@ TRUST = 0.5  # how far a point may move in one round, m: the program is linearis
 RESERVE = 5e-4  # m
 SETTLED = 0.05  # moves below this are the walls' pixels, m
 CHATTER = 0.1  # weight of the squared change of curvature along the line, m^2
+
+# What the speeds along a line are limited by:
+LATERAL = 5.0  # most lateral acceleration, m/s^2
+BRAKING = 4.5  # m/s^2
+ACCELERATION = 3.5  # m/s^2
+TOP_SPEED = 8.0  # m/s
 
 
 def minimum_curvature_raceline(
@@ -214,3 +219,42 @@ def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray, le
         settings,
     )
     return np.clip(np.asarray(solver.solve().x), low, high)
+
+
+def speed_profile(kappa: np.ndarray, ds: float) -> np.ndarray:
+    """Largest periodic speeds (m/s) within the four limits, at samples of a closed line ``ds`` metres apart.
+
+    The usual forward-backward sweep (for instance Kapania, Subosits and Gerdes 2016, "A sequential two-step algorithm
+    for fast generation of vehicle racing trajectories", without its coupling of lateral and longitudinal grip): the
+    cornering speed ``sqrt(LATERAL / |kappa|)`` (curvature in 1/m) is lowered forwards where the motor can't reach it,
+    and backwards where the brakes can't come down to it.
+    """
+    # In squared speeds, in which constant acceleration is a straight line.
+    cap = np.minimum(LATERAL / np.maximum(np.abs(kappa), 1e-12), TOP_SPEED**2)
+    return np.sqrt(_sweep(cap, ds))
+
+
+def lap_time(v: np.ndarray, ds: float) -> float:
+    """Time of one lap in s, at constant acceleration between samples ``ds`` metres apart with speeds ``v`` (m/s)."""
+    return float(np.sum(2.0 * ds / (v + np.roll(v, -1))))
+
+
+@compiled
+def _sweep(cap, ds):  # type: ignore[no-untyped-def]
+    """Squared speeds below ``cap`` that also respect acceleration and braking.
+
+    The slowest sample is never lowered (all its neighbours are at least as fast), so one lap forwards and one lap
+    backwards from there are exact, and periodic.
+    """
+    n = cap.shape[0]
+    w = cap.copy()
+    first = np.argmin(cap)
+    for k in range(n):
+        i = (first + k) % n
+        j = (i + 1) % n
+        w[j] = min(w[j], w[i] + 2.0 * ACCELERATION * ds)
+    for k in range(n):
+        j = (first - k) % n
+        i = (j - 1) % n
+        w[i] = min(w[i], w[j] + 2.0 * BRAKING * ds)
+    return w

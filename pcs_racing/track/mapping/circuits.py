@@ -7,8 +7,7 @@ import numpy as np
 from pcs_racing.base.checks import check_number, check_seed
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
-from pcs_racing.base.errors import InputError, MapError, UnknownNameError
-from pcs_racing.base.optional import require
+from pcs_racing.base.errors import InputError, MapError, UnknownNameError, require
 from pcs_racing.track.building.centerline import directed, straightest
 from pcs_racing.track.building.curves import curve_length, first_crossing, resample, signed_area, smooth
 from pcs_racing.track.building.raceline import minimum_curvature_raceline, raceline_rows

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
+from pcs_racing.base.errors import require
 from pcs_racing.base.files import write_atomically
-from pcs_racing.base.optional import require
-from pcs_racing.track.building.speed import lap_time
+from pcs_racing.track.building.raceline import lap_time
 from pcs_racing.track.frenet import LEFT, PSI, RIGHT, SPEED, X, Y
 
 if TYPE_CHECKING:

@@ -30,10 +30,9 @@ from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.planners.trained import save_driver
 from pcs_racing.planners.view import VIEW_SIZE
-from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing.race.config import DT, RaceConfig, load_race_config
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import RaceSetup, run_races
-from pcs_racing.race.rates import DT
 from pcs_racing.race.state import take
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track

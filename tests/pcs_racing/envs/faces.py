@@ -7,7 +7,7 @@ from pcs_racing import PolicyArchive, get_planner
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
 from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv, SelfPlayMatchVectorEnv
-from pcs_racing.game.match_observation import decode_match
+from pcs_racing.game.observation import decode_match
 
 AXES = ("aggressiveness", "restraint")
 MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]

@@ -10,7 +10,7 @@ from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_kernel import advance_alone, restart
 from pcs_racing.envs.infos import Crash
-from pcs_racing.race.contacts import place_cars
+from pcs_racing.race.positions import place_cars
 from pcs_racing.race.races import RaceSetup, start_races
 from pcs_racing.race.state import NO_CRASH, WALL_CRASH, take
 from pcs_racing.race.steering import steering_noise

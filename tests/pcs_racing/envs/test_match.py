@@ -11,7 +11,7 @@ from pcs_racing.envs.match import (
     MatchVectorEnv,
     parallel_env,
 )
-from pcs_racing.game.match_observation import decode_match
+from pcs_racing.game.observation import decode_match
 
 
 def play(made, seed, actions):

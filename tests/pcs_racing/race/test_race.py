@@ -30,10 +30,10 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
+from pcs_racing.race.config import DT
 from pcs_racing.race.driving import _pieces, pad_parameters
-from pcs_racing.race.progress import count_crossing
+from pcs_racing.race.positions import count_crossing
 from pcs_racing.race.races import start_lines, starts_of
-from pcs_racing.race.rates import DT
 from pcs_racing.race.state import ITTC, ITTC_SAMPLES, NO_CRASH, WALL_CRASH, empty_state
 from pcs_racing.track.track import Calibration
 

@@ -11,9 +11,8 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.car.ittc import minimum_ittc
 from pcs_racing.car.vehicle import F1TENTH, simulate
 from pcs_racing.planners.view import VIEW, VIEW_SIZE
-from pcs_racing.race.contacts import place_cars
 from pcs_racing.race.kernel import fill_view
-from pcs_racing.race.progress import update_progress
+from pcs_racing.race.positions import place_cars, update_progress
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
 from pcs_racing.race.steering import delayed, steering_noise
 from pcs_racing.track.frenet import SPEED

@@ -18,8 +18,8 @@ from pcs_racing import (
     start_races,
 )
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.race.config import PLAN_EVERY
 from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.rates import PLAN_EVERY
 from pcs_racing.race.recording import LAST_INDEX, record_drive, tell_apart
 
 PAPER = load_race_config("paper", duration=6.0)

@@ -168,7 +168,7 @@ def test_a_race_line_without_air_to_the_walls_is_replaced(folder, oval, caplog):
 
 
 def test_without_the_mapping_tools_complete_maps_load_and_others_say_what_to_install(folder, monkeypatch):
-    monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None)
+    monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
     load_track(folder)
     (folder / "Big Oval_raceline.csv").unlink()
     with pytest.raises(ModuleNotFoundError, match=r"race line; .*pcs-racing\[mapping\]"):

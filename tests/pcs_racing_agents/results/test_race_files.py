@@ -95,6 +95,7 @@ def test_seeds_may_be_larger_than_any_number_of_the_machine(tmp_path, rows):
         ("ego", "x" * 301, "ego is 301 characters long"),
         ("race", "1.5", "race is '1.5'; it must be a whole number"),
         ("seed", "minus one", "seed is 'minus one'; it must be a whole number"),
+        ("seed", "٣", "seed is '٣'; it must be a whole number"),
         ("duration", "soon", "duration is 'soon'"),
         ("opponent_path", "3; x", "opponent_path is '3; x'; it must be a list of policies"),
     ],

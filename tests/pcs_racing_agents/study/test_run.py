@@ -254,14 +254,14 @@ def test_shipped_studies_load_and_have_the_blind_agents_in_their_main_table(name
     [({"ppo": None}, "torch", "learning"), ({"synthesis": "default"}, "moocore", "synthesis")],
 )
 def test_a_missing_library_is_told_before_any_work(monkeypatch, tmp_path, changes, library, extra):
-    monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None if name == library else object())
+    monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None if name == library else object())
     with pytest.raises(ModuleNotFoundError, match=rf"{library} is needed .*\[{extra}\]"):
         run_study(replace(TINY, **changes), tmp_path / "x", quiet=True)
     assert not (tmp_path / "x").exists()
 
 
 def test_a_library_is_asked_for_only_by_stages_that_are_still_to_run(monkeypatch, finished):
-    monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None)
+    monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
     assert [stage.name for stage in stages_to_run(TINY, finished.folder)] == ["report"]
     left = stages_to_run(TINY, finished.folder / "new", ["trees", "archive"])
     assert [stage.name for stage in left] == ["archive", "trees"]

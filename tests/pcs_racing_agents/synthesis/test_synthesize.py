@@ -295,7 +295,7 @@ def violations_in_a_part(points):
 
 
 def test_without_the_library_the_error_says_what_to_install(monkeypatch):
-    monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None)
+    monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match=r'pip install "pcs-racing\[synthesis\]"'):
         Search(UNIT)
     with pytest.raises(ModuleNotFoundError, match=r'pip install "pcs-racing\[baselines\]"'):

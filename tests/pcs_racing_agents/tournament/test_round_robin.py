@@ -104,7 +104,7 @@ def test_alpha_rank_prefers_who_beats_all_and_keeps_cycles():
 
 
 def test_a_missing_library_is_named_with_its_extra(monkeypatch):
-    monkeypatch.setattr("pcs_racing.base.optional.find_spec", lambda name: None if name == "pyspiel" else object())
+    monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None if name == "pyspiel" else object())
     with pytest.raises(ModuleNotFoundError, match=r"\[games\]") as error:
         alpha_rank(CYCLE)
     assert error.value.name == "pyspiel"

@@ -1,15 +1,19 @@
-"""Race lines keep clear of the walls, are smooth, simple and faster than the centre line."""
+"""Race lines keep clear of the walls, are smooth, simple and faster than the centre line; speeds keep every limit."""
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from pcs_racing.base.errors import InputError, MapError
 from pcs_racing.track.building.clearance import wall_clearance
 from pcs_racing.track.building.curves import first_crossing, resample, signed_area
-from pcs_racing.track.building.raceline import minimum_curvature_raceline, raceline_rows
-from pcs_racing.track.building.speed import lap_time
+from pcs_racing.track.building.raceline import lap_time, minimum_curvature_raceline, raceline_rows, speed_profile
 from pcs_racing.track.mapping.circuits import walls_to_grid
 from pcs_racing.track.maps import read_map
+
+CURVATURES = arrays(np.float64, st.integers(1, 60), elements=st.floats(-3.0, 3.0))
 
 
 def lap(xy: np.ndarray) -> float:
@@ -104,3 +108,26 @@ def test_real_circuits(real_maps, name):
     assert_sound(race, found.occupied, found.resolution, found.origin)
     # The shipped lines go as near as 0.11 m to a wall, ours keeps 0.305 m.
     assert lap(race) < 1.03 * lap(found.raceline[:, 1:3])
+
+
+@given(kappa=CURVATURES, ds=st.floats(0.05, 3.0))
+def test_every_sample_is_held_back_by_some_limit_and_none_is_exceeded(kappa, ds):
+    """5 m/s^2 across, 3.5 forwards, 4.5 backwards, 8 m/s: the least of what these allow is the speed."""
+    w = speed_profile(kappa, ds) ** 2
+    cap = np.minimum(5.0 / np.maximum(np.abs(kappa), 1e-12), 8.0**2)
+    forwards = np.roll(w, 1) + 2.0 * 3.5 * ds
+    backwards = np.roll(w, -1) + 2.0 * 4.5 * ds
+    np.testing.assert_allclose(w, np.minimum(cap, np.minimum(forwards, backwards)), rtol=1e-9)
+
+
+@given(kappa=CURVATURES, shift=st.integers(-60, 60))
+def test_the_start_line_may_lie_anywhere(kappa, shift):
+    np.testing.assert_allclose(
+        speed_profile(np.roll(kappa, shift), 0.3), np.roll(speed_profile(kappa, 0.3), shift), rtol=1e-12
+    )
+
+
+def test_lap_time_of_a_steady_lap_and_of_a_ramp():
+    assert lap_time(np.full(50, 4.0), 0.2) == pytest.approx(2.5)
+    # From 2 to 4 m/s and back at constant acceleration: the mean speed is 3 m/s.
+    assert lap_time(np.array([2.0, 4.0]), 3.0) == pytest.approx(2.0)

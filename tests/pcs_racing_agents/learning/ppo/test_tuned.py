@@ -8,7 +8,7 @@ import pytest
 from repository import read_page
 
 from pcs_racing.base.errors import ConfigError, UnknownNameError
-from pcs_racing.envs.registration import GYMNASIUM_IDS, PETTINGZOO_IDS
+from pcs_racing.envs import GYMNASIUM_IDS, PETTINGZOO_IDS
 from pcs_racing_agents.learning.ppo.tuned import learning_rate, tuned_environments, tuned_ppo
 
 PAGE = read_page("reports/tuned_ppo.md")

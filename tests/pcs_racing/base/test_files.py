@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import InputError
-from pcs_racing.base.reading import plain_yaml, read_limited, unpack_arrays
+from pcs_racing.base.files import plain_yaml, read_limited, unpack_arrays
 
 plain = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**62), 2**62) | st.floats(allow_nan=False) | st.text(max_size=10),
