@@ -74,7 +74,7 @@ types: $(VENV)/test.stamp
 # overflows and of 0 / 0, which are meant. Real circuits are left out there: they would take minutes to build.
 INTERPRETED := tests/interpreted tests/pcs_racing/car/test_collision.py tests/pcs_racing/track/test_grid.py \
 	tests/pcs_racing/car/test_ittc.py tests/pcs_racing/car/test_vehicle.py tests/pcs_racing/track/building/test_clearance.py \
-	tests/pcs_racing/track/building/test_curves.py tests/pcs_racing/track/building/test_speed.py \
+	tests/pcs_racing/track/building/test_curves.py tests/pcs_racing/track/building/test_raceline.py \
 	tests/pcs_racing_agents/networks/test_regret_network.py tests/pcs_racing_agents/solvers/test_cfr.py \
 	tests/pcs_racing_agents/solvers/test_matrix_games.py
 COVERED := $(RUN) -m pytest --cov --cov-report= --cov-fail-under=0

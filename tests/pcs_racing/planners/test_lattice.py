@@ -202,7 +202,7 @@ def test_who_speeds_up_behind_only_ends_in_front_of_who_does_not():
     bold, calm = (LATTICE.policy({"pace": 0.3, "pace_behind": more}) for more in (0.5, 0.0))
     track = load_track("Tarnfjord")
     plain, reacts = (run_races(track, [ego] * 6, calm, config, starts=starts) for ego in (calm, bold))
-    assert reacts.lead.mean() > plain.lead.mean() + 1.0
+    assert reacts.lead.mean() > plain.lead.mean() + 0.5
 
 
 def test_races_are_deterministic():
