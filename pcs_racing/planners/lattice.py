@@ -3,12 +3,12 @@
 Ten times a second the planner lays a lattice of goals around the race line ahead (two distances, eight positions across
 the track). A move is a cubic in the distance from the race line, as in [1]_ and [2]_: it begins where the last plan is
 by now and ends at a goal, along the line. So a plan goes on where the last one was, and does not follow every stray of
-the car: a third of a stray is forgiven at each plan, and the car is led back from the rest within a few metres. Each
-move is considered at four speeds, 64 candidates in all: an attack, faster than the profile on straights, while a car is
-to be passed; the profile; a slower one; and the speed that keeps a distance behind the other car, even when that
-brakes. A candidate that comes too close to a wall, asks for more grip than there is, or meets the predicted opponent
-within two seconds is rejected; of the others the one with the smallest weighted sum of costs wins. The weights, on a
-log scale, and a few traits (pace, attack, side margin) are the parameters of the policy.
+the car: most of a stray is led back within a few metres, and the next plan forgives the rest. Each move is considered
+at four speeds, 64 candidates in all: an attack, faster than the profile on straights, while a car is to be passed; the
+profile; a slower one; and the speed that keeps a distance behind the other car, even when that brakes. A candidate that
+comes too close to a wall, asks for more grip than there is, or meets the predicted opponent within two seconds is
+rejected; of the others the one with the smallest weighted sum of costs wins. The weights, on a log scale, and a few
+traits (pace, attack, side margin) are the parameters of the policy.
 
 Of two cars the one ahead has the right of way, and holds its place while the other one follows; beside each other both
 keep their lanes. What differs from the paper's planner, and why: ``docs/paper.md``.
@@ -31,6 +31,7 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.pursuit import BRAKING as MOST_BRAKING
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, offset
@@ -136,9 +137,9 @@ MEMORY = 7
 
 # Rows of the scratch, each GOALS wide: where a move ends, its length and coefficients; its curvature, the largest one,
 # the mean, and the largest change along it; the lateral acceleration that it asks for; how much longer it is than the
-# line, and how much its bends slow a car down; air that the race line leaves, nearness to walls, least air beside a
-# wall, cost whatever the speed; trouble, deepest overlap and proximity at the speed under study; then all costs, and
-# points and air at the ends of all segments.
+# line, and how much its bends slow a car down; air that the race line and the move leave, nearness to walls, least air
+# beside a wall, cost whatever the speed; at the speed under study trouble, deepest overlap, lead over the opponent,
+# distance across and proximity; then all costs, and points and air at the ends of all segments.
 (
     _GOAL_D,
     _LENGTH,
@@ -511,20 +512,19 @@ def _meet_opponent(scratch, f, s0, gap, side, reach, unsure, side_reach, body, r
                 d = _lateral(u, scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g])
                 side = min(max(d, low), high) - opp_d
                 across = abs(side)
-                meets = gap < reach
+                # The least distance across while the cars are level, at this step or between the last one and this.
+                nearest = across if gap < reach else side_reach
                 if along * before < 0.0:
                     # One passes the other between two steps: what counts is where both are then.
                     aside = scratch[_SIDE + g] + (side - scratch[_SIDE + g]) * before / (before - along)
-                    across = min(across, abs(aside)) if meets else abs(aside)
-                    meets = True
+                    nearest = min(nearest, abs(aside))
                 elif side * scratch[_SIDE + g] < 0.0 and abs(before) < reach:
-                    across, meets = 0.0, True  # it changes sides beside the other car
+                    nearest = 0.0  # it changes sides beside the other car
                 scratch[_ALONG + g] = along
                 scratch[_SIDE + g] = side
                 # A move cannot lead through the other car: what overlapped once is no better on the other side.
-                deep = max(scratch[_DEEPEST + g], side_reach - across if meets else 0.0)
+                deep = max(scratch[_DEEPEST + g], side_reach - nearest)
                 scratch[_DEEPEST + g] = deep
-                across = abs(side)
                 scratch[_TROUBLE + g] += hard * deep * (1.0 + deep)
                 side_air = max(across - body, 0.0)
                 near = soft / (long_square + side_air * side_air)
@@ -571,7 +571,7 @@ def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
 def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack, aside, aside_slope, path):  # type: ignore[no-untyped-def]
     """Write the beginning of the chosen move, and the way back onto it, with a speed that its bends allow."""
     per_ds = 1.0 / ds
-    braking = min(BRAKING * grip / GRIP, 5.5)  # as the profile brakes at this scale, if the car can
+    braking = min(BRAKING * grip / GRIP, MOST_BRAKING)  # as the profile brakes at this scale, if the car may
     s0 = view[_view.OWN_S]
     v = view[_view.OWN_V]
     goal, a, b = scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g]
