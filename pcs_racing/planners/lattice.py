@@ -42,6 +42,7 @@ ACROSS = 8
 DISTANCES = 2
 GOALS = ACROSS * DISTANCES
 SEGMENTS = 8  # of each move, at whose ends it is measured
+BEYOND = 4  # points behind the end of a move at which its bends are measured
 SPEEDS = 4
 CANDIDATES = GOALS * SPEEDS
 
@@ -209,13 +210,26 @@ def _speed_at(line, per_ds, s):  # type: ignore[no-untyped-def]
     return line[_sample_at(line, per_ds, s), _frenet.SPEED]
 
 
+@inner_kernel(forceinline=True)
+def _steady_speed(line, per_ds, s, scale):  # type: ignore[no-untyped-def]
+    """Speed at an arc length above -length of a car that follows the profile and brakes as hard as it may, but no harder.
+
+    Above speed scale 1 the profile brakes harder than that, and a car has to begin earlier.
+    """
+    speed = scale * _speed_at(line, per_ds, s)
+    for k in range(1, 4):
+        ahead = scale * _speed_at(line, per_ds, s + 2.0 * k)
+        speed = min(speed, np.sqrt(ahead * ahead + 4.0 * k * MOST_BRAKING))
+    return speed
+
+
 @inner_kernel
 def _attack_speed(line, per_ds, s, scale, attack):  # type: ignore[no-untyped-def]
     """Speed at an arc length above -length at which a car attacks: above the profile's on straights, not in bends.
 
     It accelerates harder and tops the profile by the share ``attack``, and comes down to the profile where it brakes.
     """
-    own = scale * _speed_at(line, per_ds, s)
+    own = _steady_speed(line, per_ds, s, scale)
     lateral = LATERAL_OF_PROFILE * scale * scale
     share = (1.0 + attack) * scale
     square = 1e9
@@ -383,6 +397,16 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
                 scratch[_KAPPA_RATE + g] = max(scratch[_KAPPA_RATE + g], rate)
                 scratch[_SIDEWAYS + g] = max(scratch[_SIDEWAYS + g], abs(bent) * square)
                 scratch[_KAPPA + g] = bent
+        # A near move may not end where the bend behind it cannot be driven: bends are measured as far as far moves reach.
+        for j in range(BEYOND if first == 0 else 0):
+            driven = length * (1.0 + (j + 1) / BEYOND * (FAR - 1.0))
+            i = _sample_at(line, per_ds, s0 + driven)
+            kappa = line[i, _frenet.KAPPA]
+            fastest = scale * line[i, _frenet.SPEED]
+            square = min(fastest * fastest, v * v + 8.0 * driven)
+            for g in range(first, first + ACROSS):
+                bent = kappa / max(1.0 - kappa * scratch[_GOAL_D + g], 0.25)
+                scratch[_SIDEWAYS + g] = max(scratch[_SIDEWAYS + g], abs(bent) * square)
 
 
 @inner_kernel
@@ -430,7 +454,7 @@ def _predict(line, per_ds, s, v, attack, follows, keep, steps, scratch):  # type
             if f == ATTACKS and attack > 0.0:
                 target = _attack_speed(line, per_ds, own_s, scratch[_SCALE + f], attack)
             else:
-                target = scratch[_SCALE + f] * _speed_at(line, per_ds, own_s)
+                target = _steady_speed(line, per_ds, own_s, scratch[_SCALE + f])
             if f == FOLLOWS and follows:
                 target = min(target, _following_speed(scratch, own_s, k))
             own_v += min(max(max(target, 0.0) - own_v, -OWN_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
@@ -455,7 +479,7 @@ def _predict_opponent(line, per_ds, view, s, scale, gives_way, beside, scratch):
     # The track pushes the other car sideways where it narrows; who has the right of way leaves it air there.
     room = 0.5 * view[_view.OPP_WIDTH] + (0.0 if gives_way else BODY_AIR)
     for k in range(HORIZON_STEPS):
-        wanted = carried * _speed_at(line, per_ds, s)
+        wanted = _steady_speed(line, per_ds, s, carried)
         v += min(max(wanted - v, -OPPONENT_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
         s += v * HORIZON_STEP
         t = (k + 1) * HORIZON_STEP
