@@ -36,15 +36,12 @@ def test_numbers_come_back_to_within_half_a_step(values, per_unit, data):
     assert pack(back, per_unit, axes) == packed  # what has been rounded stays as it is
 
 
-def test_small_differences_take_one_character_each():
+def test_known_text_and_small_differences_take_one_character_each():
+    # 0, -1, 1, 15, 16: the last one needs a second character.
+    assert pack(np.array([0, -1, 1, 15, 16]), 1)["data"] == "ABCegB"
     x = np.arange(1000) * 0.25
     assert len(pack(x, 1000, [0, 0])["data"]) < 1010
     assert len(pack(x, 1000)["data"]) > 2500
-
-
-def test_known_text():
-    # 0, -1, 1, 15, 16: the last one needs a second character.
-    assert pack(np.array([0, -1, 1, 15, 16]), 1)["data"] == "ABCegB"
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])

@@ -114,15 +114,12 @@ def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
     np.testing.assert_array_equal(game.reward(end)[0], [race.lead[0], -race.lead[0]])
 
 
-def test_a_game_does_not_depend_on_its_batch(game):
+def test_a_game_depends_on_neither_its_batch_nor_the_threads(game):
     keys = np.array([5, 6, 7, 8], np.uint64)
     together = play(game, game.reset(keys), [(0, 3), (2, 1)])
     for i, key in enumerate(keys):
         assert_same(play(game, game.reset([key]), [(0, 3), (2, 1)]), take_games(together, [i]))
     assert_same(game.reset(games=4, seed=3), take_games(game.reset(games=6, seed=3), [0, 1, 2, 3]))
-
-
-def test_the_number_of_threads_changes_nothing(game):
     one = replace(game, threads=1)
     assert_same(play(game, game.reset(games=5), [(0, 1)]), play(one, one.reset(games=5), [(0, 1)]))
 
@@ -147,13 +144,10 @@ def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
         assert drawn.max() < 4.0 * 400 / count + 5.0
 
 
-def test_a_state_begins_with_zeros_and_nobody_leads():
+def test_a_state_begins_with_zeros_and_a_step_leaves_it_alone(game):
     for name, array in arrays(empty_game(2, 3, 4, 5, 2)).items():
         assert array.shape[0] == 2, name
         assert (array == (-1 if name == "leader" else 0)).all(), name
-
-
-def test_a_step_leaves_its_argument_alone(game):
     state = game.reset(games=3)
     before = state.copy()
     game.step(state, np.zeros((3, 2), np.int64))

@@ -35,17 +35,18 @@ def test_the_race_lasts_for_a_step_more_than_there_are_moves(moves, seconds):
     assert dataclasses.replace(config.race_rules, duration=PAPER.duration) == PAPER
 
 
-def test_several_step_sizes_and_one_in_a_list():
+def test_step_sizes_and_axes_are_kept_in_one_form_and_changed_by_name():
     assert GameConfig(epsilon=(0.2, 0.6)).epsilon == (0.2, 0.6)
     assert GameConfig(epsilon=(0.3,)).epsilon == 0.3
-
-
-def test_axes_are_kept_as_a_tuple():
     config = GameConfig(characteristics=["speed", "restraint"])
     assert config.characteristics == ("speed", "restraint")
     hash(config)
     with pytest.raises(ConfigError, match="'speed'"):
         GameConfig(characteristics="speed")
+    config = load_game_config(GameConfig(moves=2), step_seconds=1.0)
+    assert (config.moves, config.step_seconds) == (2, 1.0)
+    with pytest.raises(ConfigError, match="unknown game setting 'move'"):
+        load_game_config(move=3)
 
 
 @pytest.mark.parametrize(
@@ -76,10 +77,3 @@ def test_a_game_lasts_an_hour_at_most():
     assert GameConfig(moves=5, step_seconds=600.0).horizon == 3600.0
     with pytest.raises(ConfigError, match="6 moves of 600 s"):
         GameConfig(moves=6, step_seconds=600.0)
-
-
-def test_rules_are_changed_by_name():
-    config = load_game_config(GameConfig(moves=2), step_seconds=1.0)
-    assert (config.moves, config.step_seconds) == (2, 1.0)
-    with pytest.raises(ConfigError, match="unknown game setting 'move'"):
-        load_game_config(move=3)

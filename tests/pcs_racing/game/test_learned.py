@@ -51,18 +51,12 @@ def piece(lead: float) -> Segment:
     return Segment(np.array([[40.0 + lead, 40.0]]), np.zeros((1, 2, len(SUMS))), np.array([8.0]), 8.0)
 
 
-def test_a_value_is_the_sum_of_its_weighted_terms():
+def test_a_value_is_the_sum_of_its_weighted_and_limited_terms():
     # A lead of 4 m is 2 sd: 0.5 + 2 * 2 - 2 * (-2) for car 0; a deficit is -2: 0.5 - 4 - 4 for car 1.
     values = measure(piece(4.0), TOY.characteristics)
     np.testing.assert_allclose(values[0], [[8.5, -2.0], [-7.5, -2.0]])
-
-
-def test_inputs_are_limited():
     far, limit = (measure(piece(lead), TOY.characteristics) for lead in (1000.0, 2.0 * BOUND))
     np.testing.assert_array_equal(far, limit)
-
-
-def test_values_of_inputs_give_what_the_segment_gives():
     inputs = measure(piece(3.0), get_characteristics(["aggressiveness", "restraint"]))
     np.testing.assert_array_equal(TOY.estimate(inputs), measure(piece(3.0), TOY.characteristics))
 

@@ -39,20 +39,14 @@ def race(function):
     return run_races(load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1)
 
 
-def test_plain_and_compiled_functions_drive_the_same():
+def test_plain_and_compiled_functions_drive_the_same_and_are_compiled_once():
     assert (race(control).state.cars == race(njit(control)).state.cars).all()
-
-
-def test_a_function_is_compiled_once():
     assert control_address(control) == control_address(control)
 
 
-def test_what_a_planner_raises_the_race_raises():
+def test_what_a_planner_raises_and_returns_is_told():
     with pytest.raises(ValueError, match="nowhere to go"):
         race(failing)
-
-
-def test_a_function_that_returns_something_is_refused():
     with pytest.raises(InputError, match="returning"):
         race(returning)
 

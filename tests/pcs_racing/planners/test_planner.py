@@ -66,13 +66,16 @@ def test_the_vector_of_a_policy():
     assert PLANNER.policy({"air": 0.2}, name="wide").name == "wide"
 
 
-def test_a_policy_keeps_a_vector_of_its_own():
+def test_a_policy_keeps_a_vector_of_its_own_of_the_right_length():
     vector = np.array([0.1, 0.2])
     policy = PLANNER.policy(vector)
     vector[0] = 0.9
     assert policy.parameters[0] == 0.1
     with pytest.raises(ValueError, match="read-only"):
         policy.parameters[0] = 0.9
+    with pytest.raises(InputError, match="policy 'p' has parameters of shape"):
+        Policy(PLANNER, np.zeros(3), "p")
+    assert (PLANNER.policy().name, PLANNER.policy(name="mine").name) == ("example", "mine")
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -116,17 +119,9 @@ def test_bad_parameters_are_refused(parameters, error, message):
         PLANNER.policy(parameters)
 
 
-def test_a_policy_needs_a_vector_of_the_right_length():
-    with pytest.raises(InputError, match="policy 'p' has parameters of shape"):
-        Policy(PLANNER, np.zeros(3), "p")
-
-
-def test_a_python_driver_needs_memory_for_its_command():
+def test_memory_and_view_have_room_and_meaning():
     assert PLANNER.memory_total == 0
     assert Planner("p", (), drive=lambda *_: (0.0, 0.0), memory_size=3).memory_total == 3 + COMMAND_SLOTS
-
-
-def test_every_number_of_the_view_has_a_meaning():
     assert len(VIEW) == VIEW_SIZE
     assert all(meaning for meaning in VIEW.values())
 
@@ -195,13 +190,10 @@ def test_pursuit_along_the_slip_of_the_moment_would_not_be():
     assert strays(4.0, lambda slip: slip)[-1] < 0.002
 
 
-def test_understeer_is_made_up_for(view):
+def test_understeer_is_made_up_for_and_braking_is_calm(view):
     view[UNDERSTEER] = 0.003
     more = pursuit_steering(view, 1.0, 0.1, 0.5, 0.0) - pursuit_steering(view, 1.0, 0.1, 0.0, 0.0)
     assert more == pytest.approx(0.003 * 4.0**2 * 0.5)
-
-
-def test_braking_stays_below_what_the_rear_axle_bears():
     speed, acceleration = calm_speed(8.0, 2.0)
     assert acceleration == pytest.approx(-5.5)
     assert speed == pytest.approx(8.0 - 0.55)
@@ -222,10 +214,6 @@ def test_a_path_is_followed_at_its_speed(view):
     command = followed(path, view)
     assert command[0] == 0.0
     assert command[1] == pytest.approx(np.interp(0.4, path[:, PATH_X], path[:, PATH_SPEED]), abs=0.05)
-
-
-def test_a_policy_has_its_planner_s_name_unless_it_is_given_one():
-    assert (PLANNER.policy().name, PLANNER.policy(name="mine").name) == ("example", "mine")
 
 
 def test_a_point_of_the_path_nearer_than_its_second_one_is_aimed_at(view):

@@ -86,12 +86,9 @@ def test_another_planner_is_pickled_with_all_that_it_holds():
     assert (found.name, found.parameters) == (mine.name, mine.parameters)
 
 
-def test_an_unknown_name_lists_the_names_and_the_nearest():
+def test_planners_are_found_by_name_or_the_nearest_is_told():
     with pytest.raises(UnknownNameError, match=r"planner 'latice' is unknown; did you mean 'lattice'\? there are: .*"):
         get_planner("latice")
-
-
-def test_every_shipped_planner_loads_under_its_own_name():
     for name, place in registry.SHIPPED.items():
         assert get_planner(name).name == name
         assert get_planner(name) is resolve_name(place)

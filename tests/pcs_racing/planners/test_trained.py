@@ -28,15 +28,12 @@ def folder(tmp_path):
     return save_driver(tmp_path / "mine", layers(6), name="mine", hold=4, training={"steps": 7})
 
 
-def test_what_is_written_is_read(folder):
+def test_what_is_written_is_read_and_compiled_once(folder):
     found, manifest = read_driver(folder)
     np.testing.assert_array_equal(found.flat(), layers(6).flat())
     assert manifest["training"] == {"steps": 7}
     planner = load_driver(folder)
     assert (planner.name, planner.parameters, planner.sight) == ("mine", (), 8.0)
-
-
-def test_equal_drivers_are_compiled_once(folder):
     assert load_driver(folder).control is trained_planner("other", layers(6), 4).control
     assert load_driver(folder).control is not trained_planner("mine", layers(6), 2).control
 

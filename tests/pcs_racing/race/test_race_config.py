@@ -14,10 +14,6 @@ def test_the_two_presets():
     assert (CONTEST.start, CONTEST.crash_rule, CONTEST.aggressiveness) == ("staggered", "fault-loses", "speed")
     assert CONTEST.steering_noise > 0.0
     assert PAPER.ticks == CONTEST.ticks == 4000
-
-
-def test_contest_starts_one_behind_the_other_with_noise_and_a_fault_rule():
-    """The numbers of docs/racing.md: a gap of 1.4 m along and 0.45 m across, steering noise of 0.02 rad."""
     assert (CONTEST.start, CONTEST.start_gap, CONTEST.start_spacing) == ("staggered", 1.4, 0.45)
     assert (CONTEST.steering_noise, CONTEST.crash_rule, CONTEST.stay_move) == (0.02, "fault-loses", True)
 
@@ -79,6 +75,8 @@ def test_speed_ranges_run_from_a_tenth_to_three():
 def test_a_configuration_by_name_with_changes():
     config = load_race_config("contest", duration=16.0)
     assert config == dataclasses.replace(CONTEST, duration=16.0)
+    with pytest.raises(UnknownNameError, match=r"race settings 'papper' are unknown"):
+        load_race_config("papper")
 
 
 def test_a_configuration_from_yaml(tmp_path):
@@ -98,11 +96,6 @@ def test_a_bad_file_is_one_clear_error(tmp_path, text, message):
     file.write_text(text)
     with pytest.raises(ConfigError, match=message):
         load_race_config(file)
-
-
-def test_an_unknown_name_lists_the_presets():
-    with pytest.raises(UnknownNameError, match=r"race settings 'papper' are unknown"):
-        load_race_config("papper")
 
 
 @pytest.mark.parametrize(

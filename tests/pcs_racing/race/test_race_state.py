@@ -35,24 +35,18 @@ def test_an_empty_state_has_a_row_for_every_race():
         assert (array == (-1 if name == "leader" else 0)).all(), name
 
 
-def test_a_copy_is_independent(state):
+def test_copies_parts_and_files_are_the_same_state(state, tmp_path):
     before = state.copy()
     copy = state.copy()
     for array in copy:
         array += np.ones(1, array.dtype)
     assert_same(state, before)
-
-
-def test_taking_and_joining_are_inverse(state):
     assert_same(concatenate([take(state, [0]), take(state, [1, 2])]), state)
     assert_same(take(take(state, [2, 0, 1]), [1, 2, 0]), state)
     twice = take(state, [1, 1])
     assert twice.races == 2
     twice.cars[0] += 1.0
     assert not np.array_equal(twice.cars[0], twice.cars[1])
-
-
-def test_a_saved_state_reads_back_exactly(state, tmp_path):
     save_state(state, tmp_path / "race.npz")
     assert_same(load_state(tmp_path / "race.npz"), state)
     assert [path.name for path in tmp_path.iterdir()] == ["race.npz"]

@@ -111,15 +111,12 @@ def test_more_crashes_are_allowed_only_where_places_are_few(oval, pretend):
     assert many["right"] == ((70 * PLACE_EVERY, (len(crashes) - 1) * PLACE_EVERY),)
 
 
-def test_training_and_tests_share_the_places_block_by_block():
+def test_training_and_tests_share_the_places_by_blocks_or_one_by_one():
     places = np.arange(0.0, 40.0, PLACE_EVERY)
     train, test = (split_places(places, split) for split in ("train", "test"))
     np.testing.assert_array_equal(np.sort(np.concatenate([train, test])), places)
     assert (train // BLOCK % 2 == 1).all()
     assert (test // BLOCK % 2 == 0).all()
-
-
-def test_places_in_blocks_of_one_kind_are_shared_one_by_one():
     places = np.array([0.0, 0.5, 2.0, 4.0, 4.5, 6.0, 8.0, 8.5])
     np.testing.assert_array_equal(split_places(places, "train"), places[1::2])
     np.testing.assert_array_equal(split_places(places, "test"), places[::2])

@@ -35,16 +35,13 @@ def folder(values, tmp_path):
     return write_map(MapFolder("Big Oval", tmp_path / "Big Oval", *grid, values["centerline"], rows, info))
 
 
-def test_a_folder_gives_the_same_track_as_its_values(folder, oval):
+def test_a_folder_gives_the_same_track_as_its_values_and_again_the_same_object(folder, oval):
     loaded = load_track(folder)
     assert loaded.name == "Big Oval"
     assert loaded.calibration == {"contest": Calibration((0.9, 1.1), 0.45, {"front": ((1.0, 5.5),)})}
     assert loaded.folder == folder
     np.testing.assert_allclose(loaded.line[:, :2], oval.line[:, :2], atol=1e-3)
     np.testing.assert_array_equal(loaded.arrays.distance, oval.arrays.distance)
-
-
-def test_loading_again_gives_the_same_object(folder):
     one = load_track(folder)
     assert load_track(str(folder)) is one
     assert load_track(folder / "Big Oval_map.yaml") is one

@@ -57,13 +57,10 @@ def test_what_is_written_reads_back(folder):
     assert sorted(file.name for file in folder.parent.iterdir()) == ["Ring"]
 
 
-def test_writing_the_same_map_gives_the_same_bytes(folder, tmp_path):
+def test_the_same_map_has_the_same_bytes_and_replaces_another(folder, tmp_path):
     again = write_map(_map(tmp_path / "other"))
     for file in folder.iterdir():
         assert (again / file.name).read_bytes() == file.read_bytes()
-
-
-def test_a_map_of_the_same_name_is_replaced_and_other_files_stay(folder):
     (folder / "notes.txt").write_text("kept")
     write_map(_map(folder)._replace(resolution=0.1))
     assert read_map(folder).resolution == 0.1

@@ -52,14 +52,14 @@ def test_a_track_can_not_be_changed(oval):
         oval.name = "other"
 
 
-def test_summary_and_repr_are_short(oval):
+def test_summary_shapes_and_points_that_are_nowhere(oval):
     assert "49.1 m" in oval.summary()
     assert len(repr(oval)) < 300
-
-
-def test_pairs_are_asked_for(oval):
     with pytest.raises(ValueError, match=r"shape \(\.\.\., 2\)"):
         oval.to_frenet([1.0, 2.0, 3.0])
+    for point in ([np.nan, 0.0], [np.inf, 0.0], [1e15, -1e15]):
+        assert oval.to_frenet(point).shape == (2,)
+        assert oval.wall_distance(point) == 0.0
 
 
 def gap_to_the_border(values):
@@ -143,9 +143,3 @@ def test_two_parts_of_a_track_with_a_thin_wall_between_are_told_apart():
     np.testing.assert_allclose(track.to_cartesian(np.column_stack([s, d]))[:, :2], points, atol=1e-9)
     points[:, 1] = 4.2
     np.testing.assert_allclose(track.to_frenet(points)[:, 1], -1.7, atol=0.02)
-
-
-def test_points_that_are_nowhere_do_no_harm(oval):
-    for point in ([np.nan, 0.0], [np.inf, 0.0], [1e15, -1e15]):
-        assert oval.to_frenet(point).shape == (2,)
-        assert oval.wall_distance(point) == 0.0

@@ -129,11 +129,6 @@ def test_models_and_policies_become_competitors(setting):
             as_competitor(wrong)
 
 
-def test_what_agents_and_drivers_look_like(setting):
-    assert repr(random_moves(setting)) == "<Agent 'random-moves': archive 'toy', paper rules>"
-    assert repr(make("lane-switcher")) == "<Driver 'lane-switcher': 20 policies of planner 'lane-switcher'>"
-
-
 def test_bad_agents_and_drivers_are_refused(setting):
     with pytest.raises(InputError, match="an agent's name is ''"):
         random_moves(setting, name="")

@@ -9,7 +9,6 @@ from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.blind import random_moves
 from pcs_racing_agents.agents.from_network import adaptive, from_network
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.networks.network_files import save_network
 
 
 def test_the_papers_agent_makes_the_move_of_highest_regret(setting, network, seen):
@@ -86,9 +85,3 @@ def test_a_network_of_another_game_is_refused(setting, network, archive):
         build("nash", setting)
     with pytest.raises(UnknownNameError, match="decision 'best' is unknown"):
         from_network(setting, name="mine", kind="regret", decision="best", network=network)
-
-
-def test_networks_are_read_from_folders(setting, network, seen, tmp_path):
-    save_network(network, tmp_path / "net")
-    agent = build("cfr-argmax", setting, network=str(tmp_path / "net"))
-    np.testing.assert_array_equal(agent.predict(seen[0])[0], network.choose(seen[0]))

@@ -31,9 +31,11 @@ def test_the_move_with_the_largest_output_is_made():
     assert policy.predict(seen[3])[0] == moves[3]
 
 
-def test_its_weights_tell_it_from_others():
+def test_models_are_told_apart_by_their_weights(models):
     assert competitor_hash(TorchPolicy(linear(0))) == competitor_hash(TorchPolicy(linear(0), "other name"))
     assert competitor_hash(TorchPolicy(linear(0))) != competitor_hash(TorchPolicy(linear(1)))
+    digests = {competitor_hash(as_competitor(model, name)) for model in models for name in ("a", "b")}
+    assert len(digests) == 2
 
 
 def test_what_is_no_network_of_moves_is_refused():
@@ -73,11 +75,6 @@ def test_a_model_decides_alike_as_our_own_network(models, game, setting, seen):
         chances = model.policy.get_distribution(torch.as_tensor(rows)).distribution.probs.numpy()
     drawn = build("ppo", setting, network=network, decision="softmax")
     np.testing.assert_allclose(drawn.probabilities(rows), chances, atol=1e-5)
-
-
-def test_models_are_told_apart_by_their_weights(models):
-    digests = {competitor_hash(as_competitor(model, name)) for model in models for name in ("a", "b")}
-    assert len(digests) == 2
 
 
 def test_other_models_are_refused(models, game):

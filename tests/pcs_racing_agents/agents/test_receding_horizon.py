@@ -1,4 +1,3 @@
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -6,18 +5,14 @@ import pytest
 from zoo_games import untrained
 
 from pcs_racing import GameConfig, InputError, RaceGame, UnknownNameError, get_planner
-from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.state import put_games, take_games
 from pcs_racing.race.config import CONTEST
-from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import Decider, make_setting, parse_agent
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.blind import never_switch, random_moves
 from pcs_racing_agents.agents.lookahead import guess_games, look_ahead, merge_histories, root_games, search_game
 from pcs_racing_agents.agents.receding_horizon import receding_horizon
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.solvers import GameTree, solve_exact
-from pcs_racing_agents.tournament import play_games
 
 STAY = 4
 NOISY = GameConfig(race=replace(CONTEST, steering_noise=0.03), step_seconds=0.8, epsilon=0.5, utility="lead-at-crash")
@@ -187,26 +182,6 @@ def test_of_races_won_alike_the_clearer_one(game, archive):
     for row in np.flatnonzero(~winning.done(state)):
         assert won[row, selected[row]] == won[row].max()
         assert lead[row, selected[row]] >= lead[row, won[row] == won[row].max()].max() - 1e-5
-
-
-def test_matches_with_agents_and_drivers(noisy, archive):
-    """On both sides, against who moves and who brings another planner; and again to the same bits."""
-    setting = make_setting(archive, NOISY)
-    agent = receding_horizon(setting, depth=2, leaf="now", noises=2)
-    given = {
-        "policies": np.array([[0, 0], [5, 0], [11, 0]]),
-        "starts": draw_starts(noisy.track, noisy.setup.config, 3, 5),
-        "seeds": race_seeds(6, 3),
-    }
-    driver = get_planner("pure-pursuit").policy()
-    for opponent in (never_switch(setting), random_moves(setting), driver):
-        played = play_games(noisy, agent, opponent, **given)
-        assert (played.moves.codes[:, 0, 0] >= 0).all()
-        again = play_games(noisy, pickle.loads(pickle.dumps(agent)), opponent, **given)
-        np.testing.assert_array_equal(again.lead, played.lead)
-    swapped = play_games(noisy, driver, agent, **{**given, "policies": given["policies"][:, ::-1]})
-    assert (swapped.moves.codes[:, 1, 0] >= 0).all()
-    assert (swapped.moves.codes[:, 0] == -1).all()
 
 
 def test_without_the_move_stay(game, archive):

@@ -26,13 +26,10 @@ def test_a_set_comes_back_as_it_was(known, tmp_path):
     assert "set" not in list_networks()
 
 
-def test_a_smaller_set_replaces_a_larger_one(known, setting, tmp_path):
+def test_a_set_replaces_another_whole_and_an_exchanged_network_is_noticed(known, setting, tmp_path):
     save_network_set(known, tmp_path / "set")
     one = NetworkSet("one", (untrained(setting, "advantage", 5),), np.ones(1), "argmax")
     assert len(load_network_set(save_network_set(one, tmp_path / "set")).networks) == 1
-
-
-def test_a_network_that_was_exchanged_is_noticed(known, setting, tmp_path):
     folder = save_network_set(known, tmp_path / "set")
     save_network(untrained(setting, "advantage", 9), folder / "01")
     with pytest.raises(InputError, match="01"):

@@ -47,23 +47,6 @@ def test_values_are_those_of_the_formula(hidden, clipped):
     assert (values >= 0.0).all() == clipped
 
 
-def test_values_are_those_of_torch():
-    """Tolerance: 1e-5, of values of order one; both compute in float32, in another order."""
-    torch = pytest.importorskip("torch")
-
-    network = random_network(inputs=31, hidden=(64, 64), clipped=True)
-    layers = []
-    for weight, bias in zip(network.layers.weights, network.layers.biases, strict=True):
-        layer = torch.nn.utils.skip_init(torch.nn.Linear, weight.shape[1], weight.shape[0])
-        layer.weight.data, layer.bias.data = torch.tensor(weight), torch.tensor(bias)
-        layers += [layer, torch.nn.ReLU()]
-    x = observations(500, inputs=31)
-    with torch.no_grad():
-        expected = torch.nn.Sequential(*layers)(torch.from_numpy((x - network.mean) / network.scale)).numpy()
-    assert 0.1 < np.mean(expected > 0.0) < 0.9
-    np.testing.assert_allclose(network(x), expected, rtol=1e-5, atol=1e-5)
-
-
 @given(st.integers(1, 40), st.integers(0, 2**32 - 1))
 def test_a_decision_does_not_depend_on_the_batch(rows, seed):
     network = random_network()

@@ -19,9 +19,6 @@ def test_lines_are_numbered_as_an_editor_numbers_them(tmp_path):
     assert table.columns == ("ego", "lead")
     assert list(table.lines()) == [(2, {"ego": "a", "lead": "1.5"}), (4, {"ego": "b, c", "lead": "2"})]
     assert table.rows() == [row for _, row in table.lines()]
-
-
-def test_an_empty_file_has_neither_columns_nor_rows(tmp_path):
     table = read_csv(written(tmp_path, ""))
     assert (table.columns, table.rows()) == ((), [])
 

@@ -2,7 +2,6 @@
 
 from pcs_racing_agents.learning.responses import load_response_settings
 from pcs_racing_agents.study import load_study_config
-from pcs_racing_agents.synthesis.config import load_archive_config
 
 FULL, TABLE, WIDE = (load_study_config(name) for name in ("contest", "contest-table", "contest-wide"))
 
@@ -18,13 +17,6 @@ def test_the_table_is_the_main_table_of_the_study_with_an_archive_that_exists():
     assert list(TABLE.tables) == ["main"]
     assert set(TABLE.arms) < set(FULL.arms)
     assert (TABLE.synthesis, TABLE.archive, TABLE.pairs) == (None, "contest", 0)
-
-
-def test_they_race_on_circuits_that_were_learned_on_and_on_others():
-    assert [track in FULL.circuits for track in FULL.tracks] == [True, True, False]
-    assert FULL.tracks[2] not in load_archive_config(FULL.synthesis).tracks
-    assert set(WIDE.tracks[:4]) == set(WIDE.circuits) > set(TABLE.circuits)
-    assert not set(WIDE.tracks[4:]) & set(WIDE.circuits)
 
 
 def test_the_wide_one_learns_from_as_many_games_on_more_circuits():

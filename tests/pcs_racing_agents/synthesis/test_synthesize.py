@@ -80,14 +80,6 @@ def test_the_front_is_what_nothing_explored_beats():
     assert last.hypervolume == pytest.approx(grown[-1])
 
 
-@pytest.mark.parametrize("options", [{"loss": "total_hypervolume"}, {"mean": "archive"}])
-def test_the_literal_readings_are_other_searches(options):
-    assert not np.array_equal(
-        synthesize(spheres, UNIT, **SMALL, **options).explored_parameters,
-        synthesize(spheres, UNIT, **SMALL).explored_parameters,
-    )
-
-
 def test_points_outside_the_bounds_are_moved_to_their_border():
     bounds = np.tile([-2.0, 4.0], (6, 1))
     points = Search(bounds, population=200, start=np.full(6, 3.9), step_size=0.2).ask()
@@ -184,15 +176,12 @@ def test_stored_results_of_another_search_are_refused():
         synthesize(spheres, UNIT, **{**SMALL, "generations": 5}, evaluated=stored)
 
 
-def test_an_executor_changes_nothing():
+def test_an_executor_and_asking_and_telling_change_nothing():
     def evaluate(points):
         return spheres(points), points[:, 0] - 0.6
 
     with ThreadPoolExecutor(2) as executor:
         same(synthesize(evaluate, UNIT, executor=executor, **SMALL), synthesize(evaluate, UNIT, **SMALL))
-
-
-def test_asking_and_telling_is_the_same_search():
     search = Search(UNIT, population=12, seed=3)
     for _ in range(6):
         search.tell(spheres(search.ask()))
@@ -292,14 +281,6 @@ def test_results_that_do_not_fit_each_other_are_named():
 def violations_in_a_part(points):
     objectives = np.zeros((len(points), 2))
     return objectives if points[0, 0] > 0.5 else (objectives, np.zeros(len(points)))
-
-
-def test_without_the_library_the_error_says_what_to_install(monkeypatch):
-    monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
-    with pytest.raises(ModuleNotFoundError, match=r'pip install "pcs-racing\[synthesis\]"'):
-        Search(UNIT)
-    with pytest.raises(ModuleNotFoundError, match=r'pip install "pcs-racing\[baselines\]"'):
-        Search(UNIT, method="nsga2")
 
 
 def test_what_a_search_is_told_must_fit_what_it_asked_for():

@@ -57,6 +57,12 @@ def test_a_root_depends_on_its_number_alone(noisy, trees, monkeypatch):
     assert not np.array_equal(play_ego(noisy, 2, seed=2).seeds, trees.seeds[:2])
 
 
+def test_every_policy_on_the_way_is_driven_once(trees):
+    for r, driven in enumerate(trees.driven):
+        live = [np.repeat(~over[r], trees.options) for over in trees.over]  # histories that go on
+        assert driven == 1 + sum(len(np.unique(trees.paths[k][r][live[k - 1]])) for k in (1, 2))
+
+
 def test_moves_and_policies_may_be_given(noisy):
     trees = play_ego(noisy, 2, policies=(2, 6), opponent=np.array([[0, -1], [3, 2]]))
     np.testing.assert_array_equal(trees.policies, [[2, 6], [2, 6]])

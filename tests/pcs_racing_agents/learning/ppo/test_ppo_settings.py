@@ -8,7 +8,6 @@ from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import make_task
-from pcs_racing_agents.study import load_study_config
 
 
 def test_shipped_settings_are_those_of_the_two_levels():
@@ -20,15 +19,6 @@ def test_shipped_settings_are_those_of_the_two_levels():
     assert result["duel-contest"].archive == "contest"
     assert result["duel-paper"].steps >= 400_000
     assert result["drive"].steps >= 2_000_000
-
-
-@pytest.mark.parametrize("name", ["paper", "contest"])
-def test_a_study_trains_its_baseline_as_the_shipped_one_was_trained_but_shorter(name):
-    study, shipped = (load_ppo_settings(f"{kind}-{name}") for kind in ("study", "duel"))
-    lengths = ("steps", "evaluate_every", "evaluation_races", "patience")
-    assert replace(study, **{key: getattr(shipped, key) for key in lengths}) == shipped
-    assert study.steps == 200_000
-    assert load_study_config(name).ppo in (None, f"study-{name}")
 
 
 def test_a_file_changes_what_it_names(tmp_path):

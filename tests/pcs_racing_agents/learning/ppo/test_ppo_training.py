@@ -76,13 +76,10 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained,
     assert again.curves[0] == trained[level].curves[0]
 
 
-def test_a_finished_training_is_only_read(settings, trained, monkeypatch):
+def test_a_folder_belongs_to_its_settings_and_what_is_finished_is_only_read(settings, trained, monkeypatch):
     monkeypatch.setattr("pcs_racing_agents.learning.ppo.train.learn_once", None)
     again = train_ppo(settings["drive"], trained["drive"].folder.parent)
     assert again.curves == trained["drive"].curves
-
-
-def test_a_folder_belongs_to_its_settings(settings, trained):
     with pytest.raises(InputError, match=r"learning_rate is 0\.001, not 0\.002"):
         train_ppo(settings["duel"], trained["duel"].folder.parent, learning_rate=0.002)
 

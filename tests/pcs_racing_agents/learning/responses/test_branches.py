@@ -84,15 +84,12 @@ def test_a_win_is_1_a_tie_a_half_and_a_crash_that_pays_neither_car_0(game):
     np.testing.assert_array_equal(outcome(game, state, "utility"), game.reward(state)[:, 0])
 
 
-def test_impossible_requests_are_refused(game, setting):
+def test_impossible_requests_are_refused(game, setting, tmp_path):
     stay = never_switch(setting)
     with pytest.raises(InputError, match="step is 2"):
         branch_games(game, stay, race_seeds(0, 1), 2, [stay], stay)
     with pytest.raises(InputError, match="worth is 'glory'"):
         outcome(game, game.reset(games=1), "glory")
-
-
-def test_games_of_a_response_must_be_alike(game, setting, tmp_path):
     other = make_game("Tarnfjord", setting.archive, load_game_config(setting.config, moves=3))
     with open_job(tmp_path / "c", "response", {}) as job:
         with pytest.raises(InputError, match="one of each"):
