@@ -22,8 +22,10 @@ ELSEWHERE = {
         "tests/pcs_racing_agents/cli/test_explain_command.py",
     ),
     "pcs_racing_agents/cli": ("tests/pcs_racing_agents/**/test_*command*.py",),
-    "pcs_racing_agents/cli/learn.py": ("tests/pcs_racing_agents/learning/test_robust.py",),
-    "pcs_racing_agents/cli/best_reply.py": ("tests/pcs_racing_agents/learning/responses/test_best_reply.py",),
+    "pcs_racing_agents/cli/learn.py": (
+        "tests/pcs_racing_agents/learning/test_robust.py",
+        "tests/pcs_racing_agents/learning/responses/test_best_reply.py",
+    ),
     "pcs_racing_agents/cli/benchmark.py": ("tests/pcs_racing_agents/benchmark/test_benchmark.py",),
     "pcs_racing_agents/cli/synthesize.py": ("tests/pcs_racing_agents/synthesis/test_archive_run.py",),
     "pcs_racing_agents/cli/study.py": ("tests/pcs_racing_agents/study/test_run.py",),
