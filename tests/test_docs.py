@@ -27,6 +27,7 @@ TEXTS = {page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8
 # Pages whose code runs here. The others have tests of their own beside the code that they explain.
 RUN_HERE = (
     "docs/agents.md",
+    "docs/archives.md",
     "docs/benchmark.md",
     "docs/bring_a_map.md",
     "docs/environments.md",
@@ -35,7 +36,9 @@ RUN_HERE = (
     "docs/ppo.md",
     "docs/reports/receding_horizon.md",
     "docs/self_play.md",
+    "docs/solvers.md",
     "docs/statistics.md",
+    "docs/synthesis.md",
     "docs/trees.md",
     "docs/view.md",
     "docs/write_a_characteristic.md",
@@ -56,8 +59,9 @@ def test_the_code_runs(page, number, tmp_path, monkeypatch):
     code = python_blocks(TEXTS[page])[number]
     if "stable_baselines3" in code or ".ppo." in code:
         pytest.importorskip("stable_baselines3")
-    if "pcs_racing_agents.learning" in code:
-        pytest.importorskip("torch")
+    for words, library in (("learning", "torch"), ("synthesis", "cma"), ("openspiel", "pyspiel")):
+        if f"pcs_racing_agents.{words}" in code.replace("solvers.openspiel", "openspiel"):
+            pytest.importorskip(library, reason=f"{library} is not installed")
     for long, short in SHORTER.items():
         code = code.replace(long, short)
     monkeypatch.chdir(tmp_path)

@@ -8,8 +8,9 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.wrappers import vector as vector_wrappers
+from refusal import refused
 
-from pcs_racing import InputError, advance
+from pcs_racing import advance
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.envs.infos import Result
 from pcs_racing.envs.single import AGENTS
@@ -119,14 +120,12 @@ def test_an_opponent_may_stay_whatever_moves_the_rules_offer(rules):
     assert env.batch.state.policy[0, 1] == before
     assert env.action_space.n == (5 if rules else 4)
     if not rules:
-        with pytest.raises(InputError, match=r"move 4 .*0 to 3"):
-            env.step(4)
+        refused(r"move 4 .*0 to 3", env.step, 4)
 
 
 def test_a_model_of_a_game_with_more_moves_is_refused_when_the_environment_is_made():
     for kind in (DuelEnv, DuelVectorEnv):
-        with pytest.raises(InputError, match="'Chooses' has 8 moves"):
-            kind(opponent=Chooses((np.array([0]), None), moves=8), **SHORT)
+        refused("'Chooses' has 8 moves", kind, opponent=Chooses((np.array([0]), None), moves=8), **SHORT)
     DuelEnv(opponent=Chooses((np.array([0]), None), moves=5), **SHORT)  # the fifth is to stay
     DuelEnv(opponent=Chooses((np.array([0]), None), moves=4), stay=True, **SHORT)  # it never stays
 
@@ -135,8 +134,7 @@ def test_a_model_of_a_game_with_more_moves_is_refused_when_the_environment_is_ma
 def test_what_a_model_answers_is_checked(answer):
     env = DuelEnv(opponent=Chooses(answer), **SHORT)
     env.reset(seed=0)
-    with pytest.raises(InputError, match="'Chooses': predict returned"):
-        env.step(0)
+    refused("'Chooses': predict returned", env.step, 0)
 
 
 # Videos
@@ -215,8 +213,7 @@ def test_frames_are_those_since_the_last_ones():
     still.reset(seed=0)
     still.step(1)
     assert still.render().shape == (80, 120, 3)
-    with pytest.raises(InputError, match="render_mode"):
-        DuelEnv(render_mode="ansi", **SHORT)
+    refused("render_mode", DuelEnv, render_mode="ansi", **SHORT)
 
 
 def test_frames_of_the_last_step():

@@ -7,6 +7,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from refusal import refused
 
 from pcs_racing import InputError, Parameter, Planner, PolicyArchive, UnknownNameError, load_archive
 from pcs_racing.game.archive_files import save_archive
@@ -114,8 +115,7 @@ def test_policies_come_from_the_planner(toy_planner):
 
 
 def test_a_planner_that_has_changed_is_noticed(toy_planner):
-    with pytest.raises(InputError, match="holds parameters a, c"):
-        archive(parameter_names=("a", "c")).family()
+    refused("holds parameters a, c", archive(parameter_names=("a", "c")).family)
     with pytest.raises(InputError, match=r"policy 'toy\[1\]': parameter 'a' is 7"):
         archive(parameters=[[0.0, 0.0], [7.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]).family()
 
@@ -128,8 +128,7 @@ def test_parameters_that_an_archive_does_not_hold_have_the_planners_defaults(toy
     np.testing.assert_array_equal(toy.policy(4).parameters, [0.5, 1.0])
     np.testing.assert_array_equal(toy.explored_policy(0).parameters, [0.5, -1.0])
     np.testing.assert_array_equal(toy.complete(toy.parameters[:1]), [[0.5, 0.0]])
-    with pytest.raises(InputError, match="parameter_names are b, b"):
-        archive(parameter_names=("b", "b"))
+    refused("parameter_names are b, b", archive, parameter_names=("b", "b"))
 
 
 def test_policies_that_stand_out():
@@ -137,8 +136,7 @@ def test_policies_that_stand_out():
     assert toy.select("aggressiveness") == 4
     assert toy.select("restraint") == 0
     assert toy.select() == 2
-    with pytest.raises(UnknownNameError, match="has no characteristic 'speed'"):
-        toy.select("speed")
+    refused("has no characteristic 'speed'", toy.select, "speed", error=UnknownNameError)
 
 
 def test_the_correlations_of_the_axes():
@@ -230,8 +228,7 @@ def test_the_content_hash_says_whether_two_archives_play_the_same_game(tmp_path)
     ],
 )
 def test_an_impossible_archive_is_one_clear_error(changes, message):
-    with pytest.raises(InputError, match=message):
-        archive(**changes)
+    refused(message, archive, **changes)
 
 
 @pytest.mark.parametrize(
@@ -249,8 +246,7 @@ def test_an_impossible_archive_is_one_clear_error(changes, message):
     ],
 )
 def test_an_impossible_question_is_one_clear_error(call, message):
-    with pytest.raises(InputError, match=message):
-        call(archive())
+    refused(message, call, archive())
 
 
 @pytest.mark.parametrize(
@@ -258,17 +254,13 @@ def test_an_impossible_question_is_one_clear_error(call, message):
     [0.0, -1.0, np.nan, "0.3", (), (0.1, 0.1), True, None, (0.1, "x"), (0.3, True), (0.3, "0.2"), (0.3, -0.1), 11.0],
 )
 def test_an_impossible_epsilon_is_one_clear_error(epsilon):
-    with pytest.raises(InputError, match=r"epsilon is .*"):
-        check_epsilon(epsilon)
+    refused(r"epsilon is .*", check_epsilon, epsilon)
 
 
 def test_files_that_are_no_archive(tmp_path):
-    with pytest.raises(UnknownNameError, match=r"unknown archive 'nonsense'.*default"):
-        load_archive("nonsense")
-    with pytest.raises(InputError, match="name or a folder"):
-        load_archive(3)
-    with pytest.raises(InputError, match=r"can't read .*manifest.yaml"):
-        load_archive(tmp_path)
+    refused(r"unknown archive 'nonsense'.*default", load_archive, "nonsense", error=UnknownNameError)
+    refused("name or a folder", load_archive, 3)
+    refused(r"can't read .*manifest.yaml", load_archive, tmp_path)
 
 
 def damage(change):
@@ -306,5 +298,4 @@ def swap_arrays(folder):
 def test_a_damaged_archive_is_one_clear_error(tmp_path, harm, message):
     save_archive(archive(), tmp_path)
     harm(tmp_path)
-    with pytest.raises(InputError, match=message):
-        load_archive(tmp_path)
+    refused(message, load_archive, tmp_path)

@@ -2,8 +2,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from refusal import refused
 
-from pcs_racing import InputError
 from pcs_racing.planners.network import INPUTS, TOP_SPEED, driver_weight_count, network_inputs, network_planner
 from pcs_racing.planners.view import OPP_D, OPP_V, OWN_D, OWN_V, STEER_MAX
 
@@ -52,25 +52,19 @@ def test_parameters_are_the_weights():
 
 @pytest.mark.parametrize("hidden", [(0,), (-3,), (4, 0), (2.5,), (True,), ("8",)])
 def test_layers_have_whole_positive_widths(hidden):
-    with pytest.raises(InputError, match="network 'net' has a hidden layer of width"):
-        network_planner("net", hidden)
+    refused("network 'net' has a hidden layer of width", network_planner, "net", hidden)
 
 
 @pytest.mark.parametrize("hidden", [(100_000,), (3000, 3000)])
 def test_networks_have_a_size_limit(hidden):
-    with pytest.raises(InputError, match="100000 is the limit"):
-        network_planner("net", hidden)
+    refused("100000 is the limit", network_planner, "net", hidden)
 
 
 def test_weights_must_fit():
-    with pytest.raises(InputError, match=r"weights of shape \(58,\)"):
-        network_planner("net", (3,), np.zeros(58))
-    with pytest.raises(InputError, match="a weight of nan"):
-        network_planner("net", (3,), np.full(59, np.nan))
-    with pytest.raises(InputError, match="a weight of 11"):
-        network_planner("net", (3,), np.full(59, 11.0))
-    with pytest.raises(InputError, match=r"parameters of shape \(4,\)"):
-        network_planner("net", (3,)).policy(np.zeros(4))
+    refused(r"weights of shape \(58,\)", network_planner, "net", (3,), np.zeros(58))
+    refused("a weight of nan", network_planner, "net", (3,), np.full(59, np.nan))
+    refused("a weight of 11", network_planner, "net", (3,), np.full(59, 11.0))
+    refused(r"parameters of shape \(4,\)", network_planner("net", (3,)).policy, np.zeros(4))
 
 
 def test_inputs_are_of_order_one(oval, view_at):

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded_races import PYTHON
+from refusal import refused
 
 from pcs_racing import (
     CONTEST,
@@ -332,8 +333,7 @@ def test_games_of_training_start_from_places_that_tables_do_not_use(oval):
         assert train
         assert test
         assert not train & test
-    with pytest.raises(InputError, match="split is 'both'"):
-        start_lines(oval, PAPER, 0, split="both")
+    refused("split is 'both'", start_lines, oval, PAPER, 0, split="both")
 
 
 def test_a_side_with_a_single_place_leaves_the_other_split_to_the_other_side(oval):
@@ -362,16 +362,14 @@ def test_the_start_of_one_race_is_that_of_the_batch(oval):
 )
 def test_a_start_off_the_track_is_refused(oval, s, side, message):
     starts = Starts(np.array([1.0, s]), np.array([0, side]))
-    with pytest.raises(InputError, match=message):
-        run_races(oval, [lattice()] * 2, lattice(), SHORT, starts=starts)
+    refused(message, run_races, oval, [lattice()] * 2, lattice(), SHORT, starts=starts)
 
 
 def test_a_start_in_the_wall_is_refused(oval):
     wide = load_race_config("paper", start_spacing=2.0)
     with pytest.raises(InputError, match=r"race 0: at start line 0\.00 m"):
         run_races(oval, lattice(), lattice(), wide, starts=Starts(np.zeros(1), np.zeros(1, np.int64)))
-    with pytest.raises(InputError, match="has no place"):
-        run_races(oval, lattice(), lattice(), wide)
+    refused("has no place", run_races, oval, lattice(), lattice(), wide)
 
 
 # Bad input
@@ -398,5 +396,4 @@ BROKEN = Planner("broken", (), drive=lambda track, theta, view, memory: (np.nan,
     ],
 )
 def test_bad_arguments_are_refused(oval, call, message):
-    with pytest.raises(InputError, match=message):
-        call(oval, *begin(oval, SHORT, [lattice()], [lattice()]))
+    refused(message, call, oval, *begin(oval, SHORT, [lattice()], [lattice()]))

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from refusal import refused
 
-from pcs_racing import InputError, RaceState, load_state, save_state
+from pcs_racing import RaceState, load_state, save_state
 from pcs_racing.race.state import SUMS, concatenate, empty_state, take
 
 
@@ -58,21 +59,18 @@ def test_a_failed_save_leaves_nothing_behind(state, tmp_path, monkeypatch):
         raise OSError("no space left on device")
 
     monkeypatch.setattr(np, "savez_compressed", full_disk)
-    with pytest.raises(OSError, match="no space left"):
-        save_state(state, tmp_path / "race.npz")
+    refused("no space left", save_state, state, tmp_path / "race.npz", error=OSError)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_missing_or_broken_file_is_one_clear_error(state, tmp_path):
-    with pytest.raises(InputError, match=r"nowhere\.npz"):
-        load_state(tmp_path / "nowhere.npz")
+    refused(r"nowhere\.npz", load_state, tmp_path / "nowhere.npz")
     file = tmp_path / "race.npz"
     save_state(state, file)
     whole = file.read_bytes()
     for broken in (b"", b"not a zip", whole[: len(whole) // 2], whole[:200] + b"\0" * 50 + whole[250:]):
         file.write_bytes(broken)
-        with pytest.raises(InputError, match=r"race\.npz"):
-            load_state(file)
+        refused(r"race\.npz", load_state, file)
 
 
 @pytest.mark.parametrize(
@@ -88,5 +86,4 @@ def test_a_missing_or_broken_file_is_one_clear_error(state, tmp_path):
 )
 def test_arrays_that_do_not_fit_are_refused(state, tmp_path, change, message):
     np.savez(tmp_path / "race.npz", **(state._asdict() | change))
-    with pytest.raises(InputError, match=message):
-        load_state(tmp_path / "race.npz")
+    refused(message, load_state, tmp_path / "race.npz")

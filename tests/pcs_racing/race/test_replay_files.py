@@ -4,6 +4,7 @@ import re
 import numpy as np
 import pytest
 from recorded_races import race_on_a_circle
+from refusal import refused
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import ReplayEvent
@@ -78,10 +79,8 @@ def test_impossible_places_are_refused(tmp_path):
     replay = race_on_a_circle(1.0)
     (tmp_path / "folder.html").mkdir()
     for path in (tmp_path / "none" / "a.html", tmp_path / "a.pdf", tmp_path / "folder.html"):
-        with pytest.raises(InputError, match=path.name):
-            save_replay(replay, path)
-    with pytest.raises(InputError, match=r"missing\.html"):
-        read_replay(tmp_path / "missing.html")
+        refused(path.name, save_replay, replay, path)
+    refused(r"missing\.html", read_replay, tmp_path / "missing.html")
 
 
 OTHERS = ("", "<html></html>", "[]", "null", "[" * 100_000, '{"format": "pcs-racing replay 2"}', "1" * 5000, "ÿþ")
@@ -92,8 +91,7 @@ OTHERS = ("", "<html></html>", "[]", "null", "[" * 100_000, '{"format": "pcs-rac
 def test_other_files_are_no_replays(tmp_path, text, suffix):
     path = tmp_path / f"a{suffix}"
     path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(InputError, match="replay"):
-        read_replay(path)
+    refused("replay", read_replay, path)
 
 
 WRONG = {
@@ -114,8 +112,7 @@ WRONG = {
 def test_every_part_of_a_file_is_checked(tmp_path, part, value):
     path = save_replay(GOOD, tmp_path / "a.json")
     path.write_text(json.dumps(json.loads(path.read_text()) | {part: value}))
-    with pytest.raises(InputError, match="is not a replay"):
-        read_replay(path)
+    refused("is not a replay", read_replay, path)
 
 
 # In a browser

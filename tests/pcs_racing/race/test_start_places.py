@@ -9,7 +9,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race import start_places
 from pcs_racing.race.config import CONTEST, PAPER
 from pcs_racing.race.driving import kernel_settings
-from pcs_racing.race.races import RaceSetup, run_races
+from pcs_racing.race.races import run_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.start_places import BLOCK, PLACE_EVERY, drive_away, fit_places, places_of, split_places
 
@@ -136,17 +136,3 @@ def test_shipped_circuits_start_where_hardly_a_race_is_over_at_once():
             )
             over += int(run_races(load_track(name), egos, rivals, short, seed=2).crashed.sum())
     assert over <= 0.02 * 2 * races * len(list_tracks())
-
-
-def test_every_shipped_circuit_has_the_usual_spacing_and_places_of_both_kinds():
-    from pcs_racing.track.loading import load_track
-    from pcs_racing.track.maps import list_tracks
-
-    for name in list_tracks():
-        track = load_track(name)
-        for config in (PAPER, CONTEST):
-            own = track.calibration[config.name]
-            assert RaceSetup(track, config, (start_places.LATTICE,) * 2).start_spacing == own.start_spacing
-            for stretches in own.start_places.values():
-                places = places_of(stretches)
-                assert min(len(split_places(places, split)) for split in ("train", "test")) >= 2

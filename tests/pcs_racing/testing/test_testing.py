@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import Parameter, Planner, PolicyArchive, get_planner, load_archive, load_track
 from pcs_racing.planners.view import OPP_V
@@ -51,8 +52,7 @@ def remembers_nonsense(track, theta, view, memory):
     ],
 )
 def test_the_check_finds_what_is_wrong_with_a_planner(track, planner, message):
-    with pytest.raises(AssertionError, match=f"planner 'mine'.*{message}"):
-        check_planner(planner, track, seconds=0.8)
+    refused(f"planner 'mine'.*{message}", check_planner, planner, track, seconds=0.8, error=AssertionError)
 
 
 def test_a_planner_that_sees_too_far_or_stands_is_noticed(track):
@@ -69,10 +69,8 @@ def test_a_planner_that_sees_too_far_or_stands_is_noticed(track):
 def test_the_check_finds_what_is_wrong_with_an_archive(track):
     check_archive(load_archive("default"))
     check_archive(load_archive("default"), track)
-    with pytest.raises(AssertionError, match="planner 'nobody' is unknown"):
-        check_archive(change(planner="nobody"))
-    with pytest.raises(AssertionError, match="no move leads"):
-        check_archive(change(ideal=np.full(2, 1e-6), nadir=np.zeros(2)))
+    refused("planner 'nobody' is unknown", check_archive, change(planner="nobody"), error=AssertionError)
+    refused("no move leads", check_archive, change(ideal=np.full(2, 1e-6), nadir=np.zeros(2)), error=AssertionError)
     with pytest.raises(AssertionError, match="parameter 'length' is 50"):
         check_archive(change(parameters=np.full_like(load_archive("default").parameters, 50.0)))
 

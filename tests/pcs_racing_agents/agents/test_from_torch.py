@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import InputError
 from pcs_racing.game.identity import game_identity
@@ -46,8 +47,7 @@ def test_what_is_no_network_of_moves_is_refused():
         with pytest.raises(InputError):
             TorchPolicy(wrong)
     seen = np.zeros((4, 5), np.float32)
-    with pytest.raises(InputError, match=r"\(1, 5\)"):
-        TorchPolicy(Summed()).predict(seen)
+    refused(r"\(1, 5\)", TorchPolicy(Summed()).predict, seen)
 
 
 class Summed(torch.nn.Module):
@@ -78,7 +78,5 @@ def test_a_model_decides_alike_as_our_own_network(models, game, setting, seen):
 
 
 def test_other_models_are_refused(models, game):
-    with pytest.raises(InputError, match=r"layer 1 .*Tanh"):
-        network_from_sb3(models[1], game_identity(game))
-    with pytest.raises(InputError, match="str has no actor"):
-        network_from_sb3("model", game_identity(game))
+    refused(r"layer 1 .*Tanh", network_from_sb3, models[1], game_identity(game))
+    refused("str has no actor", network_from_sb3, "model", game_identity(game))

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 from zoo_games import untrained
 
 from pcs_racing import GameConfig, InputError, RaceGame, UnknownNameError, get_planner
@@ -227,17 +228,14 @@ def test_networks_that_say_nothing_of_worth(setting, archive):
     with pytest.raises(UnknownNameError, match=r"network, .*'toy-paper-static-q'"):
         build("receding-horizon", setting, leaf="network")
     faster = make_setting(archive, replace(setting.config, moves=9, step_seconds=0.4))
-    with pytest.raises(InputError, match="sees 31"):
-        receding_horizon(faster, leaf="network", network=untrained(setting, "static-q"))
+    refused("sees 31", receding_horizon, faster, leaf="network", network=untrained(setting, "static-q"))
 
 
 def test_games_that_it_is_not_made_for(game, setting):
     agent = receding_horizon(setting)
     longer = replace(game, config=replace(game.config, moves=5))
-    with pytest.raises(InputError, match="games of 4 moves"):
-        agent.decide(longer, longer.reset(games=1), 0)
+    refused("games of 4 moves", agent.decide, longer, longer.reset(games=1), 0)
     driver = get_planner("pure-pursuit").policy()
     outside = replace(game, opponent_planner="pure-pursuit")
     state = outside.reset(games=2, opponents=driver)
-    with pytest.raises(InputError, match=r"car 1 of game 0, .*outside"):
-        agent.decide(outside, state, 1)
+    refused(r"car 1 of game 0, .*outside", agent.decide, outside, state, 1)

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 from repository import REPOSITORY
 from zoo_games import toy_archive
 
-from pcs_racing import InputError, save_archive
+from pcs_racing import save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.benchmark.card import (
     Card,
@@ -98,8 +99,7 @@ def test_a_protocol_of_another_installation_is_refused(protocol):
     kept = ProtocolConfig(**SMALL, hashes=protocol.hashes)
     assert load_protocol(kept).content_hash == protocol.content_hash
     changed = ProtocolConfig(**SMALL, hashes=(protocol.hashes[0][:-1] + "x", *protocol.hashes[1:]))
-    with pytest.raises(InputError, match="archive default"):
-        load_protocol(changed)
+    refused("archive default", load_protocol, changed)
 
 
 def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_driver_nothing(protocol):
@@ -134,8 +134,7 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
     assert load_entrant("lattice:pace=0.4", protocol.setting).name == "lattice:pace=0.4"
     assert load_entrant("ppo-drive", protocol.setting, drive=True).planner.name == "ppo-drive"
     for text in ("brought:nothing", "nobody", "gone.zip"):
-        with pytest.raises(InputError, match=text):
-            load_entrant(text, protocol.setting)
+        refused(text, load_entrant, text, protocol.setting)
 
 
 def test_a_policy_of_stable_baselines3_is_read_without_running_its_code(protocol, tmp_path):
@@ -158,15 +157,13 @@ def test_a_policy_of_stable_baselines3_is_read_without_running_its_code(protocol
         expected = model.predict(observations, deterministic=True)[0]
         np.testing.assert_array_equal(policy.predict(observations)[0], expected)
         assert len(set(expected.tolist())) > 1
-    with pytest.raises(InputError, match=f"of {size} numbers; here they have {size - 1}"):
-        policy.predict(observations[:, 1:])
+    refused(f"of {size} numbers; here they have {size - 1}", policy.predict, observations[:, 1:])
     with torch.no_grad():
         model.policy.action_net.bias[1] = float("nan")
     model.save(tmp_path / "broken.zip")
     (tmp_path / "other.zip").write_bytes(b"not a zip")
     for name, message in (("broken", "a weight is not finite"), ("other", r"other\.zip")):
-        with pytest.raises(InputError, match=message):
-            load_sb3_policy(tmp_path / f"{name}.zip")
+        refused(message, load_sb3_policy, tmp_path / f"{name}.zip")
 
 
 # Cards
@@ -185,8 +182,7 @@ def test_a_card_comes_back_as_it_was_written(tmp_path):
     assert {path.name for path in write_card(written, tmp_path)} == {"card.json", "card.md", "card.html"}
     assert read_card(tmp_path) == written
     assert written.score("keeps", "seen").races == 13
-    with pytest.raises(InputError, match="no score of 'keeps' on 'unseen' circuits"):
-        written.score("keeps", "unseen")
+    refused("no score of 'keeps' on 'unseen' circuits", written.score, "keeps", "unseen")
     page = (tmp_path / "card.html").read_text()
     assert "<b>mine" not in page
     assert "&lt;b&gt;mine" in page
@@ -195,8 +191,7 @@ def test_a_card_comes_back_as_it_was_written(tmp_path):
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "pcs-racing card 1"}', '{"format": "other"}'])
 def test_a_damaged_card_is_refused(tmp_path, text):
     (tmp_path / "card.json").write_text(text)
-    with pytest.raises(InputError, match=r"card\.json"):
-        read_card(tmp_path)
+    refused(r"card\.json", read_card, tmp_path)
 
 
 def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
@@ -214,8 +209,7 @@ def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
         ("hash", card("d", protocol_sha256="0")),
         ("twice", card("a")),
     ):
-        with pytest.raises(InputError, match=name):
-            read_cards([*good, folder(name, value)])
+        refused(name, read_cards, [*good, folder(name, value)])
 
 
 def test_the_leaderboard_says_what_was_lost_to_a_best_reply_and_what_was_not_measured():

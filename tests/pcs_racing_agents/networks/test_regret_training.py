@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from refusal import refused
 from toy_networks import MOVES, identity
 
 from pcs_racing import InputError
@@ -188,11 +189,8 @@ def test_constant_inputs_and_targets_are_no_trouble():
 
 def test_bad_input_is_one_clear_error():
     rows = rows_of(*situations(100))
-    with pytest.raises(InputError, match="observations have 7 numbers"):
-        train_network(rows, identity(8), QUICK, name="net")
-    with pytest.raises(InputError, match="targets have 4 numbers"):
-        train_network(rows, identity(7, MOVES[:3]), QUICK, name="net")
-    with pytest.raises(InputError, match="one starting pair"):
-        train_network(rows.take(rows.pair == 3), identity(), QUICK, name="net")
+    refused("observations have 7 numbers", train_network, rows, identity(8), QUICK, name="net")
+    refused("targets have 4 numbers", train_network, rows, identity(7, MOVES[:3]), QUICK, name="net")
+    refused("one starting pair", train_network, rows.take(rows.pair == 3), identity(), QUICK, name="net")
     with pytest.raises(InputError, match=r"loss is (nan|inf) .*\d+"):
         train_layers(rows, load_train_settings(QUICK, learning_rate=10.0, weight_decay=10.0))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from long_jobs import SYNTHESIS
+from refusal import refused
 
 from pcs_racing import InputError, load_archive
 from pcs_racing.planners.lattice import LATTICE
@@ -190,13 +191,11 @@ def test_too_few_policies_are_told(tmp_path, caplog):
 def test_a_folder_with_something_else_or_another_run_is_left_alone(tmp_path, made):
     shipped = Path(shutil.copytree(made[1], tmp_path / "shipped", ignore=shutil.ignore_patterns("job")))
     before = results(shipped)
-    with pytest.raises(InputError, match=r"archive\.npz but no run"):
-        make_archive(TINY, shipped)
+    refused(r"archive\.npz but no run", make_archive, TINY, shipped)
     assert results(shipped) == before
     assert len(list(shipped.iterdir())) == len(before)
     before = results(made[1])
-    with pytest.raises(InputError, match="generations is 3, not 4"):
-        make_archive(with_(generations=4), made[1])
+    refused("generations is 3, not 4", make_archive, with_(generations=4), made[1])
     assert results(made[1]) == before
 
 
@@ -216,8 +215,7 @@ def test_a_folder_with_something_else_or_another_run_is_left_alone(tmp_path, mad
     ],
 )
 def test_impossible_settings_are_refused(changes, message):
-    with pytest.raises(InputError, match=message):
-        with_(**changes)
+    refused(message, with_, **changes)
 
 
 # The command

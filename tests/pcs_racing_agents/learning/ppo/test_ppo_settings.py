@@ -1,9 +1,9 @@
 from dataclasses import replace
 
 import pytest
+from refusal import refused
 from repository import read_page
 
-from pcs_racing import InputError
 from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, load_ppo_settings
@@ -42,8 +42,7 @@ def test_a_file_changes_what_it_names(tmp_path):
 def test_impossible_settings_are_named(tmp_path, text, message):
     file = tmp_path / "mine.yaml"
     file.write_text(text)
-    with pytest.raises(ConfigError, match=message):
-        load_ppo_settings(file)
+    refused(message, load_ppo_settings, file, error=ConfigError)
 
 
 @pytest.mark.parametrize(
@@ -56,14 +55,12 @@ def test_impossible_settings_are_named(tmp_path, text, message):
     ],
 )
 def test_what_settings_name_must_exist(duel_settings, changes, message):
-    with pytest.raises(InputError, match=message):
-        make_task(replace(duel_settings, **changes))
+    refused(message, make_task, replace(duel_settings, **changes))
 
 
 def test_rules_of_one_name_are_refused(drive_settings, tmp_path):
     file = tmp_path / "other.yaml"
     file.write_text("name: short\n")
-    with pytest.raises(InputError, match="the same name"):
-        make_task(replace(drive_settings, races=(*drive_settings.races, str(file))))
+    refused("the same name", make_task, replace(drive_settings, races=(*drive_settings.races, str(file))))
     with pytest.raises(UnknownNameError, match="planner 'tortoise' is unknown"):
         make_task(replace(drive_settings, opponents={"tortoise": 1}))
