@@ -21,7 +21,7 @@ help:
 	@echo "make lint        style, and the format of the code"
 	@echo "make types       static types"
 	@echo "make benchmarks  every figure of the documentation, measured again"
-	@echo "make coverage    the tests again with coverage, compiled files as plain Python (13 minutes of processor time)"
+	@echo "make coverage    the tests again with coverage, compiled files as plain Python (a quarter of an hour of processor time)"
 	@echo "make fuzz        20 minutes of broken inputs for every loader and environment; goes on where it was left"
 	@echo "make mutants     small faults put into the code, and which tests notice them (hours); goes on where it was left"
 	@echo "make benchmark-history  a few ratios of speed, compared with benchmarks/history.csv and added to it"
@@ -74,6 +74,8 @@ types: $(VENV)/test.stamp
 # overflows and of 0 / 0, which are meant. Real circuits are left out there: they would take minutes to build.
 INTERPRETED := tests/interpreted tests/pcs_racing/car/test_collision.py tests/pcs_racing/track/test_grid.py \
 	tests/pcs_racing/car/test_ittc.py tests/pcs_racing/car/test_vehicle.py tests/pcs_racing/track/building/test_clearance.py \
+	tests/pcs_racing/car/test_lidar.py tests/pcs_racing/track/test_frenet.py tests/pcs_racing/race/test_race_kernel.py \
+	tests/pcs_racing/envs/test_drive_kernel.py tests/pcs_racing/envs/test_game_batch.py \
 	tests/pcs_racing/track/building/test_curves.py tests/pcs_racing/track/building/test_raceline.py \
 	tests/pcs_racing_agents/networks/test_regret_network.py tests/pcs_racing_agents/solvers/test_cfr.py \
 	tests/pcs_racing_agents/solvers/test_matrix_games.py

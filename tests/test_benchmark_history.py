@@ -18,29 +18,17 @@ def lines(*values: float, processor: str = "here") -> list[dict[str, str]]:
     return [{"processor": processor, "race": str(value)} for value in values]
 
 
-def test_a_slowdown_is_named(record):
+def test_what_is_slower_than_it_was_on_this_machine_is_named(record):
     (line,) = record.slower({"race": 14.0}, lines(10.0, 10.2, 9.8), "here")
     assert line.startswith("race takes 14 times the reference; it was 10 (+40 %)")
-
-
-def test_noise_and_gains_are_none(record):
     assert record.slower({"race": 12.5}, lines(10.0, 10.2, 9.8), "here") == []
     assert record.slower({"race": 2.0}, lines(10.0), "here") == []
-
-
-def test_the_median_of_the_last_lines_counts(record):
     history = lines(*[1.0] * 20, 10.0, 10.0, 10.0, 100.0, 10.0)
     assert record.slower({"race": 11.0}, history, "here") == []
     assert record.slower({"race": 14.0}, history, "here") != []
-
-
-def test_a_machine_is_compared_with_itself_if_it_can_be(record):
     history = lines(5.0, processor="there") + lines(10.0)
     assert record.slower({"race": 11.0}, history, "here") == []
     assert record.slower({"race": 11.0}, history, "elsewhere") != []
-
-
-def test_what_has_no_history_is_not_compared(record):
     assert record.slower({"scan": 3.0}, lines(1.0), "here") == []
     assert record.slower({"race": 3.0}, [], "here") == []
 

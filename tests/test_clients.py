@@ -49,15 +49,3 @@ def test_the_table_is_what_the_tool_prints(tmp_path):
 def test_it_is_a_program_that_only_runs_as_one(script):
     compile(script.read_text(encoding="utf-8"), script.name, "exec")
     assert script.read_text(encoding="utf-8").endswith('if __name__ == "__main__":\n    main()\n')
-
-
-def test_a_script_without_metadata_is_refused(tmp_path):
-    script = tmp_path / "plain.py"
-    script.write_text("print(1)\n")
-    with pytest.raises(ValueError, match=r"plain\.py"):
-        try_clients.dependencies(script)
-
-
-def test_an_unknown_client_is_refused():
-    with pytest.raises(SystemExit, match="'nobody'"):
-        try_clients.scripts(["nobody"])

@@ -201,19 +201,13 @@ def test_every_extra_that_is_named_exists():
     assert named <= set(PROJECT["project"]["optional-dependencies"])
 
 
-def test_the_wheel_holds_all_folders_with_data():
+def test_wheel_sdist_and_citation_name_what_there_is():
     included = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     assert set(included) == {"maps", "archives", "drivers", "networks"}
     for folder in included:
         assert any((REPOSITORY / folder).iterdir())
-
-
-def test_the_sdist_names_what_there_is():
     for name in PROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]:
         assert (REPOSITORY / name).exists(), name
-
-
-def test_the_citation_is_of_this_version():
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["version"] == PROJECT["project"]["version"]
     assert citation["license"] == PROJECT["project"]["license"]

@@ -13,11 +13,23 @@ PLAIN, COMPILED = "plain", "compiled"
 _BRANCHES = (ast.If, ast.IfExp, ast.While, ast.BinOp, ast.Compare, ast.BoolOp, ast.AugAssign)
 _SIMULATOR = tuple(f"pcs_racing/{floor}" for floor in ("base", "track", "car", "planners", "race"))
 
-# What is tested from another room: by its commands, or only where it races.
+# What of a room, or of a file, is tested from another room: by its commands, or only where it races.
 ELSEWHERE = {
     "pcs_racing/car": ("tests/pcs_racing/race/test_race_kernel.py",),
     "pcs_racing/planners": ("tests/pcs_racing/race/test_race_kernel.py", "tests/pcs_racing/race/test_race_state.py"),
+    "pcs_racing_agents/view": (
+        "tests/pcs_racing_agents/cli/test_view_command.py",
+        "tests/pcs_racing_agents/cli/test_explain_command.py",
+    ),
     "pcs_racing_agents/cli": ("tests/pcs_racing_agents/**/test_*command*.py",),
+    "pcs_racing_agents/cli/learn.py": (
+        "tests/pcs_racing_agents/learning/test_robust.py",
+        "tests/pcs_racing_agents/learning/responses/test_best_reply.py",
+    ),
+    "pcs_racing_agents/cli/benchmark.py": ("tests/pcs_racing_agents/benchmark/test_benchmark.py",),
+    "pcs_racing_agents/cli/synthesize.py": ("tests/pcs_racing_agents/synthesis/test_archive_run.py",),
+    "pcs_racing_agents/cli/study.py": ("tests/pcs_racing_agents/study/test_run.py",),
+    "pcs_racing_agents/cli/agents.py": ("tests/pcs_racing_agents/agents/test_agents_page.py",),
 }
 
 # The code on pages shows what is there; it is no test of a room.
@@ -57,7 +69,7 @@ def room_of(file: str) -> str:
 def tests_of(file: str, mode: str) -> tuple[str, ...]:
     """Return the tests of a file's room that run in one of the two ways: those with its name first, then its users."""
     room, stem = room_of(file), Path(file).stem
-    patterns = (f"tests/{room}/**/test_*.py", *ELSEWHERE.get(room, ()))
+    patterns = (f"tests/{room}/**/test_*.py", *ELSEWHERE.get(room, ()), *ELSEWHERE.get(file, ()))
     found = {path.relative_to(ROOT).as_posix() for pattern in patterns for path in ROOT.glob(pattern)}
     found = {test for test in found if not any(word in test for word in _LEFT_OUT)}
     if mode == PLAIN:

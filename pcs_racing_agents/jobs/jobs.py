@@ -160,12 +160,17 @@ def run_groups(
     return results
 
 
-class Run(TypedDict, total=False):
-    """How long work runs, for functions that hand it on: ``def work(..., **run: Unpack[Run])``."""
+class Workers(TypedDict, total=False):
+    """Where the tasks of a job run and who is told, for functions that hand it on: ``**workers: Unpack[Workers]``."""
 
-    job: Job | None
     executor: Executor | None
     progress: Progress | None
+
+
+class Run(Workers, total=False):
+    """How long work runs, with a job or without one: ``def work(..., **run: Unpack[Run])``."""
+
+    job: Job | None
 
 
 def run_with_or_without(

@@ -14,11 +14,10 @@ response is one to a pool of opponents.
 """
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -28,8 +27,7 @@ from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.configuration import load_config
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Job, Workers
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response, load_response_settings
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork
 from pcs_racing_agents.tournament.fitting import MetaStrategy, TrainingRaces, fit_psro
@@ -96,8 +94,7 @@ def learn_robust(
     *,
     name: str = "robust",
     part: str = "",
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **workers: Unpack[Workers],
 ) -> NetworkSet:
     """Learn a restricted Nash response to a pool of opponents.
 
@@ -115,7 +112,7 @@ def learn_robust(
     NetworkSet
         A network for each round after the first response, with its weight; with ``pool_share`` 1 the response alone.
     """
-    learn = partial(learn_response, games, setting=setting, job=job, executor=executor, progress=progress)
+    learn = partial(learn_response, games, setting=setting, job=job, **workers)
 
     def respond(opponents: Sequence[Competitor], shares: Sequence[float], number: int, label: str) -> RegretNetwork:
         learner = settings.response(number)
@@ -150,8 +147,7 @@ def learn_psro(
     job: Job,
     *,
     name: str = "psro",
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **workers: Unpack[Workers],
 ) -> NetworkSet:
     """Learn responses to the equilibrium mixture of responses, round after round.
 
@@ -185,14 +181,13 @@ def learn_psro(
             shares=weights.tolist(),
             name=f"{name}-{round_}",
             part=f"response-{round_}-",
-            executor=executor,
-            progress=progress,
+            **workers,
         )
         networks.append(network)
         members.append(network_agent(network, setting, settings.seed))
         # A single response is its own equilibrium; what is known of earlier ones is not raced again.
         if round_ > 0:
-            meta = fit_psro(training, members, known=meta, job=job, executor=executor, progress=progress)
+            meta = fit_psro(training, members, known=meta, job=job, **workers)
         opponents, weights = members, np.ones(1) if meta is None else meta.weights
     played = np.flatnonzero(weights > 0.0)
     facts = {"rounds": settings.rounds, "races": settings.races, "seed": settings.seed}

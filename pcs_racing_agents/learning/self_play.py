@@ -12,11 +12,10 @@ weight t and its own probability of coming to the situation: one iteration's net
 """
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +30,7 @@ from pcs_racing_agents.agents.observing import ObservationBatch
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.configuration import load_config
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Job, Workers
 from pcs_racing_agents.learning.responses.branches import (
     GameBlock,
     block_rows,
@@ -124,8 +122,7 @@ def learn_self_play(
     job: Job,
     *,
     name: str = "self-play",
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **workers: Unpack[Workers],
 ) -> NetworkSet:
     """Learn a strategy for both cars by counterfactual regret minimisation in self-play.
 
@@ -159,14 +156,16 @@ def learn_self_play(
             for block in game_blocks(settings.seed, (i, step, iteration), settings.starts)
         ]
         work = partial(_traverse, arenas, networks[-1] if networks else None, settings.exploration)
-        results = job.run(place, work, blocks, executor=executor, progress=progress)
+        results = job.run(place, work, blocks, **workers)
         weight = settings.iteration_weight(iteration)
         for arrays, block in zip(results, blocks, strict=True):
             if len(arrays["game"]):  # not all of its games were over before
                 i, step, _ = block.place
                 rows.append(block_rows(arrays, block, (iteration * 100 + step) * 1000 + i, step, weight))
         members = [settings.train_settings(iteration, member) for member in range(settings.members)]
-        fitted = train_kept(job, f"{place}-networks", join_rows(rows), identity, members, place, executor)
+        fitted = train_kept(
+            job, f"{place}-networks", join_rows(rows), identity, members, place, workers.get("executor")
+        )
         networks.append(merge_networks(fitted, place))
     # The network of iteration t is the strategy of iteration t + 1; that of the first, random moves, is left out.
     weights = [settings.iteration_weight(iteration + 2) for iteration in range(settings.iterations)]

@@ -6,10 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcs_racing import make_game
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.responses import load_response_settings
 from pcs_racing_agents.learning.responses.best_reply import race_on_circuits
@@ -17,37 +14,14 @@ from pcs_racing_agents.learning.robust import load_robust_settings
 from research.__main__ import main
 from research.robust_curve.curve import gain_over, robust_curve
 
-TINY = "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n"
-
 
 @pytest.fixture(autouse=True)
 def _with_torch():
     pytest.importorskip("torch", reason="torch is not installed")
 
 
-@pytest.fixture(scope="module")
-def learner(tmp_path_factory) -> str:
-    file = tmp_path_factory.mktemp("learner") / "tiny.yaml"
-    file.write_text(TINY, encoding="utf-8")
-    return str(file)
-
-
-@pytest.fixture(scope="module")
-def games(oval, archive):
-    return [make_game(oval, archive, "contest", moves=2, step_seconds=1.2, threads=1)]
-
-
-@pytest.fixture(scope="module")
-def setting(games):
-    return make_setting(games[0].archive, games[0].config)
-
-
-@pytest.fixture(scope="module")
-def pool(setting):
-    return [never_switch(setting), always(setting, "aggressiveness -")]
-
-
-def test_the_curve_is_measured_in_the_same_races(games, setting, pool, learner, tmp_path):
+def test_the_curve_is_measured_in_the_same_races(lesson, learner, tmp_path):
+    games, pool, setting = lesson
     reply = load_response_settings(learner)
     settings = load_robust_settings(rounds=1, learner=learner)
     with open_job(tmp_path / "curve", "curve", {}) as job:

@@ -1,7 +1,6 @@
 import ast
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from repository import REPOSITORY
@@ -23,26 +22,6 @@ print(*sorted({{name.split(".")[0] for name in set(sys.modules) - before}}))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY)
     assert package.split(".")[0] in done.stdout.split()
     assert not set(LATE) & set(done.stdout.split())
-
-
-def imported_modules(file: Path) -> set[str]:
-    """Everything that a file imports, wherever in it."""
-    found = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{file.name} imports relatively"
-            found.add(node.module or "")
-    return found
-
-
-def test_the_environment_never_imports_the_agents():
-    files = sorted((REPOSITORY / "pcs_racing").rglob("*.py"))
-    assert len(files) > 20
-    for file in files:
-        agents = {name for name in imported_modules(file) if name.split(".")[0] == "pcs_racing_agents"}
-        assert not agents, f"{file} imports {agents}"
 
 
 def test_optional_libraries_are_imported_inside_functions():

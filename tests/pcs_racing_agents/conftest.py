@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 from zoo_games import CONFIG, toy_archive, untrained
 
-from pcs_racing import PolicyArchive, RaceGame, load_race_config, load_track, save_archive
-from pcs_racing_agents.agents import Setting, make_setting
+from pcs_racing import PolicyArchive, RaceGame, load_race_config, load_track, make_game, save_archive
+from pcs_racing_agents.agents import Agent, Setting, make_setting
+from pcs_racing_agents.agents.blind import always, never_switch
+from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.networks import RegretNetwork
@@ -48,6 +50,22 @@ def game(oval, setting) -> RaceGame:
 
 
 @pytest.fixture(scope="session")
+def learner(tmp_path_factory) -> str:
+    """Settings of a learner that learns next to nothing, as a file."""
+    file = tmp_path_factory.mktemp("learner") / "tiny.yaml"
+    file.write_text("starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n", encoding="utf-8")
+    return str(file)
+
+
+@pytest.fixture(scope="session")
+def lesson(oval, archive) -> tuple[list[RaceGame], list[Agent], Setting]:
+    """What an agent is learned from: games of two moves by the rules of the contest, two opponents, and the setting."""
+    game = make_game(oval, archive, "contest", moves=2, step_seconds=1.2, threads=1)
+    setting = make_setting(archive, game.config)
+    return [game], [never_switch(setting), always(setting, "aggressiveness -")], setting
+
+
+@pytest.fixture(scope="session")
 def network(setting) -> RegretNetwork:
     return untrained(setting)
 
@@ -64,15 +82,32 @@ def seen(game) -> list[np.ndarray]:
     return [*steps, game.observation(state).reshape(40, -1)]
 
 
+@pytest.fixture
+def run(capsys):
+    """Run a command; returns exit code, stdout and stderr."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        code = main([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
 @pytest.fixture(scope="session")
-def tournament_folder(archive, tmp_path_factory):
+def saved_archive(archive, tmp_path_factory):
+    """The toy archive in a folder, as a command reads it."""
+    return save_archive(archive, tmp_path_factory.mktemp("archives") / "toy")
+
+
+@pytest.fixture(scope="session")
+def tournament_folder(saved_archive, tmp_path_factory):
     """A tournament of 18 races in a folder, as the command leaves it; and the tournament."""
-    saved = save_archive(archive, tmp_path_factory.mktemp("archives") / "toy")
     folder = tmp_path_factory.mktemp("tournaments") / "three agents"
     rules = load_race_config("contest", duration=5.0)
     agents = ["random-moves", "lane-switcher", "never-switch"]
-    plan = plan_tournament(load_track("Pipkin"), agents, rules, archive=saved, races_per_pair=6, seed=2)
-    settings = {**tournament_settings(plan), "archive": str(saved)}
+    plan = plan_tournament(load_track("Pipkin"), agents, rules, archive=saved_archive, races_per_pair=6, seed=2)
+    settings = {**tournament_settings(plan), "archive": str(saved_archive)}
     with open_job(folder, "tournament", settings) as job:
         tournament = play_plan(plan, job=job)
         write_results(tournament.races, folder / "results.csv")

@@ -135,6 +135,15 @@ def test_ppo_against_cfr(tmp_path):
     assert (created / "race.html").is_file()
 
 
+def test_a_tree_in_openspiel(tmp_path):
+    pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")
+    out = run_python(EXAMPLES / "clients" / "openspiel_tree.py", "--iterations", 50, folder=tmp_path)
+    cells = {line.split(",")[0]: float(line.split()[-1]) for line in out.splitlines() if line[:4] in ("Open", "pcs-")}
+    assert list(cells) == ["OpenSpiel CFR+", "OpenSpiel MCCFR", "pcs-racing CFR+", "pcs-racing"]
+    assert cells["pcs-racing CFR+"] == pytest.approx(cells["OpenSpiel CFR+"], rel=0.01)
+    assert abs(cells["pcs-racing"]) < 1e-12
+
+
 def test_an_unknown_opponent_is_told_before_training(tmp_path):
     done = call_python(EXAMPLES / "ppo_against_cfr.py", "--opponent", "nobody", cwd=tmp_path)
     assert done.returncode == 1

@@ -7,9 +7,8 @@ opponent would: a loss is always stated together with the learner's budget.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Job, Workers
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.results.csv_files import write_csv
@@ -58,8 +56,7 @@ def best_reply(
     *,
     races: int = 4000,
     part: str = "",
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **workers: Unpack[Workers],
 ) -> BestReply:
     """Learn a best reply to an agent and estimate what the agent loses to it on fresh races.
 
@@ -78,10 +75,9 @@ def best_reply(
         Beginning of the names of this work in the job.
     """
     check_whole("races", races, FEWEST * len(games))
-    options: dict[str, Any] = {"executor": executor, "progress": progress}
-    reply = learn_response(games, [agent], setting, settings, job, name="best-reply", part=f"{part}reply-", **options)
+    reply = learn_response(games, [agent], setting, settings, job, name="best-reply", part=f"{part}reply-", **workers)
     pilot = network_agent(reply, setting, settings.seed)
-    table = race_on_circuits(games, pilot, agent, races, settings.seed, job, name=f"{part}races", **options)
+    table = race_on_circuits(games, pilot, agent, races, settings.seed, job, name=f"{part}races", **workers)
     return BestReply(reply, table, excess_estimate(table))
 
 
@@ -94,8 +90,7 @@ def race_on_circuits(
     job: Job,
     *,
     name: str,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **workers: Unpack[Workers],
 ) -> RaceTable:
     """Race two competitors on several circuits: about so many races in all, in the crossed design of the tables."""
     # Crossed: every start policy of one car meets every one of the other, from all lines and both sides.
@@ -111,7 +106,7 @@ def race_on_circuits(
         )
         for i, game in enumerate(games)
     ]
-    return concatenate_races(play_pairings(pairings, name=name, job=job, executor=executor, progress=progress))
+    return concatenate_races(play_pairings(pairings, name=name, job=job, **workers))
 
 
 def excess_estimate(races: RaceTable) -> Estimate:

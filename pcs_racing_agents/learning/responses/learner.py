@@ -7,11 +7,10 @@ by common random numbers. An observation holds nothing about the circuit, so the
 """
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -24,8 +23,7 @@ from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.configuration import load_config
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.jobs.jobs import Job, Workers
 from pcs_racing_agents.learning.responses.branches import (
     WORTH,
     GameBlock,
@@ -108,8 +106,7 @@ def learn_response(
     shares: Sequence[float] | None = None,
     name: str = "adaptive",
     part: str = "",
-    executor: Executor | None = None,
-    progress: Progress | None = None,
+    **workers: Unpack[Workers],
 ) -> RegretNetwork:
     """Learn the advantage of each move against a pool of opponents.
 
@@ -142,7 +139,9 @@ def learn_response(
 
     def fit(members: int, part_name: str) -> RegretNetwork:
         member_settings = [settings.train_settings(i) for i in range(members)]
-        networks = train_kept(job, f"{part_name}-networks", join_rows(rows), identity, member_settings, name, executor)
+        networks = train_kept(
+            job, f"{part_name}-networks", join_rows(rows), identity, member_settings, name, workers.get("executor")
+        )
         return merge_networks(networks, name)
 
     for round_ in range(settings.rounds):
@@ -158,7 +157,7 @@ def learn_response(
             ]
             work = partial(_branch, arenas, pool, behaviours, continuation, settings.worth, len(identity.moves))
             part_name = f"{part}round-{round_}-step-{step}"
-            branched = job.run(part_name, work, blocks, executor=executor, progress=progress)
+            branched = job.run(part_name, work, blocks, **workers)
             for arrays, block in zip(branched, blocks, strict=True):
                 if len(arrays["game"]):  # not all of its games were over before
                     i, j, _, _ = block.place

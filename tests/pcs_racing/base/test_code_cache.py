@@ -105,12 +105,9 @@ def forget(code: Path) -> int:
     return len(list(code.glob("*.nb[ci]")))
 
 
-def test_cached_code_stays_while_nothing_changes(code):
+def test_cached_code_stays_until_its_sources_change(code):
     os.utime(code.parent / "module.py")  # touched, not changed
     assert forget(code) == 2
-
-
-def test_cached_code_of_other_sources_is_deleted(code):
     (code.parent / "module.py").write_text("A = 2\n")
     assert forget(code) == 0
 

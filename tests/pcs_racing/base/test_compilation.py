@@ -16,9 +16,12 @@ def divide(a, b):
     return a / b
 
 
-def test_compiled_code_divides_as_ieee_says():
+def test_compiled_code_divides_as_ieee_says_and_calls_inner_kernels():
     assert divide(1.0, 0.0) == float("inf")
     assert divide(-1.0, 0.0) == float("-inf")
+    assert quarter(2.0) == 0.5
+    with pytest.raises(TypeError, match="half"):
+        half(2.0)
 
 
 @inner_kernel
@@ -29,12 +32,6 @@ def half(a):
 @kernel
 def quarter(a):
     return half(half(a))
-
-
-def test_inner_kernels_are_for_compiled_functions_alone():
-    assert quarter(2.0) == 0.5
-    with pytest.raises(TypeError, match="half"):
-        half(2.0)
 
 
 def dispatcher(cache: Path, signatures: tuple = ()) -> SimpleNamespace:

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusal import refused
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from pcs_racing import InputError
 from pcs_racing.base.dense import DenseLayers, dense_forward, dense_rows, layers_from_bytes, layers_to_bytes
 
 FILE = Path("net/weights.safetensors")
@@ -84,8 +84,7 @@ def test_layers_are_a_value():
     ],
 )
 def test_impossible_layers_are_one_clear_error(weights, biases, message):
-    with pytest.raises(InputError, match=message):
-        DenseLayers(weights, biases)
+    refused(message, DenseLayers, weights, biases)
 
 
 def test_layers_read_back_exactly():
@@ -109,7 +108,5 @@ def test_layers_read_back_exactly():
 )
 def test_files_of_something_else_are_refused(change, hidden, message):
     content = save_tensors({**load_tensors(layers_to_bytes(layers(5, 3, 2))), **change})
-    with pytest.raises(InputError, match=message):
-        layers_from_bytes(FILE, content, hidden)
-    with pytest.raises(InputError, match="no safetensors file"):
-        layers_from_bytes(FILE, content[:-4], [3])
+    refused(message, layers_from_bytes, FILE, content, hidden)
+    refused("no safetensors file", layers_from_bytes, FILE, content[:-4], [3])

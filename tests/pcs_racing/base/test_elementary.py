@@ -75,28 +75,19 @@ def test_directions_along_the_axes(x, y):
     assert arctangent2(y, x) == pytest.approx(np.arctan2(y, x), abs=0.0, rel=1e-15)
 
 
-def test_exponentials_at_the_ends_of_the_range():
+def test_values_at_the_ends_of_the_range_and_of_what_is_odd():
     assert exponential(0.0) == 1.0
     assert exponential(-746.0) == exponential(-np.inf) == 0.0
     assert exponential(710.0) == exponential(np.inf) == np.inf
     assert exponential(-745.0) == 5e-324
     assert exponential(709.7) == pytest.approx(1.6549840276802644e308, rel=1e-15)
     assert np.isnan(exponential(np.nan))
-
-
-def test_no_number_stays_none():
     for found in (*sine_cosine(np.nan), arctangent(np.nan), hyperbolic_tangent(np.nan)):
         assert np.isnan(found)
-
-
-def test_what_is_odd_is_odd_to_the_bit():
     for x in spread(0.0, 3.0, 200):
         assert sine_cosine(-x) == (-sine_cosine(x)[0], sine_cosine(x)[1])
         assert arctangent(-x) == -arctangent(x)
         assert hyperbolic_tangent(-x) == -hyperbolic_tangent(x)
-
-
-def test_hyperbolic_tangents_stay_within_one():
     assert hyperbolic_tangent(400.0) == hyperbolic_tangent(np.inf) == 1.0
     assert hyperbolic_tangent(-400.0) == -1.0
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
 from pcs_racing.base.settings import (
@@ -92,8 +93,7 @@ WRONG = {
 
 @pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in WRONG.items() for value in values])
 def test_a_value_out_of_its_range_is_refused_by_name(key, value):
-    with pytest.raises(ConfigError, match=f"^{key} (is|are|holds) "):
-        Soup(**{key: value})
+    refused(f"^{key} (is|are|holds) ", Soup, error=ConfigError, **{key: value})
 
 
 def test_values_are_kept_in_one_form():
@@ -147,14 +147,11 @@ def test_a_wrong_file_is_refused_by_name(tmp_path, written, message):
 
 
 def test_an_unknown_name_lists_what_there_is():
-    with pytest.raises(UnknownNameError, match="soup settings 'borscht' are unknown"):
-        load_settings("soup", Soup(), "borscht")
+    refused("soup settings 'borscht' are unknown", load_settings, "soup", Soup(), "borscht", error=UnknownNameError)
     with pytest.raises(UnknownNameError, match="did you mean 'salty'"):
         load_settings("soup", Soup(), "slaty", {"salty": Soup(1.0)})
-    with pytest.raises(ConfigError, match=r"the arguments: .*'pepper'"):
-        load_settings("soup", Soup(), pepper=1)
-    with pytest.raises(ConfigError, match="soup settings are 3;"):
-        load_settings("soup", Soup(), 3)
+    refused(r"the arguments: .*'pepper'", load_settings, "soup", Soup(), pepper=1, error=ConfigError)
+    refused("soup settings are 3;", load_settings, "soup", Soup(), 3, error=ConfigError)
 
 
 def test_options_of_a_command_line_come_from_the_declaration():

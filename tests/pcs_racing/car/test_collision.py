@@ -134,10 +134,14 @@ def test_clear_cases_lie_within_the_error_of_the_distance_field(real_maps):
     assert 0.0 < worst < FIELD_ERROR * track.arrays.cell
 
 
-def test_outside_the_map_and_inside_walls_is_wall(oval):
+def test_outside_the_map_and_inside_walls_is_wall_even_for_a_speck(oval):
     for x, y in [(1e3, 0.0), (-1e6, 1e6), (np.nan, 0.0), (0.0, 0.0), (0.0, -5.6)]:
         assert car_hits_wall(oval.arrays, x, y, 0.3, *HALF, 1.0)
     assert not car_hits_wall(oval.arrays, 0.0, -4.0, 0.3, *HALF, 6.0)
+    wall, cell = -5.1, oval.arrays.cell
+    for y in np.linspace(-6.0, -4.0, 101):
+        if abs(y - wall) > cell:
+            assert car_hits_wall(oval.arrays, 0.0, y, 0.3, 0.002, 0.001, 6.0) == (y < wall)
 
 
 def test_a_point_is_inside_a_wall_where_its_cell_is_none_to_drive_on(oval):
@@ -149,13 +153,6 @@ def test_a_point_is_inside_a_wall_where_its_cell_is_none_to_drive_on(oval):
         on_the_map = 0.0 <= u < cols and 0.0 <= v < rows
         free = on_the_map and arrays.distance[int(v), int(u)] > 0.0
         assert inside_wall(arrays, x, y) == (not free)
-
-
-def test_even_a_speck_hits_a_wall_it_is_inside_of(oval):
-    wall, cell = -5.1, oval.arrays.cell
-    for y in np.linspace(-6.0, -4.0, 101):
-        if abs(y - wall) > cell:
-            assert car_hits_wall(oval.arrays, 0.0, y, 0.3, 0.002, 0.001, 6.0) == (y < wall)
 
 
 NEITHER_MORE, FIRST, SECOND = (True, True), (True, False), (False, True)

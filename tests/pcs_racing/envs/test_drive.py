@@ -61,16 +61,13 @@ def test_threads_share_a_step_that_is_long_enough():
         assert envs.batch.threads == 1
 
 
-def test_a_python_driver_may_be_the_opponent(oval):
+def test_python_drivers_and_policy_objects_may_be_the_opponent(oval):
     planner = Planner("crawler", (), drive=lambda track, theta, view, memory: (0.0, 0.5))
     env = DriveEnv(oval, planner.policy(), duration=1.0)
     _, rewards, _, _, info = episode(env, 1)
     assert env.outcome()["opponent"] == "crawler"
     assert info["lead"] > 1.0
     assert rewards.sum() > 1.0
-
-
-def test_a_policy_object_drives_as_its_text_does():
     policy = get_planner("lattice").policy({"pace": 0.2})
     by_text = episode(DriveEnv(opponent="lattice:pace=0.2"), 6)[0]
     np.testing.assert_array_equal(episode(DriveEnv(opponent=policy), 6)[0], by_text)

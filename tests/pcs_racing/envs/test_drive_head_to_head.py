@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from faces import flat
 
-from pcs_racing import InputError
-from pcs_racing.envs import drive
-from pcs_racing.envs.drive import DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv
+from pcs_racing.envs.drive import DriveHeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
 from pcs_racing.envs.single import AGENTS
 from pcs_racing.race.config import load_race_config
@@ -196,37 +194,3 @@ def test_where_winning_pays_the_last_moment_is_an_end(coarse_oval):
     assert terminated == dict.fromkeys(AGENTS, True)
     assert truncated == dict.fromkeys(AGENTS, False)
     assert infos["car_1"]["result"] == Result.WIN
-
-
-def test_a_step_lasts_a_control_period_and_a_batch_has_one_race_by_default(coarse_oval):
-    env, envs = DriveHeadToHeadEnv(coarse_oval), DriveHeadToHeadVectorEnv(track=coarse_oval)
-    env.reset(seed=0)
-    envs.reset(seed=0)
-    env.step(SLOW)
-    envs.step(np.zeros((2, 2), np.float32))
-    assert env.batch.state.tick.tolist() == envs.batch.state.tick.tolist() == [2]  # of 0.01 s
-    assert env.metadata["is_parallelizable"]  # which PettingZoo's wrappers ask for
-
-
-def test_after_the_end_no_agent_is_left(coarse_oval):
-    env = make(coarse_oval, duration=0.3)
-    with pytest.raises(InputError, match="not begun"):
-        env.step(SLOW)
-    with pytest.raises(InputError, match="not begun"):
-        env.state()
-    env.reset(seed=0)
-    for _ in range(3):
-        env.step(SLOW)
-    assert env.agents == []
-    with pytest.raises(InputError, match="has ended"):
-        env.step(SLOW)
-    # Turn by turn, dead agents step with None, once each.
-    turns = drive.env(track=coarse_oval, duration=0.3, time_step=0.1)
-    turns.reset(seed=0)
-    last = []
-    for agent in turns.agent_iter():
-        *_, ended, cut, _ = turns.last()
-        last += [agent] * (ended or cut)
-        turns.step(None if ended or cut else SLOW[agent])
-    assert last == list(AGENTS)
-    assert turns.agents == []

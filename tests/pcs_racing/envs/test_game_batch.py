@@ -148,60 +148,6 @@ def test_one_that_never_switches_drives_a_policy_of_the_archive_and_makes_no_mov
     assert set(batch.infos()["opponent_move"]) == {-1}
 
 
-class Remembers:
-    """Answers with the number of its call in this game, and says what it was told."""
-
-    def __init__(self):
-        self.told = []
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        self.told.append((observation.shape, state, episode_start.tolist(), deterministic))
-        count = 0 if state is None else state
-        return np.full(len(observation), count), count + 1
-
-
-def test_one_that_remembers_is_handed_what_it_gave_in_its_own_game(coarse_oval, archive):
-    model = Remembers()
-    batch = GameBatch(
-        2,
-        track=coarse_oval,
-        archive=archive,
-        opponent=model,
-        race="contest",
-        deterministic_opponent=False,
-        step_seconds=0.1,
-        moves=4,
-    )
-    rngs = begin(batch)
-    for k in range(3):
-        batch.step(np.zeros((2, 1), np.int64), rngs)
-        assert batch.moves[:, 1].tolist() == [k, k]
-    size = batch.seen.shape[2]
-    assert model.told[-2:] == [((1, size), 2, [False], False)] * 2
-    batch.restart(np.array([1]), [np.random.default_rng(5)])
-    batch.step(np.zeros((2, 1), np.int64), rngs)
-    assert batch.moves[:, 1].tolist() == [3, 0]
-    assert ((1, size), None, [True], False) in model.told[-2:]
-
-
-def test_a_function_sees_what_the_opponent_sees(coarse_oval, archive):
-    asked = []
-
-    def follow(observation, generator):
-        asked.append(observation.copy())
-        return int(generator.integers(5))
-
-    batch = make(coarse_oval, archive, follow)
-    rngs = begin(batch)
-    seen = batch.seen[:, 1].copy()
-    expected = [np.random.Generator(type(r.bit_generator)()) for r in rngs]
-    for mine, theirs in zip(expected, rngs, strict=True):
-        mine.bit_generator.state = theirs.bit_generator.state
-    batch.step(np.zeros((6, 1), np.int64), rngs)
-    np.testing.assert_array_equal(asked, seen)
-    assert batch.moves[:, 1].tolist() == [int(rng.integers(5)) for rng in expected]
-
-
 def test_random_moves_are_only_those_that_may_be_made(coarse_oval, archive):
     batch = make(coarse_oval, archive, games=80, mask_duplicates=True, epsilon=2.0)
     rngs = begin(batch)

@@ -187,14 +187,3 @@ def test_two_agents_see_the_same_match_from_both_sides(short):
     np.testing.assert_array_equal(first.driven, second.driven)
     np.testing.assert_allclose(second.own[0], both.game.points[[5, 0, 3]], atol=1e-6)
     assert total["car_0"] == infos["car_1"]["opponent_score"]
-
-
-def test_frames_show_the_whole_race(short):
-    both = parallel_env(render_mode="rgb_array", render_size=(120, 80), **short)
-    both.reset(seed=0)
-    first = both.render()
-    both.step({"car_0": 5, "car_1": 0})
-    frames = list(both.frames())
-    assert len(frames) == 26  # a race of a second, in two steps of half a second
-    assert (frames[-1] != first).any()
-    both.close()

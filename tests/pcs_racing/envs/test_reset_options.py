@@ -10,15 +10,12 @@ from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.track.frenet import X, Y
 
 
-def test_a_start_is_for_all_episodes_or_for_each():
+def test_a_start_is_for_all_episodes_or_for_each_and_poses_may_have_a_speed():
     assert start_option({}, 2) is None
     shared = start_option({"start": (3.0, 1)}, 2)
     assert (shared.s.tolist(), shared.side.tolist()) == ([3.0, 3.0], [1, 1])
     own = start_option({"start": [(3.0, 1), (5.0, 0)]}, 2)
     assert (own.s.tolist(), own.side.tolist()) == ([3.0, 5.0], [1, 0])
-
-
-def test_poses_have_a_speed_if_one_is_given():
     standing, rolling = [[1.0, 2.0, 0.5], [3.0, 4.0, 0.0]], [[1.0, 2.0, 0.5, 2.0], [3.0, 4.0, 0.0, 0.0]]
     assert poses_option({}, 3) is None
     assert poses_option({"poses": standing}, 3).tolist() == [[[1.0, 2.0, 0.5, 0.0], [3.0, 4.0, 0.0, 0.0]]] * 3
@@ -35,21 +32,14 @@ def poses_at(track, first, second):
     return np.array([[[*track.to_cartesian(place), 0.0] for place in (first, second)]])
 
 
-def test_progress_is_counted_from_the_car_in_front(oval, setup):
+def test_poses_count_progress_and_keep_cars_out_of_walls_and_of_each_other(oval, setup):
     state = place_poses(setup, poses_at(oval, (3.0, 0.2), (7.0, -0.2)), alone=False)
     assert state.progress[0] == pytest.approx([-4.0, 0.0], abs=0.01)
     assert state.frenet[0] == pytest.approx(np.array([[3.0, 0.2], [7.0, -0.2]]), abs=0.01)
-
-
-def test_cars_may_not_stand_in_a_wall_or_in_each_other(oval, setup):
     inside_each_other, in_a_wall = poses_at(oval, (3.0, 0.0), (3.1, 0.0)), poses_at(oval, (7.0, 0.0), (3.0, 1.1))
     for poses in (inside_each_other, in_a_wall):
         with pytest.raises(InputError, match="episode 0"):
             place_poses(setup, poses, alone=False)
-
-
-def test_a_car_that_drives_alone_meets_nobody(oval, setup):
-    """Wherever the poses put the other one; but its own wall counts."""
     state = place_poses(setup, poses_at(oval, (3.0, 0.0), (3.1, 0.0)), alone=True)
     assert not state.crashed.any()
     assert state.cars[0, 0, [X, Y]] == pytest.approx(oval.to_cartesian((3.0, 0.0))[:2])

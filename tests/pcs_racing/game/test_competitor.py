@@ -93,13 +93,10 @@ def test_functions_and_random_moves_draw_from_the_generator_of_each_game(game, s
     assert ask_moves(RandomMoves(), game, state, 0, generators=generators()).tolist() == expected
 
 
-def test_drivers_make_no_moves(game, state):
+def test_drivers_and_games_that_are_over_are_not_asked(game, state):
     policy = parse_policy("pure-pursuit")
     for driver in (policy, PolicySet("driver", (policy,))):
         assert not ask_moves(driver, game, state, 0).any()
-
-
-def test_a_game_that_is_over_is_not_asked_about(game, state):
     over = state.copy()
     over.race.crash[1] = 2
     assert ask_moves(SameMove("first", 3), game, over, 0).tolist() == [3, 0, 3, 3]

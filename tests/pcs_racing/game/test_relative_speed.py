@@ -35,24 +35,12 @@ def alone():
     return np.array([pieces(name, [(pace, pace) for pace in PACES])[:, 0, 0] for name in names])
 
 
-def test_the_same_policy_has_the_same_speed_on_every_circuit(alone):
-    """To within TOLERANCE, which is less than half of what half of the range of paces makes."""
+def test_pace_is_the_same_speed_on_every_circuit(alone):
     assert np.ptp(alone, axis=0).max() < TOLERANCE
     assert np.diff(alone, axis=1).min() > 2.0 * TOLERANCE
-
-
-def test_a_higher_pace_is_a_higher_speed_up_to_1(alone):
     assert (np.diff(alone, axis=1) > 0.0).all()
     # A car brakes for a bend a little earlier than the profile.
     np.testing.assert_allclose(alone[:, -1], 0.975, atol=0.025)
-
-
-def test_it_is_not_the_lead_once_more():
-    """Over all pairs of paces the lead, which is a difference, says about half of the opponent's speed."""
-    grid = np.linspace(0.0, 1.0, 5)
-    found = pieces("Pipkin", [(a, b) for a in grid for b in grid])
-    opponents, lead = found[:, 1, 0], found[:, 0, 1]
-    assert 0.3 < np.corrcoef(opponents, lead)[0, 1] ** 2 < 0.7
 
 
 def test_it_does_not_depend_on_an_opponent_who_is_far_away():

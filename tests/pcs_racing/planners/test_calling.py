@@ -5,8 +5,9 @@ import sys
 import numpy as np
 import pytest
 from numba import njit
+from refusal import refused
 
-from pcs_racing import InputError, Planner, RaceSetup, advance, load_race_config, load_track, run_races, start_races
+from pcs_racing import Planner, RaceSetup, advance, load_race_config, load_track, run_races, start_races
 from pcs_racing.planners.calling import control_address
 from pcs_racing.race.races import draw_starts
 
@@ -39,22 +40,14 @@ def race(function):
     return run_races(load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1)
 
 
-def test_plain_and_compiled_functions_drive_the_same():
+def test_plain_and_compiled_functions_drive_the_same_and_are_compiled_once():
     assert (race(control).state.cars == race(njit(control)).state.cars).all()
-
-
-def test_a_function_is_compiled_once():
     assert control_address(control) == control_address(control)
 
 
-def test_what_a_planner_raises_the_race_raises():
-    with pytest.raises(ValueError, match="nowhere to go"):
-        race(failing)
-
-
-def test_a_function_that_returns_something_is_refused():
-    with pytest.raises(InputError, match="returning"):
-        race(returning)
+def test_what_a_planner_raises_and_returns_is_told():
+    refused("nowhere to go", race, failing, error=ValueError)
+    refused("returning", race, returning)
 
 
 @pytest.mark.parametrize("function", [control, allocating, failing])

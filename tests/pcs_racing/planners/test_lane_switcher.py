@@ -93,29 +93,23 @@ def test_it_changes_lanes_where_the_opponent_blocks_the_race_line(oval, view_at)
     assert memory[_LANE] == OVERTAKING
     written, _ = command(oval, view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0), memory)
     assert np.sign(written[0]) == memory[_SIDE]
+    view = view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0)
+    before = decide(oval, view)
+    _, after = command(oval, view, before)  # the next one follows 0.02 s later
+    assert after[_PLACE] - before[_PLACE] == pytest.approx(0.02 * 1.2 * before[_SIDE])
 
 
-def test_it_drives_on_the_overtaking_lane_at_a_share_of_the_race_lines_speed(oval, view_at):
+def test_its_speed_is_a_share_of_the_fastest_and_less_on_the_overtaking_lane(oval, view_at):
     alone = decide(oval, view_at(oval, STRAIGHT))
     across = decide(oval, view_at(oval, STRAIGHT, 0.6, gap=2.0, opp_speed=2.0))
     assert across[_LANE] == OVERTAKING
     (_, fast), (_, slow) = (command(oval, view_at(oval, STRAIGHT, speed=0.0), memory)[0] for memory in (alone, across))
     assert slow == pytest.approx(0.6 * fast)
-
-
-def test_its_speed_is_a_share_of_the_fastest_that_the_race_allows(oval, view_at):
     view = view_at(oval, STRAIGHT, speed=0.0)
     memory = decide(oval, view)
     fast = command(oval, view, memory)[0][1]
     view[SPEED_HIGH] *= 0.5
     assert command(oval, view, memory)[0][1] == pytest.approx(0.5 * fast)
-
-
-def test_it_changes_lanes_at_a_metre_or_so_a_second(oval, view_at):
-    view = view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0)
-    before = decide(oval, view)
-    _, after = command(oval, view, before)  # the next one follows 0.02 s later
-    assert after[_PLACE] - before[_PLACE] == pytest.approx(0.02 * 1.2 * before[_SIDE])
 
 
 def test_it_closes_up_no_faster_than_it_crosses(oval, view_at):
@@ -170,14 +164,11 @@ def test_it_returns_when_the_race_line_was_free_long_enough(oval, view_at):
     assert memory[_FREE_COUNT] == 8.0
 
 
-def test_it_does_not_return_into_a_car_beside_it(oval, view_at):
+def test_it_neither_returns_into_a_car_beside_it_nor_leaves_its_place(oval, view_at):
     memory = decide(oval, view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0))
     for _ in range(12):
         memory = decide(oval, view_at(oval, STRAIGHT, 0.7 * memory[_SIDE], gap=-0.2, opp_speed=4.0), memory)
     assert memory[_LANE] == OVERTAKING
-
-
-def test_it_keeps_its_place_beside_a_car_that_is_nearer_to_the_line(oval, view_at):
     memory = decide(oval, view_at(oval, STRAIGHT, 0.6, gap=0.1, opp_d=0.1, opp_speed=4.0))
     assert memory[_LANE] == OWN_PLACE
     memory = decide(oval, view_at(oval, STRAIGHT, 0.6, gap=-2.0, opp_d=0.1, opp_speed=4.0), memory)

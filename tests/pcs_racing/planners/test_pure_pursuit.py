@@ -1,27 +1,19 @@
-import math
-
 import numpy as np
 import pytest
 
 from pcs_racing import (
     CONTEST,
     PAPER,
-    Parameter,
-    Planner,
     RaceConfig,
     RaceSetup,
     Starts,
-    advance,
     list_tracks,
     load_track,
 )
-from pcs_racing.base.compilation import compiled
-from pcs_racing.planners import view as view_index
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
-from pcs_racing.planners.pursuit import calm_speed, pursuit_steering
 from pcs_racing.planners.view import OWN_D, PATH_POINTS, TIME
-from pcs_racing.race.races import run_races, start_races
-from pcs_racing.track.frenet import KAPPA, SPEED, to_cartesian
+from pcs_racing.race.races import run_races
+from pcs_racing.track.frenet import SPEED
 
 
 def path(track, view, parameters=None):
@@ -120,61 +112,3 @@ def test_two_of_them_sort_themselves_out_at_the_start():
 
 
 # A driver written twice: compiled for numba, and in plain Python with the math module.
-
-
-@compiled
-def twin_control(track, theta, view, memory, scratch, path, command):
-    v = view[view_index.OWN_V]
-    s = view[view_index.OWN_S] + 0.8 + 0.2 * v
-    x, y, _ = to_cartesian(track, s, 0.0)
-    row = track.line[int(s / track.ds) % track.line.shape[0]]
-    here = track.line[int(view[view_index.OWN_S] / track.ds)]
-    speed, acceleration = calm_speed(v, theta[0] * here[SPEED])
-    command[0] = pursuit_steering(view, x, y, row[KAPPA], acceleration)
-    command[1] = speed
-    memory[0] += command[0]
-
-
-def twin_drive(track, theta, view, memory):
-    seen = dict(zip(view_index.VIEW, view, strict=True))
-    line, ds = track.line, track.arrays.ds
-    v = seen["V"]
-    s = seen["S"] + 0.8 + 0.2 * v
-    x, y, _ = track.to_cartesian([s, 0.0])
-    kappa = line[int(s / ds) % len(line), KAPPA]
-    speed = max(theta[0] * line[int(seen["S"] / ds), SPEED], v - 0.55)
-    acceleration = min(10.0 * (speed - v), 9.5)
-    course = seen["PSI"] + kappa * (seen["REAR_AXLE"] - seen["REAR_SLIP"] * v * v)
-    dx, dy = x - seen["X"], y - seen["Y"]
-    arc = 2.0 * (dy * math.cos(course) - dx * math.sin(course)) / (dx * dx + dy * dy)
-    understeer = seen["UNDERSTEER"] + seen["UNDERSTEER_GAIN"] * acceleration
-    steer = math.atan(seen["WHEELBASE"] * arc) + understeer * v * v * kappa
-    steer = min(max(steer, -seen["STEER_MAX"]), seen["STEER_MAX"])
-    memory[0] += steer
-    return steer, speed
-
-
-SCALE = (Parameter("scale", 0.3, 1.0, 0.7, "share of the profile's speed"),)
-COMPILED_TWIN = Planner("compiled-twin", SCALE, control=twin_control, memory_size=1)
-PYTHON_TWIN = Planner("python-twin", SCALE, drive=twin_drive, memory_size=1)
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_a_python_planner_drives_like_its_compiled_twin(noise):
-    track = load_track("Pipkin")
-    config = RaceConfig(duration=6.0, steering_noise=noise, start="staggered", start_gap=25.0, start_spacing=0.0)
-    states = []
-    for planner in (COMPILED_TWIN, PYTHON_TWIN):
-        setup = RaceSetup(track, config, (planner, PURE_PURSUIT))
-        starts = Starts(np.full(2, 10.0), np.array([0, 1]))
-        state = start_races(setup, starts, np.array([1, 2], np.uint64))
-        theta = np.zeros((2, 2, setup.theta_size))
-        theta[:, 0, 0] = 0.6
-        theta[:, 1] = PURE_PURSUIT.default
-        advance(setup, state, theta, config.ticks)
-        states.append(state)
-    a, b = states
-    assert (a.tick == config.ticks).all()
-    np.testing.assert_allclose(a.cars, b.cars, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(a.progress, b.progress, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(a.memory[:, 0, 0], b.memory[:, 0, -1], rtol=0, atol=1e-9)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded_races import PYTHON
+from refusal import refused
 
 from pcs_racing import (
     CONTEST,
@@ -21,7 +22,6 @@ from pcs_racing import (
     draw_starts,
     load_race_config,
     load_state,
-    load_track,
     run_races,
     save_state,
     start_races,
@@ -119,12 +119,6 @@ def test_the_seed_decides_starts_and_noise(oval):
     assert not np.array_equal(one.state.cars, moved.state.cars)
 
 
-def test_without_noise_only_the_start_matters(oval):
-    one = run_races(oval, [lattice()] * 4, lattice(), SHORT, seed=1)
-    again = run_races(oval, [lattice()] * 4, lattice(), SHORT, seed=99, starts=one.starts)
-    assert_same(again.state, one.state, skip=("seed",))
-
-
 @settings(max_examples=12)
 @given(cut=st.integers(0, 300).map(lambda half: 2 * half), pieces=st.integers(1, 7))
 def test_a_race_can_be_stopped_saved_and_continued_anywhere(oval, tmp_path_factory, cut, pieces):
@@ -200,27 +194,13 @@ def test_a_python_driver_is_asked_fifty_times_a_second(oval):
     np.testing.assert_array_equal(asked, [6.0 * 50.0] * 2)
 
 
-def test_two_tracks_in_one_process_do_not_disturb_each_other(oval):
-    pipkin = load_track("Pipkin")
-    alone = [run_races(track, [lattice()] * 2, lattice(pace=0.9), SHORT).state for track in (oval, pipkin)]
-    parts = [begin(track, SHORT, [lattice()] * 2, [lattice(pace=0.9)] * 2) for track in (oval, pipkin)]
-    for _ in range(SHORT.ticks // 50):
-        for setup, state, theta in parts:
-            advance(setup, state, theta, 50)
-    for (_, state, _), expected in zip(parts, alone, strict=True):
-        assert_same(state, expected)
-
-
-def test_each_car_has_its_own_vehicle(oval):
+def test_each_car_has_its_own_vehicle_and_the_memory_that_its_steering_needs(oval):
     standing = load_race_config("paper", duration=2.0, start_speed=0.0)
     strong, weak = VehicleParams(), VehicleParams(a_max=1.5)
     lead = run_races(oval, [lattice()] * 4, lattice(), standing, vehicles=(strong, weak)).lead
     assert (lead > 1.0).all()
     lead = run_races(oval, [lattice()] * 4, lattice(), standing, vehicles=(weak, strong)).lead
     assert (lead < -1.0).all()
-
-
-def test_memory_has_room_for_the_commands_on_their_way_to_the_slowest_steering(oval):
     late, prompt = VehicleParams(steer_delay=0.1), VehicleParams()
     usual = RaceSetup(oval, SHORT, (LATTICE, LATTICE))
     for vehicles in ((late, prompt), (prompt, late)):
@@ -337,11 +317,6 @@ def test_the_cars_stand_beside_or_behind_each_other(oval, config):
     assert (speed > (5.0 if config.start == "rolling" else 3.9) * low).all()
 
 
-def test_more_races_do_not_move_the_starts_of_the_first_ones(oval):
-    few, many = (draw_starts(oval, PAPER, races, seed=7) for races in (4, 40))
-    np.testing.assert_array_equal(few.s, many.s[:4])
-
-
 def test_the_speed_range_comes_from_the_rules_else_from_the_calibration_of_the_circuit(oval):
     planners = (LATTICE, LATTICE)
     assert RaceSetup(oval, PAPER, planners).speed_range == (0.8, 1.0)
@@ -358,8 +333,7 @@ def test_games_of_training_start_from_places_that_tables_do_not_use(oval):
         assert train
         assert test
         assert not train & test
-    with pytest.raises(InputError, match="split is 'both'"):
-        start_lines(oval, PAPER, 0, split="both")
+    refused("split is 'both'", start_lines, oval, PAPER, 0, split="both")
 
 
 def test_a_side_with_a_single_place_leaves_the_other_split_to_the_other_side(oval):
@@ -388,16 +362,14 @@ def test_the_start_of_one_race_is_that_of_the_batch(oval):
 )
 def test_a_start_off_the_track_is_refused(oval, s, side, message):
     starts = Starts(np.array([1.0, s]), np.array([0, side]))
-    with pytest.raises(InputError, match=message):
-        run_races(oval, [lattice()] * 2, lattice(), SHORT, starts=starts)
+    refused(message, run_races, oval, [lattice()] * 2, lattice(), SHORT, starts=starts)
 
 
 def test_a_start_in_the_wall_is_refused(oval):
     wide = load_race_config("paper", start_spacing=2.0)
     with pytest.raises(InputError, match=r"race 0: at start line 0\.00 m"):
         run_races(oval, lattice(), lattice(), wide, starts=Starts(np.zeros(1), np.zeros(1, np.int64)))
-    with pytest.raises(InputError, match="has no place"):
-        run_races(oval, lattice(), lattice(), wide)
+    refused("has no place", run_races, oval, lattice(), lattice(), wide)
 
 
 # Bad input
@@ -424,5 +396,4 @@ BROKEN = Planner("broken", (), drive=lambda track, theta, view, memory: (np.nan,
     ],
 )
 def test_bad_arguments_are_refused(oval, call, message):
-    with pytest.raises(InputError, match=message):
-        call(oval, *begin(oval, SHORT, [lattice()], [lattice()]))
+    refused(message, call, oval, *begin(oval, SHORT, [lattice()], [lattice()]))

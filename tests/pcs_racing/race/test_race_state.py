@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from refusal import refused
 
-from pcs_racing import InputError, RaceState, load_state, save_state
+from pcs_racing import RaceState, load_state, save_state
 from pcs_racing.race.state import SUMS, concatenate, empty_state, take
 
 
@@ -35,24 +36,18 @@ def test_an_empty_state_has_a_row_for_every_race():
         assert (array == (-1 if name == "leader" else 0)).all(), name
 
 
-def test_a_copy_is_independent(state):
+def test_copies_parts_and_files_are_the_same_state(state, tmp_path):
     before = state.copy()
     copy = state.copy()
     for array in copy:
         array += np.ones(1, array.dtype)
     assert_same(state, before)
-
-
-def test_taking_and_joining_are_inverse(state):
     assert_same(concatenate([take(state, [0]), take(state, [1, 2])]), state)
     assert_same(take(take(state, [2, 0, 1]), [1, 2, 0]), state)
     twice = take(state, [1, 1])
     assert twice.races == 2
     twice.cars[0] += 1.0
     assert not np.array_equal(twice.cars[0], twice.cars[1])
-
-
-def test_a_saved_state_reads_back_exactly(state, tmp_path):
     save_state(state, tmp_path / "race.npz")
     assert_same(load_state(tmp_path / "race.npz"), state)
     assert [path.name for path in tmp_path.iterdir()] == ["race.npz"]
@@ -64,21 +59,18 @@ def test_a_failed_save_leaves_nothing_behind(state, tmp_path, monkeypatch):
         raise OSError("no space left on device")
 
     monkeypatch.setattr(np, "savez_compressed", full_disk)
-    with pytest.raises(OSError, match="no space left"):
-        save_state(state, tmp_path / "race.npz")
+    refused("no space left", save_state, state, tmp_path / "race.npz", error=OSError)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_missing_or_broken_file_is_one_clear_error(state, tmp_path):
-    with pytest.raises(InputError, match=r"nowhere\.npz"):
-        load_state(tmp_path / "nowhere.npz")
+    refused(r"nowhere\.npz", load_state, tmp_path / "nowhere.npz")
     file = tmp_path / "race.npz"
     save_state(state, file)
     whole = file.read_bytes()
     for broken in (b"", b"not a zip", whole[: len(whole) // 2], whole[:200] + b"\0" * 50 + whole[250:]):
         file.write_bytes(broken)
-        with pytest.raises(InputError, match=r"race\.npz"):
-            load_state(file)
+        refused(r"race\.npz", load_state, file)
 
 
 @pytest.mark.parametrize(
@@ -94,5 +86,4 @@ def test_a_missing_or_broken_file_is_one_clear_error(state, tmp_path):
 )
 def test_arrays_that_do_not_fit_are_refused(state, tmp_path, change, message):
     np.savez(tmp_path / "race.npz", **(state._asdict() | change))
-    with pytest.raises(InputError, match=message):
-        load_state(tmp_path / "race.npz")
+    refused(message, load_state, tmp_path / "race.npz")

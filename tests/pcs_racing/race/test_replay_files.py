@@ -4,6 +4,7 @@ import re
 import numpy as np
 import pytest
 from recorded_races import race_on_a_circle
+from refusal import refused
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import ReplayEvent
@@ -29,16 +30,13 @@ def test_a_race_comes_back_rounded(tmp_path, suffix):
     assert again.read_bytes() == path.read_bytes()
 
 
-def test_optional_parts_may_be_absent(tmp_path):
+def test_optional_parts_may_be_absent_and_infinity_is_a_minute(tmp_path):
     bare = race_on_a_circle(paths=None, ittc=None, line_speed=None, events=(), walls=np.zeros((0, 4)))
     back = read_replay(save_replay(bare, tmp_path / "bare.html"))
     assert back.paths is None
     assert back.candidates is None
     assert back.ittc is None
     assert len(back.walls) == 0
-
-
-def test_infinite_time_to_collision_is_stored_as_a_minute(tmp_path):
     replay = race_on_a_circle(ittc=np.full((81, 2), np.inf))
     assert np.all(read_replay(save_replay(replay, tmp_path / "a.json")).ittc == 60.0)
 
@@ -57,11 +55,6 @@ def test_names_can_not_break_out_of_their_place(tmp_path):
     page = write_html(nasty, tmp_path / "nasty.html").read_text()
     for tag in ("<script", "</script", "<b>", "<!--"):
         assert page.count(tag) == calm.count(tag), tag
-
-
-def test_the_same_race_gives_the_same_bytes(tmp_path):
-    first = write_html(race_on_a_circle(candidates=3), tmp_path / "a.html").read_bytes()
-    assert write_html(race_on_a_circle(candidates=3), tmp_path / "b.html").read_bytes() == first
 
 
 def test_a_race_of_40_s_is_small(tmp_path):
@@ -86,10 +79,8 @@ def test_impossible_places_are_refused(tmp_path):
     replay = race_on_a_circle(1.0)
     (tmp_path / "folder.html").mkdir()
     for path in (tmp_path / "none" / "a.html", tmp_path / "a.pdf", tmp_path / "folder.html"):
-        with pytest.raises(InputError, match=path.name):
-            save_replay(replay, path)
-    with pytest.raises(InputError, match=r"missing\.html"):
-        read_replay(tmp_path / "missing.html")
+        refused(path.name, save_replay, replay, path)
+    refused(r"missing\.html", read_replay, tmp_path / "missing.html")
 
 
 OTHERS = ("", "<html></html>", "[]", "null", "[" * 100_000, '{"format": "pcs-racing replay 2"}', "1" * 5000, "ÿþ")
@@ -100,8 +91,7 @@ OTHERS = ("", "<html></html>", "[]", "null", "[" * 100_000, '{"format": "pcs-rac
 def test_other_files_are_no_replays(tmp_path, text, suffix):
     path = tmp_path / f"a{suffix}"
     path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(InputError, match="replay"):
-        read_replay(path)
+    refused("replay", read_replay, path)
 
 
 WRONG = {
@@ -122,8 +112,7 @@ WRONG = {
 def test_every_part_of_a_file_is_checked(tmp_path, part, value):
     path = save_replay(GOOD, tmp_path / "a.json")
     path.write_text(json.dumps(json.loads(path.read_text()) | {part: value}))
-    with pytest.raises(InputError, match="is not a replay"):
-        read_replay(path)
+    refused("is not a replay", read_replay, path)
 
 
 # In a browser

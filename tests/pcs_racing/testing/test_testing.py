@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import Parameter, Planner, PolicyArchive, get_planner, load_archive, load_track
 from pcs_racing.planners.view import OPP_V
@@ -51,38 +52,29 @@ def remembers_nonsense(track, theta, view, memory):
     ],
 )
 def test_the_check_finds_what_is_wrong_with_a_planner(track, planner, message):
-    with pytest.raises(AssertionError, match=f"planner 'mine'.*{message}"):
-        check_planner(planner, track, seconds=0.8)
+    refused(f"planner 'mine'.*{message}", check_planner, planner, track, seconds=0.8, error=AssertionError)
 
 
-def test_a_planner_that_sees_beyond_its_sight_is_noticed(track):
+def test_a_planner_that_sees_too_far_or_stands_is_noticed(track):
     def drive(track, theta, view, memory):
         return 0.0, 2.0 + 0.01 * view[OPP_V]
 
     check_planner(driver(drive), track, seconds=0.8)
     with pytest.raises(AssertionError, match="sight 5"):
         check_planner(Planner("mine", (PACE,), drive=drive, sight=5.0), track, seconds=0.8)
-
-
-def test_a_car_that_stands_is_noticed(track):
     with pytest.raises(AssertionError, match="stand still after 2 s"):
         check_planner(driver(lambda track, theta, view, memory: (0.0, 0.0)), track, seconds=2.0)
 
 
-def test_the_shipped_archive_passes(track):
+def test_the_check_finds_what_is_wrong_with_an_archive(track):
     check_archive(load_archive("default"))
     check_archive(load_archive("default"), track)
+    refused("planner 'nobody' is unknown", check_archive, change(planner="nobody"), error=AssertionError)
+    refused("no move leads", check_archive, change(ideal=np.full(2, 1e-6), nadir=np.zeros(2)), error=AssertionError)
+    with pytest.raises(AssertionError, match="parameter 'length' is 50"):
+        check_archive(change(parameters=np.full_like(load_archive("default").parameters, 50.0)))
 
 
 def change(**values) -> PolicyArchive:
     default = load_archive("default")
     return PolicyArchive(**{**{key: getattr(default, key) for key in default.__dataclass_fields__}, **values})
-
-
-def test_the_check_finds_what_is_wrong_with_an_archive():
-    with pytest.raises(AssertionError, match="planner 'nobody' is unknown"):
-        check_archive(change(planner="nobody"))
-    with pytest.raises(AssertionError, match="no move leads"):
-        check_archive(change(ideal=np.full(2, 1e-6), nadir=np.zeros(2)))
-    with pytest.raises(AssertionError, match="parameter 'length' is 50"):
-        check_archive(change(parameters=np.full_like(load_archive("default").parameters, 50.0)))

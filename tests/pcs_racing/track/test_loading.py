@@ -6,6 +6,7 @@ import logging
 import numba
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.track import loading
@@ -35,16 +36,13 @@ def folder(values, tmp_path):
     return write_map(MapFolder("Big Oval", tmp_path / "Big Oval", *grid, values["centerline"], rows, info))
 
 
-def test_a_folder_gives_the_same_track_as_its_values(folder, oval):
+def test_a_folder_gives_the_same_track_as_its_values_and_again_the_same_object(folder, oval):
     loaded = load_track(folder)
     assert loaded.name == "Big Oval"
     assert loaded.calibration == {"contest": Calibration((0.9, 1.1), 0.45, {"front": ((1.0, 5.5),)})}
     assert loaded.folder == folder
     np.testing.assert_allclose(loaded.line[:, :2], oval.line[:, :2], atol=1e-3)
     np.testing.assert_array_equal(loaded.arrays.distance, oval.arrays.distance)
-
-
-def test_loading_again_gives_the_same_object(folder):
     one = load_track(folder)
     assert load_track(str(folder)) is one
     assert load_track(folder / "Big Oval_map.yaml") is one
@@ -163,40 +161,33 @@ def test_a_race_line_without_air_to_the_walls_is_replaced(folder, oval, caplog):
     assert "comes within 0.1" in caplog.text
     rows[:, 1:3] *= 0.8
     np.savetxt(file, rows, delimiter=";")
-    with pytest.raises(MapError, match=r"Oval_raceline\.csv leads"):
-        load_track(folder)
+    refused(r"Oval_raceline\.csv leads", load_track, folder, error=MapError)
 
 
 def test_without_the_mapping_tools_complete_maps_load_and_others_say_what_to_install(folder, monkeypatch):
     monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
     load_track(folder)
     (folder / "Big Oval_raceline.csv").unlink()
-    with pytest.raises(ModuleNotFoundError, match=r"race line; .*pcs-racing\[mapping\]"):
-        load_track(folder)
+    refused(r"race line; .*pcs-racing\[mapping\]", load_track, folder, error=ModuleNotFoundError)
 
 
 def test_errors_name_the_file(folder):
     file = folder / "Big Oval_map.yaml"
     file.write_text(file.read_text().replace("resolution: 0.05", "resolution: 0.06"))
-    with pytest.raises(MapError, match=r"Big Oval_(map\.yaml|raceline\.csv)"):
-        load_track(folder)
+    refused(r"Big Oval_(map\.yaml|raceline\.csv)", load_track, folder, error=MapError)
     file.write_text(file.read_text().replace("resolution: 0.06", "resolution: 0.05"))
     line = folder / "Big Oval_raceline.csv"
     rows = line.read_text().splitlines()
     line.write_text("\n".join(rows[: len(rows) // 2]))
-    with pytest.raises(MapError, match=r"Big Oval_raceline\.csv is open"):
-        load_track(folder)
+    refused(r"Big Oval_raceline\.csv is open", load_track, folder, error=MapError)
 
 
 def test_names_that_stand_for_nothing_are_refused(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(UnknownNameError, match="unknown track 'Nowhere'"):
-        load_track("Nowhere")
-    with pytest.raises(MapError, match=r"map folder .*nowhere"):
-        load_track(tmp_path / "nowhere")
+    refused("unknown track 'Nowhere'", load_track, "Nowhere", error=UnknownNameError)
+    refused(r"map folder .*nowhere", load_track, tmp_path / "nowhere", error=MapError)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(MapError, match=r"holds no map: .*empty_map\.yaml"):
-        load_track("empty")
+    refused(r"holds no map: .*empty_map\.yaml", load_track, "empty", error=MapError)
 
 
 @pytest.mark.parametrize("name", ["Spielberg", "Catalunya", "Oschersleben"])

@@ -11,6 +11,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+from refusal import refused
 
 from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.track import maps
@@ -57,13 +58,10 @@ def test_what_is_written_reads_back(folder):
     assert sorted(file.name for file in folder.parent.iterdir()) == ["Ring"]
 
 
-def test_writing_the_same_map_gives_the_same_bytes(folder, tmp_path):
+def test_the_same_map_has_the_same_bytes_and_replaces_another(folder, tmp_path):
     again = write_map(_map(tmp_path / "other"))
     for file in folder.iterdir():
         assert (again / file.name).read_bytes() == file.read_bytes()
-
-
-def test_a_map_of_the_same_name_is_replaced_and_other_files_stay(folder):
     (folder / "notes.txt").write_text("kept")
     write_map(_map(folder)._replace(resolution=0.1))
     assert read_map(folder).resolution == 0.1
@@ -73,12 +71,10 @@ def test_a_map_of_the_same_name_is_replaced_and_other_files_stay(folder):
 def test_foreign_folders_and_impossible_names_are_refused(tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("...")
-    with pytest.raises(MapError, match="map called Ring"):
-        write_map(_map(tmp_path / "mine"))
+    refused("map called Ring", write_map, _map(tmp_path / "mine"), error=MapError)
     assert os.listdir(tmp_path / "mine") == ["thesis.tex"]
     for name in ("", "a/b", "..", ".hidden", "a\nb", " a"):
-        with pytest.raises(MapError, match="can't name a map"):
-            write_map(_map(tmp_path / "new", name))
+        refused("can't name a map", write_map, _map(tmp_path / "new", name), error=MapError)
     assert not (tmp_path / "new").exists()
 
 
@@ -108,16 +104,14 @@ def test_the_map_is_found_by_the_folders_name_or_as_the_only_one(folder, tmp_pat
     assert find_map(renamed).name == "Ring"
     (renamed / "Other_map.yaml").write_text("image: x.png")
     (renamed / "Third_map.yaml").write_text("image: x.png")
-    with pytest.raises(MapError, match=r"several maps \(Other_map.yaml, Third_map.yaml\)"):
-        find_map(renamed)
+    refused(r"several maps \(Other_map.yaml, Third_map.yaml\)", find_map, renamed, error=MapError)
 
 
 def test_shipped_tracks_are_found_whatever_the_case(folder, monkeypatch):
     monkeypatch.setattr(maps, "shipped_folder", lambda: folder.parent)
     assert list_tracks() == ["Ring"]
     assert find_shipped("rInG") == folder
-    with pytest.raises(UnknownNameError, match=r"unknown track 'Rong': .* \(Ring\)"):
-        find_shipped("Rong")
+    refused(r"unknown track 'Rong': .* \(Ring\)", find_shipped, "Rong", error=UnknownNameError)
 
 
 # The grid
@@ -292,8 +286,6 @@ def test_files_of_something_else_are_refused(folder, name, content, message):
 
 
 def test_folders_that_can_not_be_read_are_named(tmp_path):
-    with pytest.raises(MapError, match=r"map folder .*gone"):
-        read_map(tmp_path / "gone")
+    refused(r"map folder .*gone", read_map, tmp_path / "gone", error=MapError)
     (tmp_path / "a.txt").write_text("")
-    with pytest.raises(MapError, match="no map folder at"):
-        read_map(tmp_path / "a.txt")
+    refused("no map folder at", read_map, tmp_path / "a.txt", error=MapError)

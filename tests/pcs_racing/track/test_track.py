@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, PSI, RIGHT, SIN, SPEED
@@ -52,14 +53,13 @@ def test_a_track_can_not_be_changed(oval):
         oval.name = "other"
 
 
-def test_summary_and_repr_are_short(oval):
+def test_summary_shapes_and_points_that_are_nowhere(oval):
     assert "49.1 m" in oval.summary()
     assert len(repr(oval)) < 300
-
-
-def test_pairs_are_asked_for(oval):
-    with pytest.raises(ValueError, match=r"shape \(\.\.\., 2\)"):
-        oval.to_frenet([1.0, 2.0, 3.0])
+    refused(r"shape \(\.\.\., 2\)", oval.to_frenet, [1.0, 2.0, 3.0], error=ValueError)
+    for point in ([np.nan, 0.0], [np.inf, 0.0], [1e15, -1e15]):
+        assert oval.to_frenet(point).shape == (2,)
+        assert oval.wall_distance(point) == 0.0
 
 
 def gap_to_the_border(values):
@@ -110,16 +110,14 @@ def with_value(array, index, value):
     ],
 )
 def test_impossible_tracks_are_refused(values, change, message):
-    with pytest.raises(MapError, match=message):
-        build_track("broken", **(values | change(values)))
+    refused(message, build_track, "broken", error=MapError, **values | change(values))
 
 
 def test_a_gap_is_found_where_it_is(values):
     """The message leads to the hole."""
     broken = values | gap_to_the_border(values)
     x = broken["origin"][0] + 200.5 * broken["resolution"]
-    with pytest.raises(MapError, match=rf"near \({x:.2f}, -5\."):
-        build_track("broken", **broken)
+    refused(rf"near \({x:.2f}, -5\.", build_track, "broken", error=MapError, **broken)
 
 
 def test_two_parts_of_a_track_with_a_thin_wall_between_are_told_apart():
@@ -143,9 +141,3 @@ def test_two_parts_of_a_track_with_a_thin_wall_between_are_told_apart():
     np.testing.assert_allclose(track.to_cartesian(np.column_stack([s, d]))[:, :2], points, atol=1e-9)
     points[:, 1] = 4.2
     np.testing.assert_allclose(track.to_frenet(points)[:, 1], -1.7, atol=0.02)
-
-
-def test_points_that_are_nowhere_do_no_harm(oval):
-    for point in ([np.nan, 0.0], [np.inf, 0.0], [1e15, -1e15]):
-        assert oval.to_frenet(point).shape == (2,)
-        assert oval.wall_distance(point) == 0.0

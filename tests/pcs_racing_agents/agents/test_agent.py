@@ -3,8 +3,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 
-from pcs_racing import InputError, get_planner
+from pcs_racing import get_planner
 from pcs_racing_agents.agents import Agent, Driver, as_competitor, make
 from pcs_racing_agents.agents.agent import competitor_hash, draw, hash_rows
 from pcs_racing_agents.agents.blind import always, random_moves
@@ -69,8 +70,7 @@ def test_rounding_never_draws_what_is_impossible():
     ],
 )
 def test_observations_that_do_not_fit_are_refused(setting, observation, message):
-    with pytest.raises(InputError, match=message):
-        random_moves(setting).predict(observation)
+    refused(message, random_moves(setting).predict, observation)
 
 
 def test_agents_and_drivers_travel_to_other_processes(setting, seen):
@@ -99,8 +99,7 @@ def test_digests_tell_what_somebody_does(setting, network):
 def test_what_can_not_be_told_from_another_is_not_kept(setting):
     function = Agent("function", lambda seen: np.full((len(seen), 5), 0.2), setting)
     for unknown in (Model(), as_competitor(Model(), "named"), function):
-        with pytest.raises(InputError, match="of that name"):
-            competitor_hash(as_competitor(unknown))
+        refused("of that name", competitor_hash, as_competitor(unknown))
     known = Model()
     known.content_hash = "abc"
     assert competitor_hash(as_competitor(known, "x")) == competitor_hash(as_competitor(known, "y"))
@@ -125,24 +124,13 @@ def test_models_and_policies_become_competitors(setting):
     renamed = as_competitor(driver, "M")
     assert (renamed.name, renamed.policies) == ("M", driver.policies)
     for wrong in ("never-switch", 3, Model):
-        with pytest.raises(InputError, match="can't race"):
-            as_competitor(wrong)
-
-
-def test_what_agents_and_drivers_look_like(setting):
-    assert repr(random_moves(setting)) == "<Agent 'random-moves': archive 'toy', paper rules>"
-    assert repr(make("lane-switcher")) == "<Driver 'lane-switcher': 20 policies of planner 'lane-switcher'>"
+        refused("can't race", as_competitor, wrong)
 
 
 def test_bad_agents_and_drivers_are_refused(setting):
-    with pytest.raises(InputError, match="an agent's name is ''"):
-        random_moves(setting, name="")
-    with pytest.raises(InputError, match="seed of agent 'random-moves' is -1"):
-        random_moves(setting, seed=-1)
-    with pytest.raises(InputError, match="'jump' is no move"):
-        always(setting, "jump")
-    with pytest.raises(InputError, match="'d' has no policy"):
-        Driver("d", ())
+    refused("an agent's name is ''", random_moves, setting, name="")
+    refused("seed of agent 'random-moves' is -1", random_moves, setting, seed=-1)
+    refused("'jump' is no move", always, setting, "jump")
+    refused("'d' has no policy", Driver, "d", ())
     lattice, pursuit = get_planner("lattice").policy(), get_planner("pure-pursuit").policy()
-    with pytest.raises(InputError, match="one planner"):
-        Driver("d", (lattice, pursuit))
+    refused("one planner", Driver, "d", (lattice, pursuit))

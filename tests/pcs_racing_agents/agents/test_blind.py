@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusal import refused
 
-from pcs_racing import InputError
 from pcs_racing_agents.agents.blind import best_fixed, best_lead_plan, best_schedule, never_switch, path_moves
 
 
@@ -21,10 +21,8 @@ def test_a_schedule_follows_the_steps(setting, game):
         np.testing.assert_array_equal(moves, expected)
         state = game.step(state, np.full((3, 2), 4))
     assert agent.facts["plan"] == "restraint +, stay, aggressiveness -, restraint +"
-    with pytest.raises(InputError, match="has 4 moves"):
-        best_schedule(setting, moves=plan[:3])
-    with pytest.raises(InputError, match="and a fit"):
-        best_schedule(setting, moves=plan, fit="somewhere.yaml")
+    refused("has 4 moves", best_schedule, setting, moves=plan[:3])
+    refused("and a fit", best_schedule, setting, moves=plan, fit="somewhere.yaml")
 
 
 @pytest.mark.parametrize("target", [0, 5, 11])
@@ -66,8 +64,7 @@ def test_a_lead_plan_looks_at_who_leads_and_at_nothing_else(setting, game, seen)
 
 @pytest.mark.parametrize("targets", [{"behind": 1}, {"behind": 1, "level": 2}, 3, {"behind": 1, "ahead": 12}])
 def test_impossible_lead_plans_are_refused(setting, targets):
-    with pytest.raises(InputError, match=r"behind, ahead|index"):
-        best_lead_plan(setting, targets=targets)
+    refused(r"behind, ahead|index", best_lead_plan, setting, targets=targets)
 
 
 def _reachable(table) -> list[list[int]]:
@@ -109,5 +106,4 @@ def test_paths_are_shortest(world):
 
 def test_targets_that_do_not_exist_are_refused(setting):
     for target in (-1, 12, "7", True):
-        with pytest.raises(InputError, match="archive 'toy', 0 to 11"):
-            best_fixed(setting, target=target)
+        refused("archive 'toy', 0 to 11", best_fixed, setting, target=target)

@@ -1,8 +1,9 @@
 from dataclasses import replace
 
 import pytest
+from refusal import refused
 
-from pcs_racing import InputError, UnknownNameError
+from pcs_racing import UnknownNameError
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.fits import find_fit, load_fit, make_fit, save_fit
 from pcs_racing_agents.agents.zoo import build
@@ -27,18 +28,13 @@ def test_a_fit_is_kept_and_followed(setting, tmp_path, kind, seen):
 def test_a_fit_of_another_game_is_refused(setting, archive):
     fit = make_fit("best-fixed", 3, setting, {})
     for change, message in [({"epsilon": 0.7}, "epsilon"), ({"moves": 3}, "games of 4 moves; the game has 3")]:
-        with pytest.raises(InputError, match=message):
-            find_fit("best-fixed", make_setting(archive, replace(setting.config, **change)), fit)
+        refused(message, find_fit, "best-fixed", make_setting(archive, replace(setting.config, **change)), fit)
     fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
-    with pytest.raises(InputError, match="was made for archive"):
-        find_fit("best-fixed", make_setting(fewer, setting.config), fit)
-    with pytest.raises(InputError, match="is one of 'best-fixed'"):
-        find_fit("best-schedule", setting, fit)
+    refused("was made for archive", find_fit, "best-fixed", make_setting(fewer, setting.config), fit)
+    refused("is one of 'best-fixed'", find_fit, "best-schedule", setting, fit)
     for kind, option in OPTIONS.items():
-        with pytest.raises(InputError, match=f"agent '{kind}' got .* and a fit"):
-            build(kind, setting, fit=fit, **{option: CHOICES[kind]})
-    with pytest.raises(UnknownNameError, match="archive 'toy' and rules 'paper'"):
-        find_fit("best-schedule", setting)
+        refused(f"agent '{kind}' got .* and a fit", build, kind, setting, fit=fit, **{option: CHOICES[kind]})
+    refused("archive 'toy' and rules 'paper'", find_fit, "best-schedule", setting, error=UnknownNameError)
 
 
 @pytest.mark.parametrize(
@@ -55,5 +51,4 @@ def test_files_that_are_no_fit_are_refused(setting, tmp_path, change, message):
 
     path = save_fit(make_fit("best-fixed", 3, setting, {}), tmp_path / "fit.yaml")
     path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **change}))
-    with pytest.raises(InputError, match=message):
-        load_fit(path)
+    refused(message, load_fit, path)

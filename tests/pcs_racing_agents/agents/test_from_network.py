@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 from zoo_games import untrained
 
 from pcs_racing import InputError, UnknownNameError
@@ -9,7 +10,6 @@ from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.blind import random_moves
 from pcs_racing_agents.agents.from_network import adaptive, from_network
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.networks.network_files import save_network
 
 
 def test_the_papers_agent_makes_the_move_of_highest_regret(setting, network, seen):
@@ -54,8 +54,7 @@ def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more(setting, seen
     trained = adaptive(setting, network=replace(network, training={"margin": 1e9}), blind="never-switch")
     assert (trained.predict(rows)[0] == 4).all()
     assert trained.facts["keeps to"] == "never-switch"
-    with pytest.raises(InputError, match="margin of agent 'adaptive' is -1"):
-        adaptive(setting, network=network, blind=habit, margin=-1)
+    refused("margin of agent 'adaptive' is -1", adaptive, setting, network=network, blind=habit, margin=-1)
 
 
 def test_staying_is_worth_nothing_to_a_network_of_advantages(setting, seen):
@@ -77,18 +76,9 @@ def test_a_network_of_another_game_is_refused(setting, network, archive):
     with pytest.raises(InputError, match=r"agent 'cfr-argmax': network 'untrained-regret' sees 31 .* the game has 37"):
         build("cfr-argmax", longer, network=network)
     wider = make_setting(archive, replace(setting.config, epsilon=0.7))
-    with pytest.raises(InputError, match=r"epsilon 0\.5"):
-        build("nash", wider, network=network)
+    refused(r"epsilon 0\.5", build, "nash", wider, network=network)
     fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
-    with pytest.raises(InputError, match="archive 'toy'"):
-        build("nash", make_setting(fewer, setting.config), network=network)
-    with pytest.raises(UnknownNameError, match=r"network, .*'toy-paper-nash'"):
-        build("nash", setting)
+    refused("archive 'toy'", build, "nash", make_setting(fewer, setting.config), network=network)
+    refused(r"network, .*'toy-paper-nash'", build, "nash", setting, error=UnknownNameError)
     with pytest.raises(UnknownNameError, match="decision 'best' is unknown"):
         from_network(setting, name="mine", kind="regret", decision="best", network=network)
-
-
-def test_networks_are_read_from_folders(setting, network, seen, tmp_path):
-    save_network(network, tmp_path / "net")
-    agent = build("cfr-argmax", setting, network=str(tmp_path / "net"))
-    np.testing.assert_array_equal(agent.predict(seen[0])[0], network.choose(seen[0]))

@@ -3,6 +3,7 @@
 import gymnasium as gym
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import InputError
 from pcs_racing.game.identity import game_identity
@@ -31,9 +32,11 @@ def test_the_move_with_the_largest_output_is_made():
     assert policy.predict(seen[3])[0] == moves[3]
 
 
-def test_its_weights_tell_it_from_others():
+def test_models_are_told_apart_by_their_weights(models):
     assert competitor_hash(TorchPolicy(linear(0))) == competitor_hash(TorchPolicy(linear(0), "other name"))
     assert competitor_hash(TorchPolicy(linear(0))) != competitor_hash(TorchPolicy(linear(1)))
+    digests = {competitor_hash(as_competitor(model, name)) for model in models for name in ("a", "b")}
+    assert len(digests) == 2
 
 
 def test_what_is_no_network_of_moves_is_refused():
@@ -44,8 +47,7 @@ def test_what_is_no_network_of_moves_is_refused():
         with pytest.raises(InputError):
             TorchPolicy(wrong)
     seen = np.zeros((4, 5), np.float32)
-    with pytest.raises(InputError, match=r"\(1, 5\)"):
-        TorchPolicy(Summed()).predict(seen)
+    refused(r"\(1, 5\)", TorchPolicy(Summed()).predict, seen)
 
 
 class Summed(torch.nn.Module):
@@ -75,13 +77,6 @@ def test_a_model_decides_alike_as_our_own_network(models, game, setting, seen):
     np.testing.assert_allclose(drawn.probabilities(rows), chances, atol=1e-5)
 
 
-def test_models_are_told_apart_by_their_weights(models):
-    digests = {competitor_hash(as_competitor(model, name)) for model in models for name in ("a", "b")}
-    assert len(digests) == 2
-
-
 def test_other_models_are_refused(models, game):
-    with pytest.raises(InputError, match=r"layer 1 .*Tanh"):
-        network_from_sb3(models[1], game_identity(game))
-    with pytest.raises(InputError, match="str has no actor"):
-        network_from_sb3("model", game_identity(game))
+    refused(r"layer 1 .*Tanh", network_from_sb3, models[1], game_identity(game))
+    refused("str has no actor", network_from_sb3, "model", game_identity(game))

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
+from refusal import refused
 from zoo_games import untrained
 
-from pcs_racing import InputError, UnknownNameError
+from pcs_racing import UnknownNameError
 from pcs_racing_agents.agents import Agent, make_setting
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.from_network import from_network
@@ -74,19 +75,14 @@ def test_a_set_of_networks_is_played_as_the_mixture_of_its_members(setting, seen
 
 @pytest.mark.parametrize("name", ["robust", "psro", "self-play"])
 def test_without_a_set_of_networks_the_error_says_how_to_make_one(setting, name):
-    with pytest.raises(UnknownNameError, match=f"'toy-paper-{name}'.*pcs-racing learn {name}"):
-        build(name, setting)
-    with pytest.raises(UnknownNameError, match="'nowhere'"):
-        build(name, setting, networks="nowhere")
+    refused(f"'toy-paper-{name}'.*pcs-racing learn {name}", build, name, setting, error=UnknownNameError)
+    refused("'nowhere'", build, name, setting, networks="nowhere", error=UnknownNameError)
 
 
 def test_bad_mixtures_are_refused(setting, archive):
     stay = never_switch(setting)
     for weights in ([], [1.0, 2.0], [-1.0], [0.0], [np.nan]):
-        with pytest.raises(InputError, match="weights"):
-            make_mixture([stay], weights)
-    with pytest.raises(InputError, match="'never-switch' can't be a member of a mixture"):
-        make_mixture([stay, "never-switch"], [1, 1])
+        refused("weights", make_mixture, [stay], weights)
+    refused("'never-switch' can't be a member of a mixture", make_mixture, [stay, "never-switch"], [1, 1])
     other = never_switch(make_setting(archive, "contest"))
-    with pytest.raises(InputError, match="different archives or rules"):
-        make_mixture([stay, other], [1, 1])
+    refused("different archives or rules", make_mixture, [stay, other], [1, 1])

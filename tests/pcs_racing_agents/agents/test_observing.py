@@ -16,15 +16,12 @@ def test_observations_are_read_as_the_game_writes_them(game, seen):
     assert observing.step_count(seen[0], 2) == 5
 
 
-def test_what_was_seen_earlier_can_be_seen_later(seen):
+def test_what_was_seen_earlier_and_the_own_policy_are_known(seen, game, setting):
     last = seen[-1]
     count = observing.moves_made(last, 2)
     for step, rows in enumerate(seen[:-1]):
         long_enough = count >= step
         np.testing.assert_array_equal(observing.earlier(last, 2, step)[long_enough], rows[long_enough])
-
-
-def test_the_own_policy_is_known_from_its_coordinates(game, setting):
     state = game.reset(games=10, seed=3)
     rows = game.observation(state)[:, 1]
     np.testing.assert_array_equal(setting.archive.nearest(observing.own(rows, 2)), state.policy[:, 1])

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+from refusal import refused
 from zoo_games import untrained
 
 import pcs_racing_agents
-from pcs_racing import InputError, UnknownNameError, make_game
+from pcs_racing import UnknownNameError, make_game
 from pcs_racing_agents.agents import Agent, Decider, Driver, make, make_setting, names, parse_agent, register_agent, zoo
 from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.describe import describe
@@ -77,10 +78,8 @@ def test_made_by_name_for_a_shipped_archive():
     ],
 )
 def test_bad_names_and_options(setting, name, given, message):
-    with pytest.raises(InputError, match=message):
-        build(name, setting, **given)
-    with pytest.raises(UnknownNameError, match="unknown archive 'nowhere'"):
-        make("never-switch", archive="nowhere")
+    refused(message, build, name, setting, **given)
+    refused("unknown archive 'nowhere'", make, "never-switch", archive="nowhere", error=UnknownNameError)
 
 
 def test_agents_as_text(setting):
@@ -94,8 +93,7 @@ def test_agents_as_text(setting):
     )
     assert (adaptive.facts["keeps to"], adaptive.facts["margin"]) == ("never-switch", "0.5")
     for text in ("best-fixed:3", "best-fixed:target=3,target=4", "best-fixed:name=x", "best-fixed:target=[1"):
-        with pytest.raises(InputError, match="agent 'best-fixed"):
-            parse_agent(text, setting)
+        refused("agent 'best-fixed", parse_agent, text, setting)
 
 
 class Zero:
@@ -124,28 +122,23 @@ def test_agents_of_other_people(setting, empty_registry, monkeypatch):
     created = build("first-move", setting)
     assert created.name == "first-move"
     assert isinstance(build("first-move", setting, bold=True), Agent)
-    with pytest.raises(InputError, match="agent 'first-move' already"):
-        register_agent("first-move", random_moves)
+    refused("agent 'first-move' already", register_agent, "first-move", random_moves)
     for name in ("", "a b", "nash", "always-x", "a:b"):
-        with pytest.raises(InputError, match="agent"):
-            register_agent(name, third_party)
+        refused("agent", register_agent, name, third_party)
 
     monkeypatch.setattr(zoo, "_declared", lambda: {"far": f"{__name__}:third_party", "broken": "no.such:thing"})
     assert {"far", "broken"} <= set(names(setting.archive, setting.config))
     assert build("far", setting, bold=True).name == "far"
-    with pytest.raises(InputError, match=r"agent 'broken' can't be loaded from no\.such:thing"):
-        build("broken", setting)
+    refused(r"agent 'broken' can't be loaded from no\.such:thing", build, "broken", setting)
 
 
 def test_an_agent_of_another_archive_is_refused(game, setting, oval):
     from pcs_racing_agents.tournament.games import game_between
 
     other = make("never-switch")
-    with pytest.raises(InputError, match=r"agent 'never-switch' was made for archive 'default' \(.*\)"):
-        game_between(game, other, other)
+    refused(r"agent 'never-switch' was made for archive 'default' \(.*\)", game_between, game, other, other)
     agent, wider = random_moves(setting), make_game(oval, setting.archive, setting.config, epsilon=0.7)
-    with pytest.raises(InputError, match=r"epsilon 0\.5; .*0\.7"):
-        game_between(wider, agent, agent)
+    refused(r"epsilon 0\.5; .*0\.7", game_between, wider, agent, agent)
 
 
 def test_a_shipped_agent_is_a_file_and_a_line(setting, monkeypatch, tmp_path):

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 from repository import REPOSITORY
 from zoo_games import toy_archive
 
-from pcs_racing import InputError, save_archive
+from pcs_racing import save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.benchmark.card import (
     Card,
@@ -21,7 +22,7 @@ from pcs_racing_agents.benchmark.card import (
 )
 from pcs_racing_agents.benchmark.entrants import load_entrant, load_sb3_policy
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
-from pcs_racing_agents.benchmark.scoring import CardScore, gain, play_protocol, rating, summarise
+from pcs_racing_agents.benchmark.scoring import CardScore, decision_cost, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main
 
 SMALL = {
@@ -98,8 +99,20 @@ def test_a_protocol_of_another_installation_is_refused(protocol):
     kept = ProtocolConfig(**SMALL, hashes=protocol.hashes)
     assert load_protocol(kept).content_hash == protocol.content_hash
     changed = ProtocolConfig(**SMALL, hashes=(protocol.hashes[0][:-1] + "x", *protocol.hashes[1:]))
-    with pytest.raises(InputError, match="archive default"):
-        load_protocol(changed)
+    refused("archive default", load_protocol, changed)
+
+
+def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_driver_nothing(protocol):
+    class Counts:
+        asked = 0
+
+        def predict(self, observation, *_):
+            self.asked += len(observation)
+
+    agent = Counts()
+    assert decision_cost(protocol, agent, repeats=3) > 0.0
+    assert agent.asked == 3
+    assert decision_cost(protocol, make("lattice:pace=0.4")) is None
 
 
 # Entrants
@@ -121,27 +134,36 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
     assert load_entrant("lattice:pace=0.4", protocol.setting).name == "lattice:pace=0.4"
     assert load_entrant("ppo-drive", protocol.setting, drive=True).planner.name == "ppo-drive"
     for text in ("brought:nothing", "nobody", "gone.zip"):
-        with pytest.raises(InputError, match=text):
-            load_entrant(text, protocol.setting)
+        refused(text, load_entrant, text, protocol.setting)
 
 
 def test_a_policy_of_stable_baselines3_is_read_without_running_its_code(protocol, tmp_path):
     sb3 = pytest.importorskip("stable_baselines3")
-    gym = pytest.importorskip("gymnasium")
+    torch, gym = pytest.importorskip("torch"), pytest.importorskip("gymnasium")
     size, moves = len(protocol.setting.elements), protocol.setting.offered
 
     class Spaces(gym.Env):
         observation_space = gym.spaces.Box(-5.0, 5.0, (size,), np.float32)
         action_space = gym.spaces.Discrete(moves)
 
-    model = sb3.PPO("MlpPolicy", Spaces(), seed=3, device="cpu")
-    model.save(tmp_path / "mine.zip")
-    policy = load_sb3_policy(tmp_path / "mine.zip")
     observations = np.random.default_rng(0).uniform(-1.0, 1.0, (50, size)).astype(np.float32)
-    np.testing.assert_array_equal(policy.predict(observations)[0], model.predict(observations, deterministic=True)[0])
+    for activation in (torch.nn.Tanh, torch.nn.ReLU):
+        kwargs = {"activation_fn": activation, "net_arch": [9, 7]}
+        model = sb3.PPO("MlpPolicy", Spaces(), seed=3, policy_kwargs=kwargs, device="cpu")
+        for weights in model.policy.parameters():  # biases among them, which begin with 0
+            torch.nn.init.uniform_(weights, -1.0, 1.0)
+        model.save(tmp_path / "mine.zip")
+        policy = load_sb3_policy(tmp_path / "mine.zip")
+        expected = model.predict(observations, deterministic=True)[0]
+        np.testing.assert_array_equal(policy.predict(observations)[0], expected)
+        assert len(set(expected.tolist())) > 1
+    refused(f"of {size} numbers; here they have {size - 1}", policy.predict, observations[:, 1:])
+    with torch.no_grad():
+        model.policy.action_net.bias[1] = float("nan")
+    model.save(tmp_path / "broken.zip")
     (tmp_path / "other.zip").write_bytes(b"not a zip")
-    with pytest.raises(InputError, match=r"other\.zip"):
-        load_sb3_policy(tmp_path / "other.zip")
+    for name, message in (("broken", "a weight is not finite"), ("other", r"other\.zip")):
+        refused(message, load_sb3_policy, tmp_path / f"{name}.zip")
 
 
 # Cards
@@ -149,7 +171,7 @@ def test_a_policy_of_stable_baselines3_is_read_without_running_its_code(protocol
 
 def card(name="mine", score=0.5, **changes):
     parts = (("all", "all"), ("all", "seen"), ("all", "unseen"), ("keeps", "seen"))
-    scores = tuple(CardScore(*part, 10, score, score - 0.1, score + 0.1, 0.1, 0.0) for part in parts)
+    scores = tuple(CardScore(*part, 10 + k, score, score - 0.1, score + 0.1, 0.1, 0.0) for k, part in enumerate(parts))
     gains = {"all": {"over": "best-fixed", "gain": 0.1, "low": 0.0, "high": 0.2}}
     values = {"protocol": "p-v1", "protocol_sha256": "ab" * 32, "agent": name, "agent_sha256": "c", "gains": gains}
     return Card(**{**values, "scores": scores, **changes})
@@ -159,6 +181,8 @@ def test_a_card_comes_back_as_it_was_written(tmp_path):
     written = card("<b>mine</b>", rating=12.0, cost_us=3.5)
     assert {path.name for path in write_card(written, tmp_path)} == {"card.json", "card.md", "card.html"}
     assert read_card(tmp_path) == written
+    assert written.score("keeps", "seen").races == 13
+    refused("no score of 'keeps' on 'unseen' circuits", written.score, "keeps", "unseen")
     page = (tmp_path / "card.html").read_text()
     assert "<b>mine" not in page
     assert "&lt;b&gt;mine" in page
@@ -167,8 +191,7 @@ def test_a_card_comes_back_as_it_was_written(tmp_path):
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "pcs-racing card 1"}', '{"format": "other"}'])
 def test_a_damaged_card_is_refused(tmp_path, text):
     (tmp_path / "card.json").write_text(text)
-    with pytest.raises(InputError, match=r"card\.json"):
-        read_card(tmp_path)
+    refused(r"card\.json", read_card, tmp_path)
 
 
 def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
@@ -186,8 +209,7 @@ def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
         ("hash", card("d", protocol_sha256="0")),
         ("twice", card("a")),
     ):
-        with pytest.raises(InputError, match=name):
-            read_cards([*good, folder(name, value)])
+        refused(name, read_cards, [*good, folder(name, value)])
 
 
 def test_the_leaderboard_says_what_was_lost_to_a_best_reply_and_what_was_not_measured():

@@ -1,10 +1,9 @@
-"""Commands, and folders of results as they leave them."""
+"""Folders of results as commands leave them."""
 
 import pytest
 
-from pcs_racing import load_track, save_archive
+from pcs_racing import load_track
 from pcs_racing.base.settings import plain_settings
-from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.results.races import concatenate_races
@@ -13,24 +12,6 @@ from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.runner import play_pairing
-
-
-@pytest.fixture
-def run(capsys):
-    """Run a command; returns exit code, stdout and stderr."""
-
-    def run(*arguments: object) -> tuple[int, str, str]:
-        code = main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
-
-
-@pytest.fixture(scope="package")
-def saved_archive(archive, tmp_path_factory):
-    """The toy archive in a folder, as a command reads it."""
-    return save_archive(archive, tmp_path_factory.mktemp("archives") / "toy")
 
 
 @pytest.fixture(scope="package")

@@ -14,6 +14,9 @@ def test_every_race_of_a_tournament_is_found_again(tournament_folder):
     place, tournament = tournament_folder
     results = open_results(place)
     assert len(results.races) == len(tournament.races)
+    pairings = [((pairing.ego.name, pairing.opponent.name), car) for pairing, car in results.pairings("lane-switcher")]
+    assert {names[car] for names, car in pairings} == {"lane-switcher"}
+    assert len(pairings) == 2
     for number in (0, 7, 17):
         row = results.row(number)
         pairing = results.pairing(row)
@@ -144,23 +147,9 @@ def test_races_of_a_study_are_found_again(study_folder, capsys):
     assert "24/24 races" in capsys.readouterr().err
 
 
-def test_races_of_a_studys_ratings_are_found_again(study_folder, capsys):
-    place, _ = study_folder
-    assert main(["explain", str(place / "ratings"), "1"]) == 0
-    assert capsys.readouterr().out.startswith("never-switch (car 0) against random-moves on Pipkin")
-
-
 def test_settings_of_another_version_are_named(study_folder, tmp_path, capsys):
     place, _ = study_folder
     (tmp_path / "results.csv").write_text((place / "results.csv").read_text())
     (tmp_path / "job.yaml").write_text((place / "job.yaml").read_text().replace("  egos:", "  drivers:"))
     assert main(["explain", str(tmp_path), "0"]) == 2
     assert "settings are of another version" in capsys.readouterr().err
-
-
-def test_races_of_a_pairing_keep_their_numbers(tournament_folder):
-    place, tournament = tournament_folder
-    rows = [row for row in tournament.races if (row.ego, row.opponent) == ("random-moves", "never-switch")]
-    pairing = open_results(place).pairing(rows[0])
-    assert [row.start_s for row in rows] == pairing.starts.s.tolist()
-    assert [row.race for row in rows] == list(range(len(pairing)))

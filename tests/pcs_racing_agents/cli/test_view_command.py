@@ -35,6 +35,8 @@ def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
     assert opened == [page.as_uri()]
     content = page.read_text()
     assert content.count('<script type="application/json" id="race-') == 2
+    assert '"title":"mine"' in content.replace('": ', '":')
+    assert '"front"' in content  # the contest's cars start one behind the other
     assert "http://" not in content.replace("http://www.w3.org/2000/svg", "")
     assert "https://" not in content
     assert main(["view", str(folder / "results.csv"), "--races", "3", "17", "--no-open"]) == 0
@@ -60,7 +62,7 @@ def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, capsys):
     captured = capsys.readouterr().out
     assert "18 races, 0 of them to be watched" in captured
     assert "can't be driven again" in captured
-    assert (tmp_path / "lone-view.html").is_file()
+    assert "lone.csv" in (tmp_path / "lone-view.html").read_text()
     for option in (["--serve"], ["--races", "1"], ["--replays", "3"]):
         assert main(["view", str(lone), *option, "--no-open"]) == 2
         assert "there is no job.yaml beside this file" in capsys.readouterr().err

@@ -186,12 +186,21 @@ def test_the_pictures_show_what_was_seen_and_done(race):
     for k, step in enumerate(race.steps):
         right, up = in_units(race.archive, step.opponent)[[1, 0]]
         assert seen[str(k + 1)] == pytest.approx((right, up))
-    bars = [[patch.get_width() for patch in axes.patches] for axes in panels if axes.get_visible()]
-    assert [len(row) for row in bars] == [len(race.moves)] * len(race.steps)
-    for row, step in zip(bars, race.steps, strict=True):
-        assert row == pytest.approx(step.values.tolist())
+    panels = [axes for axes in panels if axes.get_visible()]
+    for axes, step in zip(panels, race.steps, strict=True):
+        assert [patch.get_width() for patch in axes.patches] == pytest.approx(step.values.tolist())
+        own = [patch.get_facecolor() == rgba(CARS[race.car]) for patch in axes.patches]
+        assert own == [move == step.move for move in range(len(race.moves))]
+        assert not axes.texts
+        assert [set(line.get_xdata()) for line in axes.lines] == [{0.0}]
     assert {race.moves[step.move] for step in race.steps} <= {text.get_text() for text in lead.texts}
     assert len(track.lines) >= 2
+
+
+def test_a_move_that_the_network_does_not_know_is_marked(race):
+    steps = [step._replace(values=step.values[: step.move]) for step in race.steps]
+    panels = explanation_picture(replace(race, steps=steps)).axes[2:-1]
+    assert [[text.get_text() for text in axes.texts] for axes in panels[: len(steps)]] == [["made"]] * len(steps)
 
 
 def rgba(colour):

@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError
-from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.moves import move_names
 from pcs_racing.game.observation import encode_observation
-from pcs_racing.race.races import draw_starts
-from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.explain.situations import (
     LEADS,
     PACES,
@@ -20,7 +17,6 @@ from pcs_racing_agents.explain.situations import (
     write_situations,
 )
 from pcs_racing_agents.pictures.style import picture_bytes
-from pcs_racing_agents.tournament import play_games
 
 
 @pytest.fixture(scope="module")
@@ -87,23 +83,6 @@ def test_the_heat_map_shows_the_shares(found):
     assert panel.images[0].get_array()[0, 2] == pytest.approx(found.shares[0, 0, 2, 0])
     assert "100" in {text.get_text() for text in panel.texts}
     assert picture_bytes(figure) == picture_bytes(situations_picture(found))
-
-
-def test_races_that_were_played_can_be_summarised(oval, game, setting, archive):
-    ego, rival = build("random-moves", setting), build("never-switch", setting)
-    played = play_games(
-        game,
-        ego,
-        rival,
-        policies=np.random.default_rng(1).integers(0, 12, (60, 2)),
-        starts=draw_starts(oval, game.setup.config, 60, 2),
-        seeds=race_seeds(1, 60),
-    )
-    moves = played.moves.codes
-    result = summarise(played.observations[:, 0], moves[:, 0], archive, setting.moves, "random-moves")
-    assert result.counts.sum(axis=(0, 1, 2)).tolist() == [(moves[:, 0] == a).sum() for a in range(5)]
-    other = summarise(played.observations[:, 1], moves[:, 1], archive, setting.moves, "never-switch")
-    assert other.counts[..., :4].sum() == 0
 
 
 def test_what_can_not_be_summarised_is_named(races, archive):

@@ -3,7 +3,6 @@ import os
 import signal
 import sys
 import time
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +15,7 @@ from warm_start import kill, start_python
 
 from pcs_racing import InputError, load_race_config, load_track
 from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
-from pcs_racing_agents.jobs.configuration import shipped_configs
-from pcs_racing_agents.jobs.executors import make_executor, tasks_in_flight
+from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.folders import JobError
 from pcs_racing_agents.jobs.jobs import open_job
@@ -69,17 +67,6 @@ def test_files_are_the_same_whatever_the_executor(tmp_path, kind, executor):
     with open_job(tmp_path / "a", "squares", SETTINGS) as job:
         expected = job.run("square", square, tasks)
     with open_job(tmp_path / "b", "squares", SETTINGS) as job:
-        same(job.run("square", square, tasks, executor=executor), expected)
-    assert contents(tmp_path / "a") == contents(tmp_path / "b")
-
-
-def test_dask_workers_give_the_same(tmp_path):
-    pytest.importorskip("dask.distributed")
-    tasks = list(range(7))
-    with open_job(tmp_path / "a", "squares", SETTINGS) as job:
-        expected = job.run("square", square, tasks)
-    with open_job(tmp_path / "b", "squares", SETTINGS) as job, make_executor("dask", 2) as executor:
-        assert tasks_in_flight(executor) == 4
         same(job.run("square", square, tasks, executor=executor), expected)
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
@@ -154,13 +141,6 @@ def test_no_changed_byte_goes_unnoticed(data, tmp_path_factory):
     file.write_bytes(content)
     with pytest.raises(InputError, match=r"damaged|another task"):
         read_chunk(file, "0" * 64)
-
-
-def test_a_chunk_is_an_ordinary_npz_file(tmp_path):
-    write_chunk(tmp_path / "chunk.npz", {"x": np.arange(5.0)}, "0" * 64)
-    assert zipfile.ZipFile(tmp_path / "chunk.npz").testzip() is None
-    with np.load(tmp_path / "chunk.npz", allow_pickle=False) as stored:
-        np.testing.assert_array_equal(stored["x"], np.arange(5.0))
 
 
 def test_a_chunk_made_for_another_task_is_not_used(tmp_path, caplog):
@@ -453,9 +433,3 @@ def test_the_time_left_counts_only_this_run(capsys, monkeypatch):
     clock[0] += 20.0
     show(100, 100, "tree")
     assert capsys.readouterr().err.splitlines() == ["55/100 trees, 10 s, about 90 s left: tree", "100/100 trees, 30 s"]
-
-
-def test_shipped_configurations_go_by_their_names():
-    shipped = shipped_configs("train")
-    assert list(shipped) == ["quick", "study"]
-    assert all(file.is_file() for file in shipped.values())

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 from long_jobs import files
 
-from pcs_racing import make_game
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.jobs import open_job
@@ -28,41 +25,19 @@ def _with_torch():
     pytest.importorskip("torch", reason="torch is not installed")
 
 
-@pytest.fixture(scope="module")
-def learner(tmp_path_factory) -> str:
-    file = tmp_path_factory.mktemp("learner") / "tiny.yaml"
-    file.write_text(TINY, encoding="utf-8")
-    return str(file)
-
-
-@pytest.fixture(scope="module")
-def games(oval, archive):
-    return [make_game(oval, archive, "contest", moves=2, step_seconds=1.2, threads=1)]
-
-
-@pytest.fixture(scope="module")
-def setting(games):
-    return make_setting(games[0].archive, games[0].config)
-
-
-@pytest.fixture(scope="module")
-def pool(setting):
-    return [never_switch(setting), always(setting, "aggressiveness -")]
-
-
-def test_the_opponents_are_those_of_the_method(games, setting, pool, learner, tmp_path, monkeypatch):
+def test_the_opponents_are_those_of_the_method(lesson, learner, tmp_path, monkeypatch):
     """The response, then by turns an adversary of all agents so far and a response to pool and adversaries."""
     asked = []
 
-    def learn(games, opponents, setting, settings, job, *, shares, name, **rest):
+    def learn(games, opponents, setting, settings, job, *, shares, **rest):
         asked.append(([opponent.name for opponent in opponents], list(shares), settings.seed))
-        return learn_response(games, opponents, setting, settings, job, shares=shares, name=name, **rest)
+        return learn_response(games, opponents, setting, settings, job, shares=shares, **rest)
 
     monkeypatch.setattr("pcs_racing_agents.learning.robust.learn_response", learn)
     settings = load_robust_settings(pool_share=0.6, rounds=2, learner=learner)
     with open_job(tmp_path / "robust", "robust", {}) as job:
-        networks = learn_robust(games, pool, setting, settings, job)
-    kept, slow = (opponent.name for opponent in pool)
+        networks = learn_robust(*lesson, settings, job)
+    kept, slow = (opponent.name for opponent in lesson[1])
     names = [opponents for opponents, _, _ in asked]
     assert names == [
         [kept, slow],
@@ -77,36 +52,36 @@ def test_the_opponents_are_those_of_the_method(games, setting, pool, learner, tm
     np.testing.assert_allclose(shares[4], [0.3, 0.3, 0.2, 0.2])
     assert len({seed for *_, seed in asked}) == 5
     np.testing.assert_allclose(networks.weights, [1 / 3, 2 / 3])
-    build("robust", setting, networks=networks).check_fits(games[0])
+    build("robust", lesson[2], networks=networks).check_fits(lesson[0][0])
 
 
-def test_with_the_pool_alone_it_is_the_response(games, setting, pool, learner, tmp_path):
+def test_with_the_pool_alone_it_is_the_response(lesson, learner, tmp_path):
     settings = load_robust_settings(pool_share=1.0, learner=learner)
     with open_job(tmp_path / "robust", "robust", {}) as job:
-        (network,) = learn_robust(games, pool, setting, settings, job).networks
+        (network,) = learn_robust(*lesson, settings, job).networks
     with open_job(tmp_path / "response", "response", {}) as job:
-        response = learn_response(games, pool, setting, settings.response(0), job, shares=[1, 1])
+        response = learn_response(*lesson, settings.response(0), job, shares=[1, 1])
     np.testing.assert_array_equal(network.layers.weights[0], response.layers.weights[0])
 
 
-def test_psro_adds_responses_to_the_equilibrium(games, setting, pool, learner, tmp_path):
+def test_psro_adds_responses_to_the_equilibrium(lesson, learner, tmp_path):
     settings = load_psro_settings(rounds=3, races=20, learner=learner)
     with open_job(tmp_path / "one", "psro", {}) as job:
-        networks = learn_psro(games, pool, setting, settings, job)
+        networks = learn_psro(*lesson, settings, job)
     assert 1 <= len(networks.networks) <= 3
     assert networks.weights.sum() == pytest.approx(1.0)
     assert len({network.name for network in networks.networks}) == len(networks.networks)
 
 
-def test_shares_divide_the_games(games, setting, pool, learner, tmp_path):
+def test_shares_divide_the_games(lesson, learner, tmp_path):
     settings = load_response_settings(learner)
     with open_job(tmp_path / "shares", "response", {}) as job:
-        network = learn_response(games, pool, setting, settings, job, shares=[3, 1])
+        network = learn_response(*lesson, settings, job, shares=[3, 1])
         # At each of two steps; races that were over before give no row.
         assert settings.starts < network.training["rows"] <= 2 * settings.starts
         for shares in ([1.0], [0, 0], [1, -1], [1, np.nan]):
             with pytest.raises(InputError, match="shares"):
-                learn_response(games, pool, setting, settings, job, shares=shares)
+                learn_response(*lesson, settings, job, shares=shares)
 
 
 GAME = ["--track", "Tarnfjord", "--duration", "2.5"]

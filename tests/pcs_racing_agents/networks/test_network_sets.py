@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 import yaml
+from refusal import refused
 from zoo_games import untrained
 
-from pcs_racing import InputError, UnknownNameError
+from pcs_racing import UnknownNameError
 from pcs_racing_agents.networks import NetworkSet, list_networks, load_network_set, save_network, save_network_set
 
 
@@ -26,17 +27,13 @@ def test_a_set_comes_back_as_it_was(known, tmp_path):
     assert "set" not in list_networks()
 
 
-def test_a_smaller_set_replaces_a_larger_one(known, setting, tmp_path):
+def test_a_set_replaces_another_whole_and_an_exchanged_network_is_noticed(known, setting, tmp_path):
     save_network_set(known, tmp_path / "set")
     one = NetworkSet("one", (untrained(setting, "advantage", 5),), np.ones(1), "argmax")
     assert len(load_network_set(save_network_set(one, tmp_path / "set")).networks) == 1
-
-
-def test_a_network_that_was_exchanged_is_noticed(known, setting, tmp_path):
     folder = save_network_set(known, tmp_path / "set")
     save_network(untrained(setting, "advantage", 9), folder / "01")
-    with pytest.raises(InputError, match="01"):
-        load_network_set(folder)
+    refused("01", load_network_set, folder)
 
 
 @pytest.mark.parametrize(
@@ -54,14 +51,10 @@ def test_files_that_are_no_set_are_refused(known, tmp_path, change, value):
     folder = save_network_set(known, tmp_path / "set")
     file = folder / "set.yaml"
     file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **change}))
-    with pytest.raises(InputError, match=value):
-        load_network_set(folder)
+    refused(value, load_network_set, folder)
 
 
 def test_sets_that_can_not_be_are_refused(known):
-    with pytest.raises(InputError, match="0 networks"):
-        NetworkSet("none", (), np.zeros(0), "argmax")
-    with pytest.raises(InputError, match="weights"):
-        NetworkSet("odd", known.networks, np.array([1.0, -1.0]), "argmax")
-    with pytest.raises(UnknownNameError, match="'nowhere'"):
-        load_network_set("nowhere")
+    refused("0 networks", NetworkSet, "none", (), np.zeros(0), "argmax")
+    refused("weights", NetworkSet, "odd", known.networks, np.array([1.0, -1.0]), "argmax")
+    refused("'nowhere'", load_network_set, "nowhere", error=UnknownNameError)

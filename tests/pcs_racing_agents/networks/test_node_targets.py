@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusal import refused
 from toy_trees import ToyTree, random_tree
 
-from pcs_racing import InputError, UnknownNameError
+from pcs_racing import UnknownNameError
 from pcs_racing_agents.networks.rows import pair_number
 from pcs_racing_agents.networks.targets import TARGETS, best_moves, get_target, node_targets, solve_for, tree_rows
 from pcs_racing_agents.solvers import GameTree, cfr, solve_exact
@@ -100,12 +101,9 @@ def test_best_moves_forgive_rounding_and_know_the_mask():
 
 def test_impossible_targets_are_one_clear_error():
     tree = random_tree().game_tree()
-    with pytest.raises(UnknownNameError, match="unknown target 'joy'"):
-        get_target("joy")
-    with pytest.raises(InputError, match="target 'regret' needs a CFRResult"):
-        node_targets(tree, solve_exact(tree), "regret")
-    with pytest.raises(InputError, match="target 'advantage' needs a ExactResult"):
-        node_targets(tree, cfr(tree, 1), "advantage")
+    refused("unknown target 'joy'", get_target, "joy", error=UnknownNameError)
+    refused("target 'regret' needs a CFRResult", node_targets, tree, solve_exact(tree), "regret")
+    refused("target 'advantage' needs a ExactResult", node_targets, tree, cfr(tree, 1), "advantage")
 
 
 # Rows
@@ -161,8 +159,7 @@ def test_weights(seeds):
     np.testing.assert_allclose(uniform.weights, 1.0 / seeds)
     by_step = [rows_of(race_tree, row_weights="random").weights[uniform.step == k].sum() for k in range(2)]
     np.testing.assert_allclose(by_step, 2.0)  # one for each player
-    with pytest.raises(UnknownNameError, match="unknown row weights 'x'"):
-        rows_of(race_tree, row_weights="x")
+    refused("unknown row weights 'x'", rows_of, race_tree, row_weights="x", error=UnknownNameError)
 
 
 def test_some_nodes_can_stand_for_all():
@@ -182,5 +179,4 @@ def test_some_nodes_can_stand_for_all():
 
 def test_a_tree_that_is_over_at_once_gives_no_rows():
     race_tree = random_tree(ended={0: np.ones((1, 1), bool), 1: np.ones((1, 9), bool)})
-    with pytest.raises(InputError, match=r"policies \[0, 1\] has no node"):
-        rows_of(race_tree)
+    refused(r"policies \[0, 1\] has no node", rows_of, race_tree)

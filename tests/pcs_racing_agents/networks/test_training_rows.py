@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusal import refused
 
-from pcs_racing import InputError
 from pcs_racing_agents.networks import Rows, join_rows
 from pcs_racing_agents.networks.rows import pair_number, split_by_pair
 
@@ -49,8 +49,7 @@ def test_rows_are_compact_and_know_all_targets_unless_told_otherwise():
     ],
 )
 def test_impossible_rows_are_one_clear_error(changes, message):
-    with pytest.raises(InputError, match=message):
-        rows(**changes)
+    refused(message, rows, **changes)
 
 
 def test_rows_can_be_taken_and_joined():
@@ -60,10 +59,8 @@ def test_rows_can_be_taken_and_joined():
     again = join_rows([made.take(np.arange(12) < 5), made.take(np.arange(12) >= 5)])
     for key in ("observations", "targets", "weights", "pair", "step", "mask"):
         np.testing.assert_array_equal(getattr(again, key), getattr(made, key))
-    with pytest.raises(InputError, match=r"source 1 .*2 numbers, source 0 of 3"):
-        join_rows([made, rows(targets=np.ones((12, 2)))])
-    with pytest.raises(InputError, match="no rows to join"):
-        join_rows([])
+    refused(r"source 1 .*2 numbers, source 0 of 3", join_rows, [made, rows(targets=np.ones((12, 2)))])
+    refused("no rows to join", join_rows, [])
 
 
 @given(st.integers(0, 200), st.integers(0, 200), st.integers(0, 200), st.integers(0, 200))
@@ -85,7 +82,5 @@ def test_no_pair_is_on_both_sides_of_the_split(pairs, share, seed):
 
 
 def test_the_split_needs_two_pairs():
-    with pytest.raises(InputError, match="one starting pair"):
-        split_by_pair(rows(pairs=1), 0.2, 0)
-    with pytest.raises(InputError, match="weights of 0"):
-        split_by_pair(rows(pairs=2, weights=np.arange(12) % 2 + 0.0), 0.5, 0)
+    refused("one starting pair", split_by_pair, rows(pairs=1), 0.2, 0)
+    refused("weights of 0", split_by_pair, rows(pairs=2, weights=np.arange(12) % 2 + 0.0), 0.5, 0)

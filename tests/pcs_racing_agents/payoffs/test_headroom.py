@@ -64,11 +64,15 @@ def test_replies_are_judged_on_races_that_had_no_say():
     assert headroom(folds).value == 0.0
 
 
-def test_the_gain_of_each_opponent_adds_up_to_the_headroom():
+def test_gains_add_up_to_the_headroom_and_parts_to_the_payoffs():
     result = headroom(played(wheel(6), 3))
     assert result.gains.shape == (6,)
     assert result.gains.mean() == pytest.approx(result.value)
     assert result.opponents_error == pytest.approx(result.gains.std(ddof=1) / np.sqrt(6))
+    folds = played(wheel(7) + ladder(7), 1)
+    rating = ratings(folds)
+    np.testing.assert_allclose(rating[:, None] - rating[None, :] + cyclic_part(folds), folds.mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(cyclic_part(folds).sum(axis=1), 0.0, atol=1e-12)
 
 
 def test_the_error_over_the_pool_is_near_what_fresh_pools_of_the_same_kind_vary_by():
@@ -81,13 +85,6 @@ def test_the_error_over_the_pool_is_near_what_fresh_pools_of_the_same_kind_vary_
         values.append(result.value)
         errors.append(result.pool_error)
     assert 0.5 < np.mean(errors) / np.std(values) < 2.0
-
-
-def test_ratings_and_cyclic_part_add_up_to_the_payoffs():
-    folds = played(wheel(7) + ladder(7), 1)
-    rating = ratings(folds)
-    np.testing.assert_allclose(rating[:, None] - rating[None, :] + cyclic_part(folds), folds.mean(axis=0), atol=1e-12)
-    np.testing.assert_allclose(cyclic_part(folds).sum(axis=1), 0.0, atol=1e-12)
 
 
 def test_the_transitive_share_is_free_of_noise():

@@ -18,6 +18,8 @@ def test_panels_show_what_is_known():
     figure = curves_picture({"loss": [FALLING, SPARSE], "share": [SPARSE]}, log=("loss",), mark=2.0, title="net")
     loss, share = figure.axes
     assert (loss.get_yscale(), share.get_yscale()) == ("log", "linear")
+    assert {0.2, 0.5} <= set(np.round(loss.yaxis.get_majorticklocs(), 6))
+    assert loss.yaxis.get_major_formatter()(0.25, 0) == "0.25"
     assert heights(loss, 1) == [1.0, 0.5]  # NaN is left out, and 0 where the axis is logarithmic
     assert heights(share, 0) == [1.0, 0.5, 0.0]
     assert [text.get_text() for text in loss.texts] == ["training", "validation"]

@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.results.race_files import NEEDED, race_table, read_results, write_results
@@ -50,19 +51,16 @@ def test_a_race_is_one_line(tmp_path):
     assert path.read_text(encoding="utf-8") == EXAMPLE
     assert write_results(read_results(path), tmp_path / "again.csv").read_bytes() == path.read_bytes()
     assert write_results(list(races), tmp_path / "rows.csv").read_bytes() == path.read_bytes()
-    with pytest.raises(InputError, match="there is no folder"):
-        write_results(races, tmp_path / "missing" / "results.csv")
+    refused("there is no folder", write_results, races, tmp_path / "missing" / "results.csv")
 
 
 def test_empty_lines_are_left_out_and_counted(tmp_path):
     path = tmp_path / "results.csv"
     head, first, second, _ = EXAMPLE.split("\n")
     path.write_text("\n".join([head, first, "", second.replace("both", "me")]))
-    with pytest.raises(InputError, match=r"line 4 \(race 1\), .*fault is 'me'"):
-        read_results(path)
+    refused(r"line 4 \(race 1\), .*fault is 'me'", read_results, path)
     path.write_text("\n".join([head, first, "a,1.5"]))
-    with pytest.raises(InputError, match=r"line 3 .*2 values, .*21"):
-        read_results(path)
+    refused(r"line 3 .*2 values, .*21", read_results, path)
 
 
 def test_details_may_be_missing(tmp_path, rows):
@@ -111,21 +109,16 @@ def test_a_damaged_line_is_named(rows, column, value, message, tmp_path):
 
 
 def test_files_that_hold_no_races_are_refused(tmp_path, rows):
-    with pytest.raises(InputError, match="can't read"):
-        read_results(tmp_path / "nothing.csv")
+    refused("can't read", read_results, tmp_path / "nothing.csv")
     path = tmp_path / "results.csv"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="is damaged"):
-        read_results(path)
+    refused("is damaged", read_results, path)
     path.write_text("a,b\n" + '"' + "x" * (csv.field_size_limit() + 1) + '",1\n')
-    with pytest.raises(InputError, match="is damaged"):
-        read_results(path)
+    refused("is damaged", read_results, path)
     for text in ("", ",".join(RaceRow._fields) + "\n"):
         path.write_text(text)
-        with pytest.raises(InputError, match=r"has no column 'ego'|holds no races"):
-            read_results(path)
+        refused(r"has no column 'ego'|holds no races", read_results, path)
     with pytest.raises(InputError, match="has no column 'lead'"):
         read_results(as_file([{name: row[name] for name in row if name != "lead"} for row in rows], path))
     bare = [{name: row[name] for name in NEEDED} for row in rows]
-    with pytest.raises(InputError, match="has no column 'ego_variant'"):
-        read_results(as_file(bare, path), ("ego_variant",))
+    refused("has no column 'ego_variant'", read_results, as_file(bare, path), ("ego_variant",))

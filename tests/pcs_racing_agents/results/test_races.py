@@ -55,19 +55,13 @@ def test_a_pair_is_a_track_two_agents_and_a_seed():
     assert table.with_seeds([]).pairs == {}
 
 
-def test_what_a_race_was_worth():
+def test_worth_switches_and_places_of_races():
     table = race_table([RaceRow(winner="ego"), RaceRow(winner="opponent"), RaceRow(), RaceRow(crash="car")])
     assert table.score.tolist() == [1.0, 0.0, 0.5, 0.0]
     assert table.tie.tolist() == [False, False, True, False]
     assert table.crashed.tolist() == [False, False, False, True]
-
-
-def test_switches_are_counted_until_the_crash():
     table = race_table([RaceRow(ego_path=(3, 3, 5, 3), opponent_path=(1, 2)), RaceRow()])
     assert table.switches.tolist() == [[2, 1], [0, 0]]
-
-
-def test_places_are_told_apart_to_a_tenth_of_a_millimetre():
     table = race_table([RaceRow(track=track, start_s=s) for track, s in (("t", 10.0), ("u", 10.0), ("t", 9.0))])
     close = table.take([0, 0, 1, 2])
     close.start_s[1] += 4e-5

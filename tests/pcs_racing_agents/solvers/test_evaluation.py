@@ -13,7 +13,6 @@ from pcs_racing_agents.solvers import (
     best_response,
     check_profile,
     exploitability,
-    node_values,
     play_value,
     q_values,
     reach_probabilities,
@@ -34,36 +33,6 @@ def test_matching_pennies_by_hand():
     assert best_response(PENNIES, biased, 1).strategy[0].tolist() == [[0.0, 1.0]]
     assert q_values(PENNIES, biased)[0][1].tolist() == [[-0.5, 0.5]]
     assert advantages(PENNIES, biased)[0][0].tolist() == [[0.0, 0.0]]
-
-
-def test_two_steps_by_hand():
-    """After (0, 0) a second game is played; everything else ends the race."""
-    payoffs = np.zeros((2, 2, 2, 2))
-    payoffs[0, 0] = [[4.0, 0.0], [0.0, 2.0]]
-    payoffs[0, 1] = 1.0
-    payoffs[1, 0] = 3.0
-    payoffs[1, 1] = -1.0
-    tree = GameTree.from_payoffs(payoffs)
-    profile = uniform_profile(tree)
-    assert [values.tolist() for values in node_values(tree, profile)[:2]] == [[1.125], [1.5, 1.0, 3.0, -1.0]]
-    assert q_values(tree, profile)[0][0].tolist() == [[1.25, 1.0]]
-    assert q_values(tree, profile)[0][1].tolist() == [[-2.25, 0.0]]
-    assert q_values(tree, profile)[1][0].tolist() == [[2.0, 1.0], [1.0, 1.0], [3.0, 3.0], [-1.0, -1.0]]
-    best = best_response(tree, profile, 0)  # move 0, then 0: (2 + 1) / 2
-    assert best.value == 1.5
-    assert best.q[0].tolist() == [[1.5, 1.0]]
-    assert [rows[0].tolist() for rows in best.strategy] == [[1.0, 0.0], [1.0, 0.0]]
-
-
-def test_reach():
-    tree = random_tree(0, 2, 3, 3, 2)
-    profile = random_profile(tree)
-    reach = reach_probabilities(tree, profile)
-    assert [len(own) for own, _ in reach] == [tree.nodes(k) for k in range(tree.depth)]
-    own, other = reach[1]
-    assert own == pytest.approx(np.repeat(profile[0][0][0], 3))
-    assert other == pytest.approx(np.tile(profile[0][1][0], 2))
-    assert (own * other).sum() == pytest.approx(1.0)
 
 
 def pure_strategies(tree: GameTree, player: int):

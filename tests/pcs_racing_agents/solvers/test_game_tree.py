@@ -22,17 +22,6 @@ def test_nodes_stand_in_the_order_of_their_history():
     assert play_value(tree, [(np.array([[0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]])), second]) == payoffs[1, 2, 3, 0]
 
 
-def test_what_players_see_by_default():
-    tree = GameTree.from_payoffs(np.zeros((2, 3, 2, 2)))
-    assert tree.perfect
-    assert tree.averaged is tree
-    noisy = GameTree.from_payoffs(np.zeros((5, 2, 3, 2, 2)), np.full(5, 0.2))
-    assert not noisy.perfect
-    assert noisy.hides_chance
-    assert [noisy.rows(k, 0) for k in range(2)] == [1, 6]
-    assert noisy.nodes(1) == 30
-
-
 def test_hidden_chance_is_averaged_out():
     payoffs = np.random.default_rng(1).normal(size=(3, 2, 2, 3, 2))
     weights = np.array([0.5, 0.2, 0.3])

@@ -6,9 +6,10 @@ import pytest
 from toy_races import toy_races
 
 from pcs_racing.base.errors import InputError
+from pcs_racing_agents.agents.zoo import SHIPPED
 from pcs_racing_agents.results.races import concatenate_races
 from pcs_racing_agents.results.text_table import table_rows
-from pcs_racing_agents.study.family_gains import COLUMNS, family_gains, write_family_gains
+from pcs_racing_agents.study.family_gains import COLUMNS, FAMILIES, family_gains, family_of, write_family_gains
 
 
 @pytest.fixture(scope="module")
@@ -20,6 +21,19 @@ def races():
         egos=5,
         variants=5,
     )
+
+
+def test_an_opponent_is_for_training_or_for_tests_never_both():
+    members = [member for family in FAMILIES for member in family.members]
+    assert len(members) == len(set(members))
+    assert set(members) <= set(SHIPPED)
+    assert family_of("lane-switcher:3").use == "test"
+    assert family_of("always-pace+") is None
+    assert {family.name for family in FAMILIES if family.use == "training"} == {
+        "archive",
+        "random moves",
+        "gap follower",
+    }
 
 
 def test_a_family_pools_its_opponents_on_all_circuits(races):

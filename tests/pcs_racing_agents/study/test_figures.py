@@ -97,11 +97,3 @@ def test_differences_that_may_be_nothing_are_hollow(table):
 def test_what_can_not_be_drawn_is_named(draw, value):
     with pytest.raises(InputError, match=value):
         draw()
-
-
-def test_drawing_leaves_the_readers_settings_alone(table):
-    import matplotlib
-
-    before = dict(matplotlib.rcParams)
-    picture_bytes(figures.scores_picture(table))
-    assert dict(matplotlib.rcParams) == before

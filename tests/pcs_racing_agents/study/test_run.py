@@ -205,6 +205,8 @@ def test_stages_come_in_order(tmp_path):
         run_study(TINY, tmp_path / "x", only=["lunch"], quiet=True)
     with pytest.raises(InputError, match="stage 'races' needs stage 'networks', which is not done"):
         run_study(TINY, tmp_path / "x", only=["races"], quiet=True)
+    for number, stage in enumerate(STAGES):
+        assert set(stage.needs) <= set(NAMES[:number]), stage.name
 
 
 @pytest.mark.parametrize("better", BEST_BLIND)
@@ -265,11 +267,6 @@ def test_a_library_is_asked_for_only_by_stages_that_are_still_to_run(monkeypatch
     assert [stage.name for stage in stages_to_run(TINY, finished.folder)] == ["report"]
     left = stages_to_run(TINY, finished.folder / "new", ["trees", "archive"])
     assert [stage.name for stage in left] == ["archive", "trees"]
-
-
-def test_every_stage_needs_only_stages_before_it():
-    for number, stage in enumerate(STAGES):
-        assert set(stage.needs) <= set(NAMES[:number]), stage.name
 
 
 def test_the_time_before_a_stop_is_counted(tmp_path):

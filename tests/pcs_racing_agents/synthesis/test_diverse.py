@@ -85,18 +85,6 @@ def test_each_greedy_step_takes_the_item_that_enlarges_the_determinant_most(seed
         assert taken >= max(volumes) - 1e-9
 
 
-@given(seed=st.integers(0, 10_000), size=st.integers(1, 25), data=st.data())
-def test_all_items_are_different_whatever_the_points(seed, size, data):
-    """Points that coincide, and k up to the number of points."""
-    k = data.draw(st.integers(1, size))
-    rng = np.random.default_rng(seed)
-    points = rng.integers(0, 3, (size, 2)) / 2.0
-    for chosen in (greedy_map(similarity(points, 0.3), k), sample_kdpp(similarity(points, 0.3), k, rng)):
-        assert len(set(chosen.tolist())) == k
-        assert chosen.min() >= 0
-        assert chosen.max() < size
-
-
 def test_diverse_sets_lie_farther_apart_than_random_ones():
     rng = np.random.default_rng(2)
     agg = rng.uniform(size=60)

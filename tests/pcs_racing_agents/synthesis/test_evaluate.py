@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, load_race_config, load_track
+from pcs_racing import InputError, load_race_config
 from pcs_racing.game import characteristics
 from pcs_racing.game.characteristics import Characteristic
 from pcs_racing.planners.lattice import LATTICE
@@ -163,8 +163,3 @@ def test_a_characteristic_that_is_not_a_number(oval, monkeypatch):
         pytest.raises(InputError, match="characteristic 'broken' is nan in race 0 of policy 0"),
     ):
         evaluate(scenarios, policies(2))
-
-
-def test_tracks_by_name_are_the_tracks(scenarios, raced, oval):
-    loaded = draw_scenarios([oval, load_track("Pipkin")], SHORT, policies(3, 1), AXES, segment_seconds=2.0, seed=4)
-    np.testing.assert_array_equal(race_policies((loaded, policies(5)[:1]))["totals"][0], raced["totals"][0])

@@ -1,12 +1,9 @@
 """The archives that come with the package are what their configurations and manifests say."""
 
-import csv
-
 import numpy as np
 import pytest
 
-from pcs_racing import load_archive, load_track, make_game
-from pcs_racing.game.archive_files import ARCHIVE_FORMAT
+from pcs_racing import load_archive, load_track
 from pcs_racing.game.moves import duplicate_share
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.synthesis import load_archive_config
@@ -82,18 +79,3 @@ def test_its_coordinates_are_what_the_measuring_races_give(name):
     found = summarise(race_policies((final, archive.complete(archive.parameters[chosen]))))
     assert (np.abs(found.coordinates - archive.coordinates[chosen]) <= archive.spread[chosen]).all()
     np.testing.assert_allclose(found.own_crash, archive.own_crash[chosen], atol=0.05)
-
-
-def test_it_can_be_raced(name):
-    rules = {"default": "paper", "contest": "contest"}[name]
-    game = make_game("Tarnfjord", name, race=rules, moves=1, step_seconds=2.0)
-    assert game.table.shape[0] == len(load_archive(name))
-
-
-def test_the_course_of_the_search_ships_with_it(name):
-    config = load_archive_config(name)
-    with open(ARCHIVE_FORMAT.shipped / name / "hypervolume.csv", newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    assert len(rows) == config.generations + 1
-    assert int(rows[-1]["evaluations"]) == config.evaluations == len(load_archive(name).explored.parameters)
-    assert float(rows[-1]["hypervolume"]) > 1.2 * float(rows[0]["hypervolume"])

@@ -2,8 +2,9 @@ from itertools import product
 
 import numpy as np
 import pytest
+from refusal import refused
 
-from pcs_racing import InputError, parse_policy
+from pcs_racing import parse_policy
 from pcs_racing.race.config import CONTEST
 from pcs_racing_agents.agents import Driver, make_setting
 from pcs_racing_agents.agents.zoo import build
@@ -96,12 +97,9 @@ def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(oval, short):
     assert (meta.weights @ meta.payoffs).min() >= -1e-6  # nobody beats the mixture on these races
     again = fit_psro(training, members, known=fit_psro(training, members[:3]))
     np.testing.assert_array_equal(again.payoffs, meta.payoffs)
-    with pytest.raises(InputError, match="4 agents"):
-        fit_psro(training, members[:2], known=meta)
+    refused("4 agents", fit_psro, training, members[:2], known=meta)
 
 
 def test_bad_input(training, oval, short):
-    with pytest.raises(InputError, match="one track"):
-        TrainingRaces((oval,), (), short)
-    with pytest.raises(InputError, match="psro needs"):
-        fit_psro(training, [build("never-switch", short)])
+    refused("one track", TrainingRaces, (oval,), (), short)
+    refused("psro needs", fit_psro, training, [build("never-switch", short)])

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import InputError, RaceGame
 from pcs_racing.base.seeds import race_seeds
@@ -207,8 +208,7 @@ def test_wrong_moves_are_refused(zoo, games_of):
         def predict(self, observation, state=None, episode_start=None, deterministic=False):
             return np.full(len(observation), 5), None
 
-    with pytest.raises(InputError, match="'wrong': game 0: move 5"):
-        played(games_of(Wrong(), zoo["never-switch"]))
+    refused("'wrong': game 0: move 5", played, games_of(Wrong(), zoo["never-switch"]))
 
 
 @pytest.mark.parametrize(
@@ -224,8 +224,7 @@ def test_wrong_moves_are_refused(zoo, games_of):
 )
 def test_what_does_not_fit_is_refused_before_the_first_race(zoo, games_of, monkeypatch, cars, change, value):
     monkeypatch.setattr(RaceGame, "reset", lambda *_, **__: pytest.fail("a race was driven"))
-    with pytest.raises(InputError, match=value):
-        played(games_of(*(zoo.get(car, car) for car in cars)), **change)
+    refused(value, played, games_of(*(zoo.get(car, car) for car in cars)), **change)
 
 
 def test_impossible_egos_are_refused(contest, zoo, games_of, starts):
@@ -236,8 +235,7 @@ def test_impossible_egos_are_refused(contest, zoo, games_of, starts):
         ([zoo["random-moves"], zoo["pure-pursuit"]], "a driver only alone"),
         ([zoo["random-moves"], other], "never-switch"),
     ]:
-        with pytest.raises(InputError, match=value):
-            pairing.race(egos)
+        refused(value, pairing.race, egos)
     with pytest.raises(InputError, match="'never-switch' can't race"):
         play_games(contest, zoo["never-switch"], "never-switch", policies=pairing.variants, starts=starts, seeds=[1])
     with pytest.raises(InputError, match=r"\(1, 2\)"):

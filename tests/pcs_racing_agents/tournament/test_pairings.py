@@ -98,11 +98,6 @@ def test_observations_are_kept_where_they_are_asked_for(contest, zoo, tmp_path):
     np.testing.assert_array_equal(whole.observations, pairing.race([pairing.ego])[0]["observations"])
 
 
-def test_a_race_that_is_not_there_is_refused(contest, zoo):
-    with pytest.raises(InputError, match="race 48"):
-        cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE).race_arguments(48)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -120,6 +115,8 @@ def test_impossible_pairings_are_refused(contest, zoo, change, message):
         cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **(SIZE | change))
 
 
-def test_chosen_variants(contest, zoo):
+def test_chosen_variants_and_a_race_that_is_not_there(contest, zoo):
     pairing = cross_pairing(contest, zoo["never-switch"], zoo["never-switch"], egos=[7, 2], opponents=[1], lines=1)
     assert pairing.variants.tolist() == [[7, 1], [7, 1], [2, 1], [2, 1]]
+    with pytest.raises(InputError, match="race 48"):
+        cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE).race_arguments(48)

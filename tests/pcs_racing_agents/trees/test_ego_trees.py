@@ -3,6 +3,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import InputError, UnknownNameError
 from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
@@ -57,6 +58,12 @@ def test_a_root_depends_on_its_number_alone(noisy, trees, monkeypatch):
     assert not np.array_equal(play_ego(noisy, 2, seed=2).seeds, trees.seeds[:2])
 
 
+def test_every_policy_on_the_way_is_driven_once(trees):
+    for r, driven in enumerate(trees.driven):
+        live = [np.repeat(~over[r], trees.options) for over in trees.over]  # histories that go on
+        assert driven == 1 + sum(len(np.unique(trees.paths[k][r][live[k - 1]])) for k in (1, 2))
+
+
 def test_moves_and_policies_may_be_given(noisy):
     trees = play_ego(noisy, 2, policies=(2, 6), opponent=np.array([[0, -1], [3, 2]]))
     np.testing.assert_array_equal(trees.policies, [[2, 6], [2, 6]])
@@ -108,8 +115,7 @@ def test_rows_hold_each_situation_once(noisy, trees):
 
 def test_trees_without_a_decision_give_no_rows(trees):
     dead = replace(trees, over=tuple(np.ones_like(level) for level in trees.over))
-    with pytest.raises(InputError, match="every race is over"):
-        ego_rows(dead)
+    refused("every race is over", ego_rows, dead)
 
 
 def test_a_folder_of_ego_trees_resumes_whatever_the_executor(noisy, tmp_path):
@@ -121,18 +127,15 @@ def test_a_folder_of_ego_trees_resumes_whatever_the_executor(noisy, tmp_path):
     chunk = chunk_file(tmp_path / "b", "ego", 1)
     assert chunk.read_bytes() == chunk_file(tmp_path / "a", "ego", 1).read_bytes()
     chunk.unlink()
-    with pytest.raises(InputError, match=r"ego-00001.npz can't be read: .*; run the command that made"):
-        load_ego_trees(tmp_path / "b")
+    refused(r"ego-00001.npz can't be read: .*; run the command that made", load_ego_trees, tmp_path / "b")
     same(build_ego_trees(game, tmp_path / "b", roots=70), whole)
     arrays = read_chunk(chunk)
     arrays["payoffs"][0, 0] = np.inf
     write_chunk(chunk, arrays, "0" * 64)
-    with pytest.raises(InputError, match=r"ego-00001\.npz: payoffs"):
-        load_ego_trees(tmp_path / "b")
+    refused(r"ego-00001\.npz: payoffs", load_ego_trees, tmp_path / "b")
     del arrays["own_0"]
     write_chunk(chunk, arrays, "0" * 64)
-    with pytest.raises(InputError, match=r"ego-00001\.npz .*'own_0'"):
-        load_ego_trees(tmp_path / "b")
+    refused(r"ego-00001\.npz .*'own_0'", load_ego_trees, tmp_path / "b")
 
 
 @pytest.mark.parametrize(
@@ -148,8 +151,7 @@ def test_a_folder_of_ego_trees_resumes_whatever_the_executor(noisy, tmp_path):
     ],
 )
 def test_impossible_settings_are_refused(noisy, settings, kind, message):
-    with pytest.raises(kind, match=message):
-        play_ego(noisy, **{"roots": 2, **settings})
+    refused(message, play_ego, noisy, error=kind, **{"roots": 2, **settings})
 
 
 @pytest.mark.parametrize(
@@ -162,7 +164,5 @@ def test_impossible_settings_are_refused(noisy, settings, kind, message):
     ],
 )
 def test_impossible_continuations_are_refused(trees, continuation, message):
-    with pytest.raises(InputError, match=message):
-        ego_values(trees, continuation)
-    with pytest.raises(InputError, match="move 2 "):
-        trees.observations(2)
+    refused(message, ego_values, trees, continuation)
+    refused("move 2 ", trees.observations, 2)

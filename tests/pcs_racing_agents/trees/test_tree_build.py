@@ -3,6 +3,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import CONTEST, InputError, PolicyArchive, RaceGame, Starts, make_game
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
@@ -159,15 +160,12 @@ def test_the_solvers_get_the_mean_over_the_seeds(noisy):
     ],
 )
 def test_impossible_roots_are_refused(paper, change, message):
-    with pytest.raises(InputError, match=message):
-        build_tree(paper, **{"policies": (2, 7), "start": (20.0, 0), "seeds": [1], **change})
+    refused(message, build_tree, paper, **{"policies": (2, 7), "start": (20.0, 0), "seeds": [1], **change})
 
 
 def test_games_without_a_tree_are_refused(track, paper):
     with pytest.raises(InputError, match="4 moves with 9 choices"):
         build_tree(make_game(track, paper.archive, epsilon=(0.2, 0.4), stay=True), (2, 7), (20.0, 0))
     outside = replace(paper, opponent_planner="pure-pursuit")
-    with pytest.raises(InputError, match=r"car 1 .*'pure-pursuit'"):
-        build_tree(outside, (2, 7), (20.0, 0))
-    with pytest.raises(InputError, match="move 2 "):
-        build_tree(paper, (2, 7), (20.0, 0)).observations(2)
+    refused(r"car 1 .*'pure-pursuit'", build_tree, outside, (2, 7), (20.0, 0))
+    refused("move 2 ", build_tree(paper, (2, 7), (20.0, 0)).observations, 2)

@@ -3,20 +3,9 @@ import re
 import pytest
 
 from pcs_racing import save_archive
-from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.trees import load_ego_trees, load_trees
 
 GAME = ["tree", "--track", "Tarnfjord", "--moves", 2, "--step", 2, "--executor", "serial"]
-
-
-@pytest.fixture
-def run(capsys):
-    def run(*arguments: object) -> tuple[int, str, str]:
-        code = main([str(argument) for argument in arguments])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
 
 
 @pytest.fixture

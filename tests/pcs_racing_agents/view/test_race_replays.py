@@ -62,13 +62,10 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(driver, tournam
         assert over == sorted(over, reverse=True)  # after a crash nothing is seen any more
 
 
-def test_a_race_is_small(driver):
+def test_a_race_is_small_and_pairs_are_driven_together(driver):
     values = driver.drive(0).values
     seconds = values["cars"]["shape"][0] * values["frame_dt"]
     assert len(json.dumps(values)) < 3000 + 1300 * seconds  # 40 s in at most 55 kB
-
-
-def test_pairs_are_driven_together(driver):
     order = [race.race for race in driver.drive_all([13, 0, 7, 1, 12])]
     assert sorted(order) == [0, 1, 7, 12, 13]
     assert abs(order.index(0) - order.index(1)) == 1

@@ -86,14 +86,6 @@ def test_filters_leave_the_races_that_they_name(browser, page, tournament_folder
     assert browser.run("Number(document.body.dataset.shown)") == len(rows)
 
 
-def test_columns_sort(browser, page, tournament_folder):
-    lead = [float(row["lead"]) for row in rows_of(tournament_folder[0] / "results.csv")]
-    browser.open(f"{page.as_uri()}#show=list&sort=lead&down=1")
-    assert browser.run("Number(document.querySelector('#pane .line').dataset.race)") == int(np.argmax(lead))
-    browser.run("document.querySelector('#heads [data-key=lead]').click()")
-    assert browser.run("Number(document.querySelector('#pane .line').dataset.race)") == int(np.argmin(lead))
-
-
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_a_race_plays_with_its_moves_beside_it(browser, page, theme):
     browser.open(f"{page.as_uri()}#theme={theme}&t=1.5")

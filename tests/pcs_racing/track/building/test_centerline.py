@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusal import refused
 from scipy.spatial import cKDTree
 
 from pcs_racing.base.errors import MapError
@@ -80,16 +81,14 @@ def test_a_gap_in_a_wall_leaves_no_loop(box):
     leaking = grid.copy()
     i, j = cell((0.0, 8.1), resolution, origin)
     leaking[i - 5 : i + 6, j - 2 : j + 3] = False
-    with pytest.raises(MapError, match="no closed loop"):
-        centerline_from_grid(leaking, resolution, origin)
+    refused("no closed loop", centerline_from_grid, leaking, resolution, origin, error=MapError)
 
 
 def test_two_circuits_on_one_map_ask_for_a_seed_point(box):
     line, _, resolution, _ = box
     one, _ = walls_to_grid(line, 2.2, resolution)
     grid = np.hstack([one, one])
-    with pytest.raises(MapError, match="2 regions"):
-        centerline_from_grid(grid, resolution, (0.0, 0.0))
+    refused("2 regions", centerline_from_grid, grid, resolution, (0.0, 0.0), error=MapError)
     right = centerline_from_grid(grid, resolution, (0.0, 0.0), seed_point=(0.75 * grid.shape[1] * resolution, 1.8))
     assert right[:, 0].min() > 0.5 * grid.shape[1] * resolution
 
@@ -108,14 +107,12 @@ def test_two_circuits_on_one_map_ask_for_a_seed_point(box):
 )
 def test_impossible_wishes_are_refused(box, arguments, words):
     _, grid, resolution, origin = box
-    with pytest.raises(MapError, match=words):
-        centerline_from_grid(grid, resolution, origin, **arguments)
+    refused(words, centerline_from_grid, grid, resolution, origin, error=MapError, **arguments)
 
 
 @pytest.mark.parametrize("value", [False, True])
 def test_an_empty_and_a_full_map_have_no_loop(value):
-    with pytest.raises(MapError, match="no closed loop"):
-        centerline_from_grid(np.full((60, 60), value), 0.05, (0.0, 0.0))
+    refused("no closed loop", centerline_from_grid, np.full((60, 60), value), 0.05, (0.0, 0.0), error=MapError)
 
 
 @pytest.mark.parametrize("name", ["Catalunya", "Oschersleben", "Spielberg"])

@@ -43,9 +43,11 @@ def test_smoothing_damps_a_wave_as_it_says(radius, waves):
     assert abs(mode) == pytest.approx(0.5e-3 * radius, rel=1e-6)
 
 
-def test_area_tells_the_direction():
+def test_area_tells_the_direction_and_a_repeated_point_is_dropped():
     assert signed_area(circle(2.0, 1000)) == pytest.approx(4.0 * np.pi, rel=1e-4)
     assert signed_area(circle(2.0, 1000)[::-1]) == pytest.approx(-4.0 * np.pi, rel=1e-4)
+    closed = np.vstack([circle(1.0, 20), circle(1.0, 20)[:1]])
+    assert len(checked_curve(closed, "line")) == 20
 
 
 def test_a_figure_of_eight_crosses_itself_and_a_circle_does_not():
@@ -55,11 +57,6 @@ def test_a_figure_of_eight_crosses_itself_and_a_circle_does_not():
     i, j = first_crossing(eight)
     assert 0 <= i < j < 100
     np.testing.assert_allclose(eight[[i, j]], 0.0, atol=0.2)
-
-
-def test_a_repeated_first_point_is_dropped():
-    closed = np.vstack([circle(1.0, 20), circle(1.0, 20)[:1]])
-    assert len(checked_curve(closed, "line")) == 20
 
 
 @pytest.mark.parametrize(

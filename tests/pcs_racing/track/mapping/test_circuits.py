@@ -77,22 +77,16 @@ def test_impossible_wishes_are_refused(arguments, error, words):
         generate_circuit(**({"seed": 0} | arguments))
 
 
-def test_braking_zones_are_counted_around_the_loop():
+def test_braking_zones_straights_and_rounded_corners_by_hand():
     # Down by 3 across the end of the list, down by 2, and a ripple of 0.5 that doesn't count.
     assert braking_zones(np.array([5.0, 4.0, 6.0, 5.5, 6.0, 4.0, 7.0])) == 2
     assert braking_zones(np.full(10, 8.0)) == 0
-
-
-def test_straights_of_a_stadium():
     t = np.linspace(-np.pi / 2, np.pi / 2, 60)
     arc = 3.0 * np.column_stack([np.cos(t), np.sin(t)])
     shift = np.array([10.0, 0.0])
     side = np.column_stack([np.linspace(-10.0, 10.0, 100)[1:-1], np.full(98, -3.0)])
     stadium = np.vstack([side, arc + shift, -side, -arc - shift])
     np.testing.assert_allclose(straights(stadium), 20.0, atol=0.8)
-
-
-def test_rounding_a_square_leaves_arcs_of_the_wanted_radius():
     square = 10.0 * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     line = rounded(square, np.full(4, 2.0), 0.05)
     assert signed_area(line) == pytest.approx(100.0 - (4.0 - np.pi) * 4.0, rel=1e-3)

@@ -1,14 +1,13 @@
 from dataclasses import replace
 
 import pytest
+from refusal import refused
 from repository import read_page
 
-from pcs_racing import InputError
 from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import make_task
-from pcs_racing_agents.study import load_study_config
 
 
 def test_shipped_settings_are_those_of_the_two_levels():
@@ -20,15 +19,6 @@ def test_shipped_settings_are_those_of_the_two_levels():
     assert result["duel-contest"].archive == "contest"
     assert result["duel-paper"].steps >= 400_000
     assert result["drive"].steps >= 2_000_000
-
-
-@pytest.mark.parametrize("name", ["paper", "contest"])
-def test_a_study_trains_its_baseline_as_the_shipped_one_was_trained_but_shorter(name):
-    study, shipped = (load_ppo_settings(f"{kind}-{name}") for kind in ("study", "duel"))
-    lengths = ("steps", "evaluate_every", "evaluation_races", "patience")
-    assert replace(study, **{key: getattr(shipped, key) for key in lengths}) == shipped
-    assert study.steps == 200_000
-    assert load_study_config(name).ppo in (None, f"study-{name}")
 
 
 def test_a_file_changes_what_it_names(tmp_path):
@@ -52,8 +42,7 @@ def test_a_file_changes_what_it_names(tmp_path):
 def test_impossible_settings_are_named(tmp_path, text, message):
     file = tmp_path / "mine.yaml"
     file.write_text(text)
-    with pytest.raises(ConfigError, match=message):
-        load_ppo_settings(file)
+    refused(message, load_ppo_settings, file, error=ConfigError)
 
 
 @pytest.mark.parametrize(
@@ -66,14 +55,12 @@ def test_impossible_settings_are_named(tmp_path, text, message):
     ],
 )
 def test_what_settings_name_must_exist(duel_settings, changes, message):
-    with pytest.raises(InputError, match=message):
-        make_task(replace(duel_settings, **changes))
+    refused(message, make_task, replace(duel_settings, **changes))
 
 
 def test_rules_of_one_name_are_refused(drive_settings, tmp_path):
     file = tmp_path / "other.yaml"
     file.write_text("name: short\n")
-    with pytest.raises(InputError, match="the same name"):
-        make_task(replace(drive_settings, races=(*drive_settings.races, str(file))))
+    refused("the same name", make_task, replace(drive_settings, races=(*drive_settings.races, str(file))))
     with pytest.raises(UnknownNameError, match="planner 'tortoise' is unknown"):
         make_task(replace(drive_settings, opponents={"tortoise": 1}))

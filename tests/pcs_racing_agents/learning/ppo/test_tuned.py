@@ -14,25 +14,12 @@ from pcs_racing_agents.learning.ppo.tuned import learning_rate, tuned_environmen
 PAGE = read_page("reports/tuned_ppo.md")
 
 
-def test_every_environment_has_settings():
+def test_every_environment_has_settings_and_others_are_refused():
     assert set(tuned_environments()) == {*GYMNASIUM_IDS, *PETTINGZOO_IDS}
     for name in tuned_environments():
         assert f"`{name}`" in PAGE
-
-
-def test_the_task_of_a_match_is_one_that_holds_a_game():
-    tuned = tuned_ppo("pcs_racing/Match-v0")
-    assert (tuned.arguments["archive"], tuned.arguments["race"]) == ("contest", "contest")
-    assert not tuned.normalize
-    assert "n_envs" not in tuned.settings
-
-
-def test_an_unknown_environment_is_refused_with_a_suggestion():
     with pytest.raises(UnknownNameError, match="Match-v0"):
         tuned_ppo("pcs_racing/Match-v1")
-
-
-def test_a_learning_rate_falls_linearly_if_it_says_so():
     falling = learning_rate("lin_1e-3")
     assert [falling(1.0), falling(0.5), falling(0.0)] == [1e-3, 5e-4, 0.0]
     assert learning_rate(0.01) == 0.01

@@ -43,16 +43,13 @@ def slow(games, setting, tmp_path_factory):
     return folder, reply_to(always(setting, "aggressiveness -"), games, setting, folder)
 
 
-def test_an_agent_that_slows_down_loses_to_one_that_was_trained_against_it(slow):
+def test_an_agent_that_slows_down_loses_to_one_that_was_trained_against_it(slow, games):
     _, reply = slow
     assert reply.loss.low > 0.0
     assert reply.loss.mean > 0.03
     assert len(reply.races) == reply.loss.units == 10 * 10 * 5 * 2
     excess = np.mean(reply.races.winner == 0) - np.mean(reply.races.winner == 1)
     assert reply.loss.mean == pytest.approx(0.5 * excess)
-
-
-def test_the_races_start_where_the_learner_did_not(slow, games):
     _, reply = slow
     assert not set(np.round(reply.races.start_s, 6)) & set(np.round(games[0].start_lines, 6))
 
@@ -93,16 +90,12 @@ def test_too_few_races_are_refused_before_anything_is_learned(games, setting, tm
     assert not (tmp_path / "few" / "chunks").exists()
 
 
-def test_nobody_wins_a_race_against_itself(slow):
+def test_neither_itself_nor_start_policies_are_a_loss(slow):
     _, reply = slow
     even = replace(reply.races, winner=np.tile(np.array([0, 1], np.int8), len(reply.races) // 2))
     assert excess_estimate(even).mean == 0.0
     with pytest.raises(InputError, match="no races"):
         excess_estimate(even.take([]))
-
-
-def test_what_start_policies_bring_is_no_noise(slow):
-    """If the faster start policy always wins, nobody loses to anybody, and the interval says so."""
     _, reply = slow
     ego, opponent = reply.races.variants.T.astype(int)
     faster = replace(reply.races, winner=np.where(ego == opponent, -1, ego < opponent).astype(np.int8))

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import make_game
 from pcs_racing.base.errors import InputError
@@ -84,18 +85,12 @@ def test_a_win_is_1_a_tie_a_half_and_a_crash_that_pays_neither_car_0(game):
     np.testing.assert_array_equal(outcome(game, state, "utility"), game.reward(state)[:, 0])
 
 
-def test_impossible_requests_are_refused(game, setting):
+def test_impossible_requests_are_refused(game, setting, tmp_path):
     stay = never_switch(setting)
-    with pytest.raises(InputError, match="step is 2"):
-        branch_games(game, stay, race_seeds(0, 1), 2, [stay], stay)
-    with pytest.raises(InputError, match="worth is 'glory'"):
-        outcome(game, game.reset(games=1), "glory")
-
-
-def test_games_of_a_response_must_be_alike(game, setting, tmp_path):
+    refused("step is 2", branch_games, game, stay, race_seeds(0, 1), 2, [stay], stay)
+    refused("worth is 'glory'", outcome, game, game.reset(games=1), "glory")
     other = make_game("Tarnfjord", setting.archive, load_game_config(setting.config, moves=3))
     with open_job(tmp_path / "c", "response", {}) as job:
-        with pytest.raises(InputError, match="one of each"):
-            learn_response([game], [], setting, ResponseSettings(), job)
+        refused("one of each", learn_response, [game], [], setting, ResponseSettings(), job)
         with pytest.raises(InputError, match="games of 2 moves"):
             learn_response([game, other], [never_switch(setting)], setting, ResponseSettings(), job)

@@ -2,6 +2,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
@@ -38,11 +39,8 @@ def test_the_merged_network_puts_out_the_mean(hidden):
 
 def test_members_may_differ_in_width_but_not_in_kind():
     merge_networks([network(0, (5, 4)), network(1, (2, 7))], "merged")
-    with pytest.raises(InputError, match="different numbers of layers"):
-        merge_networks([network(0), network(1, (5,))], "merged")
+    refused("different numbers of layers", merge_networks, [network(0), network(1, (5,))], "merged")
     with pytest.raises(InputError, match="networks 'net-0' and 'net-1' differ in clipped"):
         merge_networks([network(0), network(1, clipped=True)], "merged")
-    with pytest.raises(InputError, match="give at least one"):
-        merge_networks([], "merged")
-    with pytest.raises(InputError, match="mean of clipped networks"):
-        merge_networks([network(0, clipped=True), network(1, clipped=True)], "merged")
+    refused("give at least one", merge_networks, [], "merged")
+    refused("mean of clipped networks", merge_networks, [network(0, clipped=True), network(1, clipped=True)], "merged")
