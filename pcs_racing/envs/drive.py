@@ -1,6 +1,6 @@
-"""The environment at the level of steering and speed: one car against an opponent or alone, or two agents."""
+"""The environments at the level of steering and speed: one car alone or against others, or an agent in each car."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -8,12 +8,16 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
+from pcs_racing.base.checks import check_whole
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.settings import setting, whole
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions, drive_elements
 from pcs_racing.envs.over_batch import Declared, with_table
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.observation import observation_table
+from pcs_racing.race.state import MOST_CARS
 
 
 @with_table(observation_table(drive_elements(DriveOptions(beams=1))))
@@ -196,7 +200,27 @@ class DriveVectorEnv(BatchVectorEnv):
     declared = replace(DriveEnv.declared, positional=())
 
 
-class DriveHeadToHeadEnv(ParallelBatchEnv):
+@dataclass(frozen=True, eq=False)
+class HeadToHeadOptions(DriveOptions):
+    """Arguments of the environments with an agent in several cars."""
+
+    cars: int = setting(2, whole(1, MOST_CARS), "Cars in a race.")
+
+
+class _SeveralAgents:
+    """Agents drive the cars that opponents leave."""
+
+    def _players(self, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
+        own = {name: value for name, value in arguments.items() if name != "cars"}
+        cars = check_whole("cars", arguments["cars"], 1, MOST_CARS)
+        given = [arguments["opponent"]] if arguments["opponents"] is None else arguments["opponents"]
+        opponents = 0 if given == [None] else len(given)
+        if opponents >= cars:
+            raise InputError(f"cars is {cars}, and there are {opponents} opponents; leave a car to an agent")
+        return own, cars - opponents
+
+
+class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     """Two cars race each other; each agent steers one, fifty times a second.
 
     ## Description
@@ -290,13 +314,13 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     batch_type = DriveBatch
     batch: DriveBatch
     declared = Declared(
-        DriveOptions,
+        HeadToHeadOptions,
         positional=("track", "race"),
         changed={"opponent": None, "time_step": 0.02, "rivalry": 1.0},
     )
 
 
-class DriveHeadToHeadVectorEnv(BatchVectorEnv):
+class DriveHeadToHeadVectorEnv(_SeveralAgents, BatchVectorEnv):
     """Many races of :class:`DriveHeadToHeadEnv` in one, with the same numbers for the same seeds.
 
     Environment ``2 i`` is car 0 of race ``i``, and ``2 i + 1`` its car 1: one policy that acts in all of them races
