@@ -167,7 +167,9 @@ def main() -> None:
     for name, rate in best.items():
         level = name.partition(",")[0]
         level = f"2 cars{', 1080 beams' if 'beams' in name else ''}" if " cars" in level else level
-        single = best.get(level) or best.get({"duel": "duel, scalar", "match": "match, scalar"}.get(level, "drive, scalar, pure pursuit"))
+        single = best.get(level) or best.get(
+            {"duel": "duel, scalar", "match": "match, scalar"}.get(level, "drive, scalar, pure pursuit")
+        )
         print(f"{name:42} {rate:10.0f} {1e6 / rate:9.2f}" + (f" {rate / single:7.2f}" if single else ""))
 
 

@@ -27,7 +27,7 @@ class DriveEnv(ScalarEnv):
     ## Description
 
     Two cars race on a closed circuit, or up to eight. The agent steers car 0; each other car is driven by a policy of a
-    motion planner at its own rate (plans at 10 Hz, steering at 50 Hz). Every step lasts ``time_step`` seconds, in which the action is held:
+    motion planner at its own rate (plans at 10 Hz, steering at 50 Hz). A step lasts ``time_step`` s with one action:
     0.1 s by default, at which a discount of 0.99 looks ten seconds ahead; 0.02 s is the rate at which the planners
     steer.
 
@@ -58,9 +58,9 @@ class DriveEnv(ScalarEnv):
     ## Rewards
 
     ``progress_reward`` (1) for every metre of progress along the race line in the step, less ``rivalry`` (0) times the
-    opponent's progress (the mean of several), and ``-crash_penalty`` (-10) in the step in which the agent crashes into a
-    wall, or into an opponent and is to blame for it. ``rivalry=1`` makes the return the lead. ``win_reward`` (0) is added at the end
-    of a race that was won, and subtracted after a defeat; the preset says who wins after a crash. Alone nobody wins.
+    progress of the opponent (the mean of several), and ``-crash_penalty`` (-10) in the step in which the agent crashes
+    by its own fault, into a wall or a car. ``rivalry=1`` makes the return the lead. ``win_reward`` (0) is added at
+    the end of a race that was won, and subtracted after a defeat; the preset says who wins after a crash, alone nobody.
 
     ## Starting State
 
@@ -76,7 +76,8 @@ class DriveEnv(ScalarEnv):
 
     ## Episode End
 
-    *Terminated* by a crash of any car, unless the rules' ``contact`` says that cars drive on. *Truncated* after the preset's duration (40 s); with a ``win_reward`` that is
+    *Terminated* by a crash of any car, unless the rules' ``contact`` lets cars drive on.
+    *Truncated* after the preset's duration (40 s); with a ``win_reward`` that is
     a termination, too, since the race is decided and nothing follows (take ``time_left`` then).
 
     ## Information
@@ -253,8 +254,8 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     | lidar, which sees the opponent as well | `beams` | `beams`; 0 for none |
 
     With `see_opponent="in sight"` the nine numbers are 0 while a wall stands between the centres of the two cars, or
-    they are further apart than `max_range`. Of several opponents, as in `DriveEnv`, the nearest comes first. `state()` is
-    the observation of `car_0` followed by that of `car_1` and of all others.
+    they are further apart than `max_range`. Of several opponents the nearest comes first. `state()` is the observation
+    of `car_0` followed by those of all others.
 
     ## Rewards
 

@@ -35,7 +35,7 @@ from pcs_racing.race.kernel import WORK_SIZE, KernelSettings
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
-from pcs_racing.race.state import MOST_CARS, RaceState, take
+from pcs_racing.race.state import RaceState, take
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
 
@@ -88,10 +88,9 @@ class DriveBatch:
         check_batch_size(episodes, threads)
         options = DriveOptions(**arguments)
         self.episodes, self.players, self.options = int(episodes), players, options
-        given = ([] if options.opponent is None else [options.opponent]) if options.opponents is None else options.opponents
+        given = (options.opponent,) if options.opponents is None else options.opponents
+        given = () if given == (None,) else given
         self.cars = players + len(given)  #: In each race.
-        if self.cars > MOST_CARS:
-            raise InputError(f"there are {players} agents and {len(given)} opponents; a race has at most {MOST_CARS} cars")
         varied = options.track, options.vehicle, options.randomize, options.obstacles
         self.variety = Variety(self.episodes, *varied, cars=self.cars)
         changes: dict[str, Any] = {"start_lines": options.start_lines}
@@ -102,10 +101,11 @@ class DriveBatch:
         #: Of each car that no agent drives: the opponents of which one is drawn for an episode.
         self.rivals = [drive_opponents(one, self._make_game) for one in given]
         movers = [one for rivals in self.rivals for one in rivals if not one.policies]
-        if len(given) > 1 and any(len(rivals) > 1 for rivals in self.rivals):
-            raise InputError(f"opponents is {given!r:.120}; give each car one opponent, not a list")
-        if movers and self.cars != 2:
-            raise InputError(f"opponent {movers[0].name!r} makes moves, which needs a race of two cars; give a driver")
+        if self.cars > 2 and (movers or any(len(rivals) > 1 for rivals in self.rivals)):
+            raise InputError(
+                f"opponents is {list(given)!r:.120}; in a race of {self.cars} cars each is one driver, no list, "
+                "and none makes moves"
+            )
         self._moving = MovingOpponents(self.episodes, self._make_game()) if movers else None
         #: Of the only one of these cars; with several of them nothing is drawn.
         self.opponents = self.rivals[0] if len(self.rivals) == 1 else []
@@ -434,12 +434,11 @@ class DriveBatch:
             "opponent": self.drawn if self.opponents else np.full(self.episodes, -1),
             **self.variety.infos(),
         }
-        infos = {
+        return {
             **race_infos(self.state, self.players),
             "result": self._outcomes().reshape(-1),
             **{name: np.repeat(values, self.players) for name, values in of_races.items()},
         }
-        return infos
 
     def _outcomes(self) -> NDArray[np.int64]:
         """How each race has ended for each player, shape (B, players); alone a car races nobody: its result is open."""

@@ -60,7 +60,9 @@ def _vehicles(value: Any) -> Any:
 
 def _opponents(value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple) or len(value) >= MOST_CARS:
-        raise InputError(f"opponents is {value!r:.80}; it must list at most {MOST_CARS - 1} opponents, one for each car")
+        raise InputError(
+            f"opponents is {value!r:.80}; it must list at most {MOST_CARS - 1} opponents, one for each car"
+        )
     return tuple(value)
 
 

@@ -6,8 +6,8 @@ Every environment uses the same names, and every value is a number or an array o
 | --- | --- |
 | `time` | s since the start |
 | `progress`, `lead` | m along the race line; ahead of the opponent, or of the first of several; alone 0 |
-| `crash`, `opponent_crash` | :class:`Crash`, the latter that of any opponent; where contacts do not end the race, the last |
-| `fault` | 1 if the own car is to blame for the crash, else 0; where contacts do not end the race, its faults so far |
+| `crash`, `opponent_crash` | :class:`Crash`, of any opponent; where contacts end no race, while the contact lasts |
+| `fault` | 1 if the own car is to blame for the crash, else 0; where contacts end no race, its faults so far |
 | `overtakes` | how often the own car passed another one |
 | `result` | :class:`Result` |
 | `opponent` | index of the episode's opponent among those of the environment; -1 if there is none |

@@ -54,7 +54,9 @@ def poses_option(options: Mapping[str, Any], episodes: int, cars: int = 2) -> ND
     rows = (1, 2) if cars == 1 else (cars,)
     shapes = [(*first, row, size) for first in ((), (episodes,)) for row in rows for size in (3, 4)]
     whose, row = ("both cars", 2) if cars == 2 else ("all cars", cars)
-    meaning = f"x, y, heading and, if not 0, speed of {whose}, shape ({row}, 3), ({row}, 4) or with {episodes} rows of these"
+    meaning = (
+        f"x, y, heading and, if not 0, speed of {whose}, shape ({row}, 3), ({row}, 4) or with {episodes} rows of these"
+    )
     values = read_numbers(options, "poses", shapes, meaning)
     if values is None:
         return None

@@ -230,7 +230,7 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         self.action_spaces: dict[str, spaces.Space[Any]] = {
             name: copy.deepcopy(action) for name in self.possible_agents
         }
-        self.state_space = spaces.Box(*(np.tile(bound, self.batch.cars) for bound in (box.low, box.high)))
+        self.state_space = spaces.Box(np.tile(box.low, self.batch.cars), np.tile(box.high, self.batch.cars))
 
     def _make_batch(self, arguments: dict[str, Any]) -> Batch:
         arguments, players = self._players(arguments)

@@ -90,8 +90,8 @@ class RaceConfig(Settings):
     contact: Literal["end", "stop", "restart"] = setting(
         "end",
         choice(CONTACTS),
-        "What a contact does: it ends the race; the car at fault, or in a wall, stands still where it was before; or it "
-        "is put back on the race line at rest, 2 m behind the other car, or where it was if it hit a wall.",
+        "What a contact does: it ends the race; the car at fault, or in a wall, stands still where it was; or it is "
+        "put back on the race line at rest, 2 m behind the other car, or where it was if it hit a wall.",
     )
     stay_move: bool = setting(False, flag(), "Whether the game offers a move that keeps the policy.")
 

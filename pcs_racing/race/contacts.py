@@ -5,7 +5,7 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import Rectangle, contact_fault, hits_wall, rectangles_overlap
-from pcs_racing.planners.view import OWN_D, OWN_PSI, OWN_S, OWN_X, OWN_Y, VIEW_SIZE
+from pcs_racing.planners.view import OWN_D, OWN_LENGTH, OWN_PSI, OWN_S, OWN_WIDTH, OWN_X, OWN_Y, VIEW_SIZE
 from pcs_racing.race import state as _state
 from pcs_racing.race.positions import body, move_along, overlap
 from pcs_racing.track import frenet as _frenet
@@ -19,18 +19,13 @@ MOST_FAULTS = 127
 
 
 @inner_kernel
-def _in_wall(near, cars, frenet, race, car, vehicles):  # type: ignore[no-untyped-def]
-    return hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car]))
-
-
-@inner_kernel
-def _overlapped(before, car, other, vehicles):  # type: ignore[no-untyped-def]
+def _overlapped(before, car, other):  # type: ignore[no-untyped-def]
     """Whether two cars overlapped already before the control period."""
-    half = 0.5 * vehicles[car, _vehicle.LENGTH], 0.5 * vehicles[car, _vehicle.WIDTH]
-    others = 0.5 * vehicles[other, _vehicle.LENGTH], 0.5 * vehicles[other, _vehicle.WIDTH]
     a, b = before[VIEW_SIZE * car :], before[VIEW_SIZE * other :]
-    one = Rectangle(a[OWN_X], a[OWN_Y], a[OWN_PSI], half[0], half[1])
-    return rectangles_overlap(one, Rectangle(b[OWN_X], b[OWN_Y], b[OWN_PSI], others[0], others[1]))
+    return rectangles_overlap(
+        Rectangle(a[OWN_X], a[OWN_Y], a[OWN_PSI], 0.5 * a[OWN_LENGTH], 0.5 * a[OWN_WIDTH]),
+        Rectangle(b[OWN_X], b[OWN_Y], b[OWN_PSI], 0.5 * b[OWN_LENGTH], 0.5 * b[OWN_WIDTH]),
+    )
 
 
 @inner_kernel
@@ -87,7 +82,7 @@ def settle_contacts(track, state, race, vehicles, mode, before):  # type: ignore
     cars, frenet, fault, contact = state.cars, state.frenet, state.fault, state.contact
     length, moved, touched = track.length, False, 0
     for car in range(cars.shape[1]):
-        if _in_wall(near, cars, frenet, race, car, vehicles):
+        if hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car])):
             _note(fault, contact, race, car, _state.WALL_CRASH, True)
             _set_back(near, track, state, race, car, frenet[race, car, 0], vehicles, mode, before)
             moved, touched = True, touched | 1 << car
@@ -96,11 +91,10 @@ def settle_contacts(track, state, race, vehicles, mode, before):  # type: ignore
             if not overlap(cars, race, one, two, vehicles):
                 continue
             touched |= 1 << one | 1 << two
-            if _overlapped(before, one, two, vehicles):
+            if _overlapped(before, one, two):
                 continue
-            fault1, fault2 = contact_fault(
-                cars[race, one], cars[race, two], body(cars[race, one], vehicles[one]), body(cars[race, two], vehicles[two])
-            )
+            bodies = body(cars[race, one], vehicles[one]), body(cars[race, two], vehicles[two])
+            fault1, fault2 = contact_fault(cars[race, one], cars[race, two], bodies[0], bodies[1])
             _note(fault, contact, race, one, _state.CAR_CRASH, fault1)
             _note(fault, contact, race, two, _state.CAR_CRASH, fault2)
             gap = frenet[race, two, 0] - frenet[race, one, 0]

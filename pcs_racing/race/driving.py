@@ -139,16 +139,18 @@ def _drive_compiled(
         return
     # Other types of arguments compile here, before several threads would.
     part(runs[0][0].arrays, 0, 0)
-    pieces = _pieces(runs, races, LANES // len(planners), ticks, workers)
+    pieces = _pieces(runs, races, ticks, workers, len(planners))
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(part, *zip(*pieces, strict=True)))
 
 
-def _pieces(runs: list[Run], races: int, group: int, ticks: int, workers: int) -> list[tuple[TrackArrays, int, int]]:
+def _pieces(runs: list[Run], races: int, ticks: int, workers: int, cars: int = 2) -> list[tuple[TrackArrays, int, int]]:
     """Cut runs into pieces for threads, each of which takes the next piece when it is done with one.
 
-    Many pieces are of whole groups of races that are driven in lockstep. A few are of equal size instead, so that no thread waits for the last one.
+    Many pieces are of whole groups, which are driven in lockstep. A few are of equal size instead, so that no thread
+    waits for the last one.
     """
+    group = LANES // cars
     size = group * max(1, PIECE // (group * ticks))
     rounds = max(1, round(races / (workers * size)))
     if rounds < FEW_ROUNDS:

@@ -156,19 +156,13 @@ def _count_overtakes(progress, leader, overtakes, ahead, race, vehicles, number)
                     leader[race] = first
 
 
-@inner_kernel(forceinline=True)
-def _velocity(cars, race, car):  # type: ignore[no-untyped-def]
-    """Velocity of a car in the frame of the map, m/s."""
-    sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI] + cars[race, car, _vehicle.BETA])
-    return cars[race, car, _vehicle.V] * cosine, cars[race, car, _vehicle.V] * sine
-
-
 @kernel(forceinline=True)
 def measure_ittc(near, cars, frenet, sums, race, vehicles, horizon, work, number):  # type: ignore[no-untyped-def]
     """Sample the minimum time to collision of so many cars."""
     # The velocities of all are worked out once, before the loop: each car needs those of the others, too.
     for car in range(number):
-        work[car], work[LANES + car] = _velocity(cars, race, car)
+        sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI] + cars[race, car, _vehicle.BETA])
+        work[car], work[LANES + car] = cars[race, car, _vehicle.V] * cosine, cars[race, car, _vehicle.V] * sine
     for car in range(number):
         x = cars[race, car, _vehicle.X]
         y = cars[race, car, _vehicle.Y]
@@ -325,4 +319,6 @@ def advance_races(  # type: ignore[no-untyped-def]
                         work[_LEFT + race - start] = 0.0
                     _count_overtakes(progress, leader, overtakes, state.ahead, race, params, number)
                 if tick % ITTC_EVERY == 0 and settings.ittc_horizon > 0.0:
-                    measure_ittc(near, cars, frenet, sums, race, params, settings.ittc_horizon, work[_VELOCITIES:], number)
+                    measure_ittc(
+                        near, cars, frenet, sums, race, params, settings.ittc_horizon, work[_VELOCITIES:], number
+                    )

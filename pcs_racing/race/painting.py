@@ -25,9 +25,9 @@ _THEMES = {
         "best": "#00695c", "worst": "#c9d3d6", "rejected": "#d12c4c",
         "name0": "#1559b0", "name1": "#945900",
         "car2": "#22964f", "car3": "#c03fa0", "car4": "#8a5a2b",
-        "car2": "#008fa6", "car3": "#8c8f00", "car4": "#5b6775",
+        "car5": "#008fa6", "car6": "#8c8f00", "car7": "#5b6775",
         "name2": "#0f5a2c", "name3": "#7a2466", "name4": "#553517",
-        "name2": "#005765", "name3": "#555700", "name4": "#323a44",
+        "name5": "#005765", "name6": "#555700", "name7": "#323a44",
     },
     "dark": {
         "ground": "#0c1117", "asphalt": "#222c37", "wall": "#74869b", "ink": "#e6ebf1", "tyre": "#070a0e",
@@ -35,9 +35,9 @@ _THEMES = {
         "best": "#8ef5d6", "worst": "#35454f", "rejected": "#ff5570",
         "name0": "#58a6ff", "name1": "#ffb03b",
         "car2": "#4fd68a", "car3": "#ff7ad9", "car4": "#c79a6b",
-        "car2": "#4dd7ea", "car3": "#d7d94a", "car4": "#a9b6c6",
+        "car5": "#4dd7ea", "car6": "#d7d94a", "car7": "#a9b6c6",
         "name2": "#4fd68a", "name3": "#ff7ad9", "name4": "#c79a6b",
-        "name2": "#4dd7ea", "name3": "#d7d94a", "name4": "#a9b6c6",
+        "name5": "#4dd7ea", "name6": "#d7d94a", "name7": "#a9b6c6",
     },
 }  # fmt: skip
 THEMES = tuple(_THEMES)
@@ -192,7 +192,7 @@ def paint_names(
     font: Any,
     top: float,
 ) -> None:
-    """Write beside each car who drives it, away from the nearest other car and within the frame, ``top`` pixels below its edge.
+    """Write beside each car who drives it, away from the nearest one, in the frame, ``top`` pixels below its edge.
 
     The picture is the reduced one.
     """

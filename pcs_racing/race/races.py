@@ -141,7 +141,7 @@ def start_races(
         i = int(np.flatnonzero(state.crashed)[0])
         raise InputError(
             f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car would stand in a wall or in "
-            f"{'the other' if len(setup.vehicles) == 2 else 'another'} car; choose another line or a smaller start_spacing than {spacing:g} m"
+            f"{state.another}; choose another line or a smaller start_spacing than {spacing:g} m"
         )
     return state
 
@@ -250,7 +250,7 @@ class RaceResult:
 
 
 def _merit(state: RaceState) -> NDArray[np.int64]:
-    """How each car came through a race, shape (B, N): 0 without a crash, 1 in a crash that others caused, 2 at fault."""
+    """How each car came through, shape (B, N): 0 without a crash, 1 in a crash that others caused, 2 at fault."""
     return np.where(state.crash != NO_CRASH, np.where(state.fault > 0, 2, 1), 0)
 
 

@@ -55,7 +55,7 @@ def record_race(
     config : RaceConfig
         The rules.
     seed, index : int
-        The race number ``index`` (0 to :data:`LAST_INDEX`) of ``run_races`` or ``run_field(..., seed=seed)``: same start, same noise,
+        The race number ``index`` (0 to :data:`LAST_INDEX`) of ``run_field(..., seed=seed)``: same start, same noise,
         same end to the last bit. No race before it is drawn.
     vehicles : tuple of VehicleParams, optional
         The cars.
@@ -236,7 +236,9 @@ def _followed(path: Floats) -> Floats:
     return out
 
 
-def _happened(state: RaceState, overtakes_before: NDArray[np.int64], faults_before: NDArray[np.int8]) -> list[ReplayEvent]:
+def _happened(
+    state: RaceState, overtakes_before: NDArray[np.int64], faults_before: NDArray[np.int8]
+) -> list[ReplayEvent]:
     """Events of the last control period."""
     time = float(state.tick[0]) * DT
     events = [
@@ -244,10 +246,9 @@ def _happened(state: RaceState, overtakes_before: NDArray[np.int64], faults_befo
         for car in range(state.number)
         if state.overtakes[0, car] > overtakes_before[car]
     ]
-    other = "the other car" if state.number == 2 else "another car"
     for car in range(state.number):
         if state.fault[0, car] > faults_before[car]:
-            into = "the wall" if WALL_CRASH in (state.crash[0, car], state.contact[0, car]) else other
+            into = "the wall" if WALL_CRASH in (state.crash[0, car], state.contact[0, car]) else state.another
             events.append(ReplayEvent(time, car, "crash", f"crashes into {into}"))
     return events
 

@@ -15,7 +15,6 @@ from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.track import Track
 
-
 ROW = 2.0  # m between rows of two cars
 CLEAR = 0.4  # m from the middle of a car to a wall, from the third car on
 

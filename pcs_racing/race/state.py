@@ -86,6 +86,11 @@ class RaceState(NamedTuple):
         return self.progress.shape[1]
 
     @property
+    def another(self) -> str:
+        """What messages call a car that a car ran into."""
+        return "the other car" if self.number == 2 else "another car"
+
+    @property
     def lead(self) -> NDArray[np.float64]:
         """Progress of car 0 minus that of the car ahead of the others, m, shape (B,); alone 0."""
         rivals = self.progress[:, 1:] if self.number > 1 else self.progress
@@ -94,7 +99,7 @@ class RaceState(NamedTuple):
     @property
     def crashed(self) -> NDArray[np.bool_]:
         """Whether a race ended in a crash, shape (B,)."""
-        return self.crash.any(axis=1)  # NO_CRASH is 0
+        return np.asarray(self.crash.any(axis=1))  # NO_CRASH is 0
 
     @property
     def lap_count(self) -> NDArray[np.int64]:
