@@ -2,6 +2,7 @@
 
     python benchmarks/environment_speed.py [--track NAME_OR_FOLDER] [--envs 256] [--seconds 1.0]
     python benchmarks/environment_speed.py --only duel "two agents"    # the variants whose names hold one of these
+    python benchmarks/environment_speed.py --only cars         # 1, 4 and 8 cars: steps of an agent, beside those of 2
     python benchmarks/environment_speed.py --against PATH    # scalar environments beside those of another checkout
 
 Everything is measured in one run, the variants in turn for several rounds, and the best round of each counts. Times
@@ -125,6 +126,16 @@ def main() -> None:
         "two agents, batch": lambda: batch(DriveHeadToHeadVectorEnv(**many, **step), 100),
         "two agents, batch, 108 beams": lambda: batch(DriveHeadToHeadVectorEnv(**many, **step, **few), 100),
         "two agents, batch, 1080 beams": lambda: batch(DriveHeadToHeadVectorEnv(**many, **step, **most), 100),
+        **{
+            f"{cars} cars{', 1080 beams' if beams else ''}": lambda cars=cars, beams=beams: batch(
+                DriveHeadToHeadVectorEnv(
+                    (given.envs // cars) * cars, threads=1, **track, **step, cars=cars, race="contest", beams=beams
+                ),
+                100,
+            )
+            for beams in (0, 1080)
+            for cars in (1, 2, 4, 8)
+        },
         "drive, scalar, pure pursuit": lambda: scalar(DriveEnv(**track, **step, **pursuit), 100),
         "drive, scalar, 1080 beams": lambda: scalar(DriveEnv(**track, **step, **pursuit, **most), 100),
         "duel, batch": lambda: batch(DuelVectorEnv(**many), 2),
@@ -155,7 +166,10 @@ def main() -> None:
     print(f"{'':42} {'steps/s':>10} {'us/step':>9} {'ratio':>7}")
     for name, rate in best.items():
         level = name.partition(",")[0]
-        single = best.get({"duel": "duel, scalar", "match": "match, scalar"}.get(level, "drive, scalar, pure pursuit"))
+        level = f"2 cars{', 1080 beams' if 'beams' in name else ''}" if " cars" in level else level
+        single = best.get(level) or best.get(
+            {"duel": "duel, scalar", "match": "match, scalar"}.get(level, "drive, scalar, pure pursuit")
+        )
         print(f"{name:42} {rate:10.0f} {1e6 / rate:9.2f}" + (f" {rate / single:7.2f}" if single else ""))
 
 

@@ -25,7 +25,7 @@ from pcs_racing.game.state import GameState
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.registry import get_planner, parse_policy, planner_names, register_planner
 from pcs_racing.race.config import CONTEST, PAPER, RaceConfig, load_race_config
-from pcs_racing.race.races import RaceResult, RaceSetup, advance, draw_starts, run_races, start_races
+from pcs_racing.race.races import RaceResult, RaceSetup, advance, draw_starts, run_field, run_races, start_races
 from pcs_racing.race.recording import record_race
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.replay_files import read_replay, save_replay
@@ -78,6 +78,7 @@ __all__ = [
     "read_replay",
     "record_race",
     "register_planner",
+    "run_field",
     "run_races",
     "save_archive",
     "save_replay",

@@ -271,16 +271,14 @@ def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped
 
 
 @kernel
-def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out):  # type: ignore[no-untyped-def]
-    """Write one scan, without allocating anything: ranges in m, in [0, max_range], into ``out`` of shape (beams,).
+def scan_walls(track, beams, x, y, psi, s, work, out):  # type: ignore[no-untyped-def]
+    """Begin a scan: write the inverse ranges of the walls, 1/m; returns whether the lidar stands in none of them.
 
-    A lidar inside a wall or off the map reads 0 everywhere. The working memory, one for each thread, may have any shape
-    (4, n) with n >= 16; ``np.empty(WORK_SHAPE)`` will do. The lidar is at (x, y, psi) and arc length ``s``, the
-    opponent's rectangle around (ox, oy, opsi), in m and rad.
+    `scan_car` adds cars, and `end_scan` makes ranges of it. In a wall all ranges are 0 already.
     """
     if inside_wall(track, x, y):
         out[:] = 0.0
-        return
+        return False
     # The buffer holds inverse ranges until the end; 0 means that nothing was drawn.
     out[:] = 0.0
     sin, cos = sine_cosine(psi)
@@ -297,8 +295,35 @@ def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_lengt
     for k in range(out.shape[0]):
         out[k] = out[k] if out[k] > least else least
     _settle_edges(track, beams, x, y, cos, sin, out)
-    # The opponent comes last: its edges are exact and need not be settled on the grid.
-    if has_opponent:
-        _draw_rectangle(beams, ox - x, oy - y, opsi, half_length, half_width, cos, sin, work, out)
+    return True
+
+
+@kernel
+def scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out):  # type: ignore[no-untyped-def]
+    """Add a car's rectangle around (ox, oy, opsi), in m and rad, to the inverse ranges of a scan."""
+    # Cars come last: their edges are exact and need not be settled on the grid.
+    dx, dy, reach = ox - x, oy - y, beams.max_range + half_length + half_width
+    if dx * dx + dy * dy < reach * reach:
+        sin, cos = sine_cosine(psi)
+        _draw_rectangle(beams, dx, dy, opsi, half_length, half_width, cos, sin, work, out)
+
+
+@inner_kernel(forceinline=True)
+def end_scan(out):  # type: ignore[no-untyped-def]
+    """Turn inverse ranges into ranges, m."""
     for k in range(out.shape[0]):
         out[k] = 1.0 / out[k]
+
+
+@kernel
+def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out):  # type: ignore[no-untyped-def]
+    """Write one scan, without allocating anything: ranges in m, in [0, max_range], into ``out`` of shape (beams,).
+
+    A lidar inside a wall or off the map reads 0 everywhere. The working memory, one for each thread, may have any shape
+    (4, n) with n >= 16; ``np.empty(WORK_SHAPE)`` will do. The lidar is at (x, y, psi) and arc length ``s``, the
+    opponent's rectangle around (ox, oy, opsi), in m and rad.
+    """
+    if scan_walls(track, beams, x, y, psi, s, work, out):
+        if has_opponent:
+            scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out)
+        end_scan(out)

@@ -116,13 +116,14 @@ def load_vehicle(source: VehicleParams | Mapping[str, Any] | str | os.PathLike[s
     return load_settings("vehicle", F1TENTH, source, {"f1tenth": F1TENTH})
 
 
-def load_vehicles(source: Any) -> tuple[VehicleParams, VehicleParams]:
-    """Return the cars of a race: one source of :func:`load_vehicle` for both, or a list of two, car 0's first."""
+def load_vehicles(source: Any, cars: int = 2) -> tuple[VehicleParams, ...]:
+    """Return the cars of a race: one source of :func:`load_vehicle` for all, or a list of as many, car 0's first."""
     if not isinstance(source, list | tuple):
-        return (load_vehicle(source),) * 2
-    if len(source) != 2:
-        raise ConfigError(f"vehicle lists {len(source)} cars; give one for both, or two")
-    return load_vehicle(source[0]), load_vehicle(source[1])
+        return (load_vehicle(source),) * cars
+    if len(source) != max(2, cars):  # alone, the other one of two stays away
+        wanted = "both, or two" if cars <= 2 else f"all, or {cars}"
+        raise ConfigError(f"vehicle lists {len(source)} cars; give one for {wanted}")
+    return tuple(map(load_vehicle, source))[:cars]
 
 
 # Columns of a parameter row.

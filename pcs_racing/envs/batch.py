@@ -1,6 +1,6 @@
 """The protocol of a batch of episodes, over which all environments are written.
 
-A batch advances E episodes at once, each with one or two players: an environment is one player's view of an episode.
+A batch advances E episodes at once, each with one or more players: an environment is one player's view of an episode.
 Environment ``i`` belongs to player ``i % players`` of episode ``i // players``. Each episode draws from a generator of
 its own, so a batch of any size gives the same numbers. What happens when an episode ends is not the batch's business:
 :class:`pcs_racing.envs.single.SingleEnv` and :class:`pcs_racing.envs.vector.BatchVectorEnv` see to that.
@@ -32,6 +32,7 @@ class Batch(Protocol):
 
     episodes: int
     players: int  #: Of each episode.
+    cars: int  #: Of each episode.
     codes: Mapping[str, Mapping[int, str]]  #: Words of those infos that are codes.
     reset_options: tuple[str, ...]  #: Options that :meth:`restart` takes.
     horizon: int  #: Steps of an episode that does not end early.
@@ -73,7 +74,7 @@ class Batch(Protocol):
         """Write the observations of some episodes into the rows of their environments, ``out`` of shape (n, D)."""
 
     def both_views(self) -> NDArray[np.float32]:
-        """What each car of every episode observes, whoever drives it, shape (episodes, 2, D)."""
+        """What each car of every episode observes, whoever drives it, shape (episodes, cars, D)."""
 
     def infos(self) -> dict[str, NDArray[Any]]:
         """Infos of all environments: arrays of n numbers by name."""

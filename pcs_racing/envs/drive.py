@@ -1,6 +1,6 @@
-"""The environment at the level of steering and speed: one car against an opponent or alone, or two agents."""
+"""The environments at the level of steering and speed: one car alone or against others, or an agent in each car."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -8,22 +8,26 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
+from pcs_racing.base.checks import check_whole
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.settings import setting, whole
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions, drive_elements
 from pcs_racing.envs.over_batch import Declared, with_table
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.observation import observation_table
+from pcs_racing.race.state import MOST_CARS
 
 
 @with_table(observation_table(drive_elements(DriveOptions(beams=1))))
 class DriveEnv(ScalarEnv):
-    """Drive one car against a motion planner, or alone.
+    """Drive one car against motion planners, or alone.
 
     ## Description
 
-    Two cars race on a closed circuit. The agent steers car 0; car 1 is driven by a policy of a motion planner at its
-    own rate (plans at 10 Hz, steering at 50 Hz). Every step lasts ``time_step`` seconds, in which the action is held:
+    Two cars race on a closed circuit, or up to eight. The agent steers car 0; each other car is driven by a policy of a
+    motion planner at its own rate (plans at 10 Hz, steering at 50 Hz). A step lasts ``time_step`` s with one action:
     0.1 s by default, at which a discount of 0.99 looks ten seconds ahead; 0.02 s is the rate at which the planners
     steer.
 
@@ -48,14 +52,15 @@ class DriveEnv(ScalarEnv):
     {observation_table}
 
     Nothing in it tells where on the circuit the car is, so what is learned on one circuit can drive on another. Beams
-    see the opponent.
+    see all opponents. With several opponents the nine elements about the opponent are repeated for each of them, the
+    nearest along the track first ("opponent 2 gap" ...).
 
     ## Rewards
 
     ``progress_reward`` (1) for every metre of progress along the race line in the step, less ``rivalry`` (0) times the
-    opponent's progress, and ``-crash_penalty`` (-10) in the step in which the agent crashes into a wall, or into the
-    opponent and is to blame for it. ``rivalry=1`` makes the return the lead. ``win_reward`` (0) is added at the end
-    of a race that was won, and subtracted after a defeat; the preset says who wins after a crash. Alone nobody wins.
+    progress of the opponent (the mean of several), and ``-crash_penalty`` (-10) in the step in which the agent crashes
+    by its own fault, into a wall or a car. ``rivalry=1`` makes the return the lead. ``win_reward`` (0) is added at
+    the end of a race that was won, and subtracted after a defeat; the preset says who wins after a crash, alone nobody.
 
     ## Starting State
 
@@ -65,19 +70,21 @@ class DriveEnv(ScalarEnv):
 
     ``reset(options=...)`` takes ``obstacles`` (boxes: x, y, heading, length and width in m and rad, shape (K, 5));
     ``start``, (arc length of the line in m, side: 0 puts the agent on the left or in
-    front); or ``poses``, (x, y, heading) or (x, y, heading, speed) of both cars, in m, rad and m/s; ``opponent`` and
+    front); or ``poses``, (x, y, heading) or (x, y, heading, speed) of all cars, in m, rad and m/s; ``opponent`` and
     ``track``, which replace the arguments from then on; and ``state``, what ``get_state()`` returned. Others are
     refused.
 
     ## Episode End
 
-    *Terminated* by a crash of either car. *Truncated* after the preset's duration (40 s); with a ``win_reward`` that is
+    *Terminated* by a crash of any car, unless the rules' ``contact`` lets cars drive on.
+    *Truncated* after the preset's duration (40 s); with a ``win_reward`` that is
     a termination, too, since the race is decided and nothing follows (take ``time_left`` then).
 
     ## Information
 
     Numbers: ``time`` (s), ``progress`` and ``lead`` (m), ``crash`` and ``opponent_crash``
-    (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the agent is to blame for a crash),
+    (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the agent is to blame for a crash;
+    how many were its fault, where they do not end the race),
     ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a no-contest
     crash; alone always 0), ``opponent``, the index of the episode's opponent (-1 if there is none), ``laps``
     (complete ones, from one crossing of the line s = 0 to the next), ``lap_time`` and ``best_lap`` (s, of the last and
@@ -99,6 +106,9 @@ class DriveEnv(ScalarEnv):
         the archive every 8 s. Of a list, in which entries may be (weight, opponent), one is drawn for each episode; all
         must drive with the same planner. With None the agent is alone on the track: the second car is not simulated,
         can't be touched or seen, and its elements are 0.
+    opponents : list, optional
+        One driver for each other car, up to seven, in place of `opponent`; they may have different planners. `opponent`
+        in the infos is -1 if there are several.
     race : str, Path or RaceConfig
         Rules of the race: "paper", "contest", a YAML file or a configuration.
     duration : float, optional
@@ -132,8 +142,8 @@ class DriveEnv(ScalarEnv):
         Number of start lines to draw from.
     archive : str, Path or PolicyArchive
         Policies of an opponent that moves.
-    vehicle : VehicleParams, dict, str or Path, or a list of two
-        Parameters of both cars, or of car 0 and car 1: a dict or a YAML file names those that differ from F1TENTH's
+    vehicle : VehicleParams, dict, str or Path, or a list with one for each car
+        Parameters of all cars, or of each one: a dict or a YAML file names those that differ from F1TENTH's
         (:class:`pcs_racing.VehicleParams`), such as ``{"mu": 0.8}``.
     randomize : Randomization, dict, str or Path, optional
         Ranges from which each episode draws friction, mass, steering delay, steering noise and noise of the lidar
@@ -143,8 +153,8 @@ class DriveEnv(ScalarEnv):
         (:class:`pcs_racing.envs.obstacles.Obstacles`).
         The lidar sees them, a car that touches one has crashed as into a wall, and the lattice planner avoids most.
     render_mode : {"rgb_array", "human"}, optional
-    view : {"track", "both", "car_0", "car_1"}
-        What a frame shows.
+    view : {"track", "both", "car_0", ..., "car_7"}
+        What a frame shows; "both" keeps all cars in sight.
     render_size : tuple of int
         Width and height of a frame in pixels.
 
@@ -196,12 +206,32 @@ class DriveVectorEnv(BatchVectorEnv):
     declared = replace(DriveEnv.declared, positional=())
 
 
-class DriveHeadToHeadEnv(ParallelBatchEnv):
-    """Two cars race each other; each agent steers one, fifty times a second.
+@dataclass(frozen=True, eq=False)
+class HeadToHeadOptions(DriveOptions):
+    """Arguments of the environments with an agent in several cars."""
+
+    cars: int = setting(2, whole(1, MOST_CARS), "Cars in a race.")
+
+
+class _SeveralAgents:
+    """Agents drive the cars that opponents leave."""
+
+    def _players(self, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
+        own = {name: value for name, value in arguments.items() if name != "cars"}
+        cars = check_whole("cars", arguments["cars"], 1, MOST_CARS)
+        given = [arguments["opponent"]] if arguments["opponents"] is None else arguments["opponents"]
+        opponents = 0 if given == [None] else len(given)
+        if opponents >= cars:
+            raise InputError(f"cars is {cars}, and there are {opponents} opponents; leave a car to an agent")
+        return own, cars - opponents
+
+
+class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
+    """Two to eight cars race each other; each agent steers one, fifty times a second.
 
     ## Description
 
-    :class:`pcs_racing.envs.drive.DriveEnv` with an agent in either car: the same vehicles, circuits and rules. Both
+    :class:`pcs_racing.envs.drive.DriveEnv` with an agent in every car: the same vehicles, circuits and rules. All
     agents act in every step, at the same moment. A step lasts `time_step` seconds (0.02 s, the rate at which the motion
     planners steer), in which the actions are held; 0.1 s is easier to learn with. A race belongs to its seed, whatever
     the interface: with the same seed, `DriveEnv` starts on the same line.
@@ -224,15 +254,16 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     | lidar, which sees the opponent as well | `beams` | `beams`; 0 for none |
 
     With `see_opponent="in sight"` the nine numbers are 0 while a wall stands between the centres of the two cars, or
-    they are further apart than `max_range`. `state()` is the observation of `car_0` followed by that of `car_1`.
+    they are further apart than `max_range`. Of several opponents the nearest comes first. `state()` is the observation
+    of `car_0` followed by those of all others.
 
     ## Rewards
 
     The rewards of `DriveEnv`, for each agent from its own side. Progress is in m along the race line.
 
-    - `progress_reward` (1) times (own progress in the step less `rivalry` (1) times the opponent's): with the defaults
-      the return is the lead that was gained, and the two agents' rewards add up to zero;
-    - less `crash_penalty` (10) for a crash by own fault: into a wall, or into the other car;
+    - `progress_reward` (1) times (own progress in the step less `rivalry` (1) times the opponents' mean): with the
+      defaults the return is the lead that was gained, and the agents' rewards add up to zero;
+    - less `crash_penalty` (10) for a crash by own fault: into a wall, or into another car;
     - plus `win_reward` (0) at the end of a race that was won, less as much after a defeat. Who is ahead wins; after a
       crash, the preset decides: in `contest` the car to blame loses, in `paper` nobody wins.
 
@@ -245,7 +276,8 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
 
     ## Episode End
 
-    Both agents terminate when either car crashes: the race is over then. Both are truncated after the race's duration
+    All agents terminate when a car crashes, unless the rules' `contact` says that cars drive on: the race is over then.
+    All are truncated after the race's duration
     (40 s), which with a `win_reward` is a termination, since the race is decided and nothing follows; and after
     `max_cycles` steps. `agents` is empty from then on.
 
@@ -259,8 +291,9 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     Those of `DriveEnv`, with their meaning and default there, such as `track`, `race`, `render_mode`, `view` and
     `render_size`; but:
 
+    - `cars` (2): cars in a race, 1 to 8. Agents are `car_0` to `car_7`.
     - `opponent` (`None`): what drives `car_1` in place of a second agent, as for `pcs_racing/Drive-v1`. Then `car_0` is
-      the only agent.
+      the only agent. With more cars it drives the last one, and `opponents` as many.
     - `time_step` (0.02): length of a step in s, a multiple of 0.02 s up to 1 s.
     - `rivalry` (1.0): see *Rewards*.
     - `max_cycles` (`None`): steps after which an episode is truncated.
@@ -290,19 +323,19 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     batch_type = DriveBatch
     batch: DriveBatch
     declared = Declared(
-        DriveOptions,
+        HeadToHeadOptions,
         positional=("track", "race"),
         changed={"opponent": None, "time_step": 0.02, "rivalry": 1.0},
     )
 
 
-class DriveHeadToHeadVectorEnv(BatchVectorEnv):
+class DriveHeadToHeadVectorEnv(_SeveralAgents, BatchVectorEnv):
     """Many races of :class:`DriveHeadToHeadEnv` in one, with the same numbers for the same seeds.
 
     Environment ``2 i`` is car 0 of race ``i``, and ``2 i + 1`` its car 1: one policy that acts in all of them races
-    against itself. Seeds belong to races: ``reset(seed=...)`` takes one for each race. The arguments are those of
-    :class:`DriveHeadToHeadEnv`, without ``opponent``, and of :class:`pcs_racing.envs.vector.BatchVectorEnv`. For
-    opponents that learn nothing there is :class:`DriveVectorEnv`.
+    against itself; with N agents in a race they are ``N i`` to ``N i + N - 1``. Seeds belong to races:
+    ``reset(seed=...)`` takes one for each race. The arguments are those of :class:`DriveHeadToHeadEnv` and of
+    :class:`pcs_racing.envs.vector.BatchVectorEnv`.
 
     Examples
     --------
@@ -322,5 +355,5 @@ parallel_env = DriveHeadToHeadEnv
 
 
 def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], Any]:
-    """Make the same environment in PettingZoo's turn-by-turn interface: both agents act, then a step is driven."""
+    """Make the same environment in PettingZoo's turn-by-turn interface: all agents act, then a step is driven."""
     return parallel_to_aec(parallel_env(**arguments))

@@ -30,12 +30,12 @@ from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, hold_command, leave_path
 from pcs_racing.race.conditions import runs_of
 from pcs_racing.race.config import load_race_config
-from pcs_racing.race.driving import default_threads
+from pcs_racing.race.driving import default_threads, pointers_of
 from pcs_racing.race.kernel import WORK_SIZE, KernelSettings
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.rendering import Renderer, half_sizes
-from pcs_racing.race.start_grid import Starts, settle
-from pcs_racing.race.state import WALL_CRASH, RaceState, take
+from pcs_racing.race.start_grid import Starts, places_of_grid, settle
+from pcs_racing.race.state import RaceState, take
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
 
@@ -65,7 +65,7 @@ class Course(NamedTuple):
 
 
 class DriveBatch:
-    """Races side by side; car 0 of each is driven by an agent, car 1 by an opponent or by a second agent.
+    """Races side by side; the first cars of each are driven by agents, the others by opponents.
 
     Implements :class:`pcs_racing.envs.batch.Batch`.
 
@@ -76,7 +76,7 @@ class DriveBatch:
     threads : int, optional
         Threads that may share a step; as many as there are cores by default.
     players : int
-        2 where both cars are driven by agents; `opponent` is None then.
+        Cars that agents drive; the opponents' come after them.
     **arguments
         Of :class:`DriveOptions`.
     """
@@ -88,23 +88,32 @@ class DriveBatch:
         check_batch_size(episodes, threads)
         options = DriveOptions(**arguments)
         self.episodes, self.players, self.options = int(episodes), players, options
-        if players == 2 and options.opponent is not None:
-            raise InputError(f"opponent is {options.opponent!r}; both cars belong to agents here, so it must be None")
-        self.variety = Variety(self.episodes, options.track, options.vehicle, options.randomize, options.obstacles)
+        given = (options.opponent,) if options.opponents is None else options.opponents
+        given = () if given == (None,) else given
+        self.cars = players + len(given)  #: In each race.
+        varied = options.track, options.vehicle, options.randomize, options.obstacles
+        self.variety = Variety(self.episodes, *varied, cars=self.cars)
         changes: dict[str, Any] = {"start_lines": options.start_lines}
         if options.duration is not None:
             changes["duration"] = options.duration
         config = load_race_config(options.race, **changes)
-        self.alone = options.opponent is None and players == 1
-        self.opponents = [] if options.opponent is None else drive_opponents(options.opponent, self._make_game)
-        movers = [opponent for opponent in self.opponents if not opponent.policies]
+        self.alone = self.cars == 1
+        #: Of each car that no agent drives: the opponents of which one is drawn for an episode.
+        self.rivals = [drive_opponents(one, self._make_game) for one in given]
+        movers = [one for rivals in self.rivals for one in rivals if not one.policies]
+        if self.cars > 2 and (movers or any(len(rivals) > 1 for rivals in self.rivals)):
+            raise InputError(
+                f"opponents is {list(given)!r:.120}; in a race of {self.cars} cars each is one driver, no list, "
+                "and none makes moves"
+            )
         self._moving = MovingOpponents(self.episodes, self._make_game()) if movers else None
-        planner = EXTERNAL
-        if self.opponents:
-            planner = shared_planner(self.opponents, self._moving.game if self._moving else None)
+        #: Of the only one of these cars; with several of them nothing is drawn.
+        self.opponents = self.rivals[0] if len(self.rivals) == 1 else []
+        game = self._moving.game if self._moving else None
+        planners = [EXTERNAL] * players + [shared_planner(rivals, game) for rivals in self.rivals]
         # The memory of late commands has one size for all episodes: that of the longest delay.
         delay = self.variety.randomization.most_delay
-        self.setup = RaceSetup(self.variety.circuits.track(0), config, (EXTERNAL, planner), self.variety.cars, delay)
+        self.setup = RaceSetup(self.variety.circuits.track(0), config, tuple(planners), self.variety.cars, delay)
         self._ticks = options.ticks
         self.horizon = -(-self.setup.config.ticks // self._ticks)
         self.frame_rate = max(1, round(1.0 / options.time_step))
@@ -112,7 +121,7 @@ class DriveBatch:
             **common_codes(opponent.name for opponent in self.opponents),
             **self.variety.codes,
         }
-        self.elements = drive_elements(options)
+        self.elements = drive_elements(options, self.cars)
         # Refused before arrays of this size are made.
         environments = self.episodes * players
         if environments * len(self.elements) > MOST_NUMBERS:
@@ -151,7 +160,6 @@ class DriveBatch:
             beams = Lidar(self.setup.track, options.beams, options.fov, options.max_range).kernel
         return Sight(
             players=self.players,
-            alone=self.alone,
             own_state=options.own_state,
             ahead=np.empty(0, np.int64),
             opponent=SEE_OPPONENT.index(options.see_opponent),
@@ -174,7 +182,8 @@ class DriveBatch:
         line, ds = setup.track.arrays.line, setup.track.arrays.ds
         ahead = np.array([round(distance / ds) % len(line) for distance in self.options.look_ahead], np.int64)
         lines = start_lines(setup.track, setup.config, 0, split="train")
-        places = Starts(np.repeat(lines, 2), np.tile(np.array([0, 1]), len(lines)))
+        count = places_of_grid(self.cars)
+        places = Starts(np.repeat(lines, count), np.tile(np.arange(count), len(lines)))
         grid = start_races(setup, places, np.zeros(len(places), np.uint64))
         settings = setup.settings
         # Time to collision costs time, and only opponents that observe characteristics need it.
@@ -194,7 +203,9 @@ class DriveBatch:
         # Equal weights draw a whole number, others a share: which of the two is part of what a seed means.
         weights = np.array([opponent.weight for opponent in self.opponents] or [1.0])
         self._edges = None if (weights == weights[0]).all() else np.cumsum(weights) / weights.sum()
-        self.theta = np.zeros((races, 2, setup.theta_size))
+        self.theta = np.zeros((races, self.cars, setup.theta_size))
+        #: shape (races, cars): Faults that agents have paid for, which one that ended a race never is.
+        self._paid = np.zeros((races, self.cars), np.int8)
         self.vehicles = self.variety.vehicles
         turn = max(vehicle.steer_max for vehicle in setup.vehicles[: self.players])
         self._limits = (turn, float(options.top_speed))
@@ -205,12 +216,12 @@ class DriveBatch:
         variety = self.variety
         self._uniform = not variety.circuits.several  # until an obstacle stands somewhere
         self._varied = bool(variety.codes or variety.drawn or variety.obstacles)
-        self._in_python = setup.planners[1].drive is not None
+        self._in_python = any(planner.drive is not None for planner in setup.planners)
         scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
-        enough_for = int(races * (TICK_US * self._ticks + scans) / WORTH_A_THREAD)
+        enough_for = int(races * (0.5 * self.cars * TICK_US * self._ticks + scans) / WORTH_A_THREAD)
         #: Threads that share a step: no more than have enough to do.
         self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
-        size = max(1, setup.planners[1].scratch_size)
+        size = max(1, *(planner.scratch_size for planner in setup.planners))
         self._buffers = [
             (np.empty(size), np.empty(WORK_SIZE), np.empty(len(self.elements)), np.empty(WORK_SHAPE))
             for _ in range(self.threads)
@@ -218,7 +229,7 @@ class DriveBatch:
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # begins threads when there is work for them
         self._compiled: Callable[..., None] | None = None
         with first_call(step_races, "the control-level environment", 20) as compiling:
-            self._pointers = (*setup.planners[0].pointers(), *setup.planners[1].pointers())
+            self._pointers = pointers_of(setup.planners)
             if compiling:
                 actions, results = np.empty((races, self.players, 2)), self._results()
                 self._step_part(actions, 0, 0, 0, 0, results)
@@ -232,16 +243,17 @@ class DriveBatch:
         """Begin new episodes in some races, each drawn from its own generator.
 
         Options, for each race or for all: "start", arc length of the line (m) and side (0 puts car 0 on the left or in
-        front); or "poses", x, y (m), heading (rad) and optionally speed (m/s) of both cars; and "obstacles", boxes (x,
+        front); or "poses", x, y (m), heading (rad) and optionally speed (m/s) of all cars; and "obstacles", boxes (x,
         y, heading, length, width).
         """
-        starts, poses = start_option(options, len(rows)), poses_option(options, len(rows))
+        count = len(rows)
+        starts, poses = start_option(options, count, self.cars), poses_option(options, count, self.cars)
         if starts is not None and poses is not None:
             raise InputError("reset options 'start' and 'poses' were both given; give one of the two")
         boxes = obstacles_option(options, len(rows))
         self.variety.draw(rows, generators)
         groups = [(self.course(circuit), some) for circuit, some in self.variety.groups(rows)]
-        places, seeds, at = np.zeros(len(rows), np.int64), np.zeros(len(rows), np.uint64), np.zeros((len(rows), 2))
+        places, seeds, at = np.zeros(count, np.int64), np.zeros(count, np.uint64), np.zeros((count, self.cars))
         grids: list[RaceState] = []
         # The draws of an episode come in this order whatever is given, so that one seed is one episode.
         for course, some in groups:
@@ -249,7 +261,7 @@ class DriveBatch:
             if starts is not None:
                 grid = start_races(course.setup, starts.take(some), np.zeros(len(some), np.uint64))
             elif poses is not None:
-                grid = place_poses(course.setup, poses[some], self.alone)
+                grid = place_poses(course.setup, poses[some])
             for k, i in enumerate(some):
                 generator = generators[i]
                 places[i] = generator.integers(course.grid.races)
@@ -279,7 +291,7 @@ class DriveBatch:
     def _check_clear(self, setup: RaceSetup, rows: NDArray[np.int64], placed: RaceState) -> None:
         """Refuse obstacles that a car would stand in."""
         settle(setup.track, setup.vehicles, placed, self.variety.conditions(rows))
-        wrong = np.flatnonzero(placed.crash[:, 0] == WALL_CRASH if self.alone else placed.crashed)
+        wrong = np.flatnonzero(placed.crashed)
         if len(wrong):
             raise InputError(f"episode {rows[wrong[0]]}: a car starts in one of the obstacles")
 
@@ -292,24 +304,24 @@ class DriveBatch:
             self.drawn[row] = generator.integers(max(1, len(self.opponents)))
         else:
             self.drawn[row] = draw_opponent(self._edges, generator)
-        if not self.opponents:
-            return
-        opponent = self.opponents[self.drawn[row]]
-        policy = opponent.draw_policy(generator)
-        if policy is not None:
-            self.theta[row, 1, : len(policy.parameters)] = policy.parameters
-        if self._moving is not None:
-            self._moving.draw(row, opponent, generator)
+        for car, rivals in enumerate(self.rivals, self.players):
+            # Of several cars each has one opponent.
+            opponent = rivals[self.drawn[row] if self.opponents else 0]
+            policy = opponent.draw_policy(generator)
+            if policy is not None:
+                self.theta[row, car, : len(policy.parameters)] = policy.parameters
+            if self._moving is not None:
+                self._moving.draw(row, opponent, generator)
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
         """Write the observations of the players of some races into their rows of ``out``, shape (B * players, n)."""
         self._see(rows, self.players, out)
 
     def both_views(self) -> NDArray[np.float32]:
-        """What each car of every race observes, or would if it were driven by a player, shape (B, 2, n)."""
-        out = np.empty((2 * self.episodes, len(self.elements)), np.float32)
-        self._see(self._rows, 2, out)
-        return out.reshape(self.episodes, 2, -1)
+        """What each car of every race observes, or would if it were driven by a player, shape (B, cars, n)."""
+        out = np.empty((self.cars * self.episodes, len(self.elements)), np.float32)
+        self._see(self._rows, self.cars, out)
+        return out.reshape(self.episodes, self.cars, -1)
 
     def _see(self, rows: NDArray[np.int64], players: int, out: NDArray[np.float32]) -> None:
         scenes = [self._scenes[row] for row in rows]
@@ -373,7 +385,9 @@ class DriveBatch:
         count = self.episodes * self.players
         ended, late = np.empty(count, np.bool_), np.empty(count, np.bool_)
         observations = np.empty((count, len(self.elements)), np.float32)
-        return StepResults(self.state.progress.copy(), np.empty(count), ended, late, observations)
+        if self.setup.config.contact != "end":
+            self._paid[:] = self.state.fault
+        return StepResults(self.state.progress.copy(), self._paid, np.empty(count), ended, late, observations)
 
     def _step_part(
         self, actions: NDArray[np.float64], ticks: int, first: int, last: int, worker: int, results: StepResults
@@ -388,7 +402,7 @@ class DriveBatch:
                 self.state,
                 self.theta,
                 self.vehicles,
-                *self._pointers,
+                self._pointers,
                 scene.settings,
                 ticks,
                 actions,
@@ -420,21 +434,18 @@ class DriveBatch:
             "opponent": self.drawn if self.opponents else np.full(self.episodes, -1),
             **self.variety.infos(),
         }
-        infos = {
+        return {
             **race_infos(self.state, self.players),
             "result": self._outcomes().reshape(-1),
             **{name: np.repeat(values, self.players) for name, values in of_races.items()},
         }
-        if self.alone:
-            infos["lead"] = np.zeros(self.episodes)
-        return infos
 
     def _outcomes(self) -> NDArray[np.int64]:
         """How each race has ended for each player, shape (B, players); alone a car races nobody: its result is open."""
         state, config = self.state, self.setup.config
         result = np.zeros((self.episodes, self.players), np.int64)
         # In most steps no race is over, and nobody need be asked who won.
-        over = (state.crash[:, 0] != 0) | (state.crash[:, 1] != 0) | (state.tick >= config.ticks)
+        over = state.crashed | (state.tick >= config.ticks)
         if self.alone or not over.any():
             return result
         rows = np.flatnonzero(over)
@@ -446,11 +457,9 @@ class DriveBatch:
         """Info of one player as plain numbers; faster than taking it from arrays of one."""
         race, car = divmod(environment, self.players)
         info = race_info(self.state, race, car)
-        over = info["crash"] or info["opponent_crash"] or self.state.tick.item(race) >= self.setup.config.ticks
+        over = self.state.crash[race].any() or self.state.tick.item(race) >= self.setup.config.ticks
         info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
-        if self.alone:
-            info["lead"] = 0.0
         if self._varied:
             info.update(self.variety.info(race))
         return info
@@ -458,17 +467,16 @@ class DriveBatch:
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw a race as it stands."""
         race = environment // self.players
-        cars = self.state.cars[race, :1] if self.alone else self.state.cars[race]
+        cars = self.state.cars[race]
         info = self.info(race * self.players)
         text = f"{info['time']:.1f} s    {info['progress']:.1f} m"
-        names = ("car_0", "car_1") if self.players == 2 else ("you", "opponent")
-        if self.opponents:
-            names = ("you", self.opponents[info["opponent"]].name)
+        names = [f"car_{car}" for car in range(self.players)] if self.players > 1 else ["you"]
+        names += [rivals[max(info["opponent"], 0)].name for rivals in self.rivals]
         if not self.alone:
             text += f"    lead of {names[0]} {info['lead']:+.1f} m"
-        plans = [np.full((1, 2), np.nan), self.state.path[race, 1]] if self.opponents else None
+        plans = [np.full((1, 2), np.nan)] * self.players + list(self.state.path[race, self.players :])
         renderer.show(self.variety.track(race), half_sizes(self.vehicles[race]))
-        return renderer.render(cars, plans=plans, names=names, text=text)
+        return renderer.render(cars, plans=plans if self.rivals else None, names=names, text=text)
 
     def film(
         self, renderer: Renderer, environment: int, ticks: int | None = None, step: Any = None
@@ -479,7 +487,7 @@ class DriveBatch:
     def get_state(self) -> tuple[Any, ...]:
         """Copies of the races, of the opponents' indices and parameters, and of the moves they made."""
         moving = None if self._moving is None else self._moving.get_state()
-        return self.state.copy(), self.drawn.copy(), self.theta[:, 1].copy(), moving, self.variety.get_state()
+        return self.state.copy(), self.drawn.copy(), self.theta.copy(), moving, self.variety.get_state()
 
     def set_state(self, state: tuple[Any, ...]) -> None:
         """Continue from what `get_state` returned, here or in an equal batch."""
@@ -500,7 +508,7 @@ class DriveBatch:
         # Into the own arrays: the state that was given stays as it is.
         for name, own in self.state._asdict().items():
             own[...] = getattr(races, name)
-        self.drawn[:], self.theta[:, 1] = drawn, theta
+        self.drawn[:], self.theta[:] = drawn, theta
         if self._moving is not None:
             self._moving.set_state(moving, self.state)
 

@@ -1,7 +1,7 @@
 """The compiled step of the control-level environments: commands in, races driven on, observations and rewards out.
 
-One or both cars of a race belong to agents, its players. Rows of observations and rewards count the players of all
-races: with two, row ``2 i`` is car 0 of race ``i`` and row ``2 i + 1`` its car 1.
+The first cars of a race, or all, belong to agents, its players. Rows of observations and rewards count the players of
+all races: with two, row ``2 i`` is car 0 of race ``i`` and row ``2 i + 1`` its car 1.
 """
 
 from typing import Any, NamedTuple
@@ -12,15 +12,12 @@ from numpy.typing import NDArray
 from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.collision import car_hits_wall
-from pcs_racing.car.lidar_kernel import Beams, scan_into
+from pcs_racing.car.lidar_kernel import Beams, end_scan, scan_car, scan_walls
 from pcs_racing.game.reward import step_reward, win_sign
-from pcs_racing.race import state as _state
-from pcs_racing.race.config import CONTROL_EVERY, DT
 from pcs_racing.race.kernel import advance_races
-from pcs_racing.race.positions import count_crossing
-from pcs_racing.race.steering import delayed, steering_noise, steering_sd
-from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, project
+from pcs_racing.race.positions import nearest_car
+from pcs_racing.race.steering import steering_noise
+from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between
 from pcs_racing.track.grid import cast
 
 OWN_ELEMENTS = 8  # numbers about the own car
@@ -37,8 +34,7 @@ _LIDAR_KEY = np.uint64(0x5851F42D4C957F2D)
 class Sight(NamedTuple):
     """What the players of a race observe, in the form that the kernels read."""
 
-    players: int  #: Cars that observe: 1 for car 0 alone, or 2.
-    alone: bool  #: Whether car 1 does not exist.
+    players: int  #: Cars that observe: the first ones.
     own_state: bool  #: Whether the numbers about the own car are there.
     ahead: NDArray[Any]  #: int64: Look-ahead distances in samples of the race line, each in [0, N).
     #: ``NEVER``: there are no numbers about the opponent; ``IN_SIGHT``: they are 0 where a wall hides it or it is too
@@ -57,68 +53,12 @@ class Sight(NamedTuple):
 class StepResults(NamedTuple):
     """What a step overwrites, and the progress that it is paid from; the players of a race have rows side by side."""
 
-    before: NDArray[np.float64]  #: shape (B, 2): Progress before the step, m.
+    before: NDArray[np.float64]  #: shape (B, N): Progress before the step, m.
+    faults: NDArray[np.int8]  #: shape (B, N): Faults that were paid for before.
     reward: NDArray[np.float64]  #: shape (B * players,)
     terminated: NDArray[np.bool_]  #: shape (B * players,)
     truncated: NDArray[np.bool_]  #: shape (B * players,)
     observations: NDArray[np.float32]  #: shape (B * players, n)
-
-
-@kernel
-def advance_alone(track, state, vehicles, settings, ticks, first, last):  # type: ignore[no-untyped-def]
-    """Advance car 0 of races ``first`` to ``last - 1`` by ``ticks`` steps, as if no other car were there.
-
-    The same steps at the same times as in :func:`pcs_racing.race.kernel.advance_races`, for a car that drives as the
-    first two numbers of its memory say. Car 1 stays where it is, and nothing is summed up for characteristics.
-    """
-    keep = settings.noise_keep
-    # What is added to the disturbance makes up for what fades, so that its spread stays that of the rules.
-    share = np.sqrt(1.0 - keep * keep)
-    half = 0.5 * track.length
-    for race in range(first, last):
-        end = min(state.tick[race] + ticks, settings.end_tick)
-        own = state.cars[race, 0]
-        p = vehicles[race, 0]
-        noise_sd = steering_sd(settings, p)
-        # A race that is over stands still: its numbers are the last ones until it is restarted.
-        while state.tick[race] < end and state.crash[race, 0] == 0:
-            tick = state.tick[race]
-            if tick % CONTROL_EVERY == 0:
-                state.command[race, 0, 0] = state.memory[race, 0, 0]
-                state.command[race, 0, 1] = state.memory[race, 0, 1]
-                if noise_sd > 0.0:
-                    draw = noise_sd * share * steering_noise(state.seed[race], 0, tick)
-                    state.disturbance[race, 0] = keep * state.disturbance[race, 0] + draw
-                    state.command[race, 0, 0] += state.disturbance[race, 0]
-                if p[_vehicle.STEER_DELAY] > 0.0:
-                    state.command[race, 0, 0] = delayed(
-                        state.memory[race, 0], p[_vehicle.STEER_DELAY], tick, state.command[race, 0, 0]
-                    )
-            _vehicle.step_to_target(own, state.command[race, 0, 0], state.command[race, 0, 1], p, DT)
-            # Walls and progress are looked at after a control period, as often as in races of two cars.
-            tick += 1
-            state.tick[race] = tick
-            if tick % CONTROL_EVERY == 0:
-                before = state.frenet[race, 0, 0]
-                s, d = project(track, own[_vehicle.X], own[_vehicle.Y], before)
-                # From one end of the line to the other s jumps by a lap; what was driven is the short way.
-                driven = s - before
-                if driven > half:
-                    driven -= track.length
-                    count_crossing(track.length, before, driven, tick, state.laps, race, 0)
-                elif driven < -half:
-                    driven += track.length
-                    count_crossing(track.length, before, driven, tick, state.laps, race, 0)
-                state.progress[race, 0] += driven
-                state.frenet[race, 0, 0] = s
-                state.frenet[race, 0, 1] = d
-                half_length = 0.5 * p[_vehicle.LENGTH]
-                half_width = 0.5 * p[_vehicle.WIDTH]
-                if car_hits_wall(
-                    track, own[_vehicle.X], own[_vehicle.Y], own[_vehicle.PSI], half_length, half_width, s
-                ):
-                    state.crash[race, 0] = _state.WALL_CRASH
-                    state.fault[race, 0] = 1
 
 
 @inner_kernel
@@ -155,9 +95,8 @@ def _see_line(line, ds, s, ahead, row, k):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _see_opponent(length, cars, frenet, progress, race, car, row, k):  # type: ignore[no-untyped-def]
-    """Write the numbers about the opponent from ``row[k]`` on."""
-    other = 1 - car
+def _see_opponent(length, cars, frenet, progress, race, car, other, row, k):  # type: ignore[no-untyped-def]
+    """Write the numbers about an opponent from ``row[k]`` on."""
     psi = cars[race, car, _vehicle.PSI]
     v = cars[race, car, _vehicle.V]
     sn, c = sine_cosine(psi)
@@ -183,12 +122,12 @@ def _see_opponent(length, cars, frenet, progress, race, car, row, k):  # type: i
 
 
 @inner_kernel
-def _in_sight(track, cars, race, car, reach):  # type: ignore[no-untyped-def]
+def _in_sight(track, cars, race, car, other, reach):  # type: ignore[no-untyped-def]
     """Whether no wall stands between the centres of the cars, and they are ``reach`` m apart at most."""
     x = cars[race, car, _vehicle.X]
     y = cars[race, car, _vehicle.Y]
-    dx = cars[race, 1 - car, _vehicle.X] - x
-    dy = cars[race, 1 - car, _vehicle.Y] - y
+    dx = cars[race, other, _vehicle.X] - x
+    dy = cars[race, other, _vehicle.Y] - y
     apart = np.sqrt(dx * dx + dy * dy)
     # No ray has a direction between two cars at the same place; they see each other.
     if apart > reach or apart == 0.0:
@@ -203,6 +142,7 @@ def _in_sight(track, cars, race, car, reach):  # type: ignore[no-untyped-def]
 def _observe(track, state, vehicles, sight, race, car, row, work):  # type: ignore[no-untyped-def]
     """Write what a car observes, in the units of the elements."""
     cars, frenet = state.cars, state.frenet
+    number = cars.shape[1]
     k = 0
     if sight.own_state:
         _see_own(track.line, track.ds, cars, frenet, state.memory, race, car, row, k)
@@ -210,37 +150,43 @@ def _observe(track, state, vehicles, sight, race, car, row, work):  # type: igno
     _see_line(track.line, track.ds, frenet[race, car, 0], sight.ahead, row, k)
     k += STRETCH_ELEMENTS * sight.ahead.shape[0]
     if sight.opponent != NEVER:
-        hidden = sight.alone
-        if sight.opponent == IN_SIGHT and not hidden:
-            hidden = not _in_sight(track, cars, race, car, sight.beams.max_range)
-        if hidden:
-            row[k : k + OPPONENT_ELEMENTS] = 0.0
-        else:
-            _see_opponent(track.length, cars, frenet, state.progress, race, car, row, k)
-        k += OPPONENT_ELEMENTS
+        seen = 0
+        for _ in range(max(1, number - 1)):
+            # The nearest first; there is none where the car is alone.
+            other = 1 - car if number == 2 else nearest_car(track.length, frenet, race, car, seen)
+            seen |= 1 << max(other, 0)
+            hidden = other < 0
+            if sight.opponent == IN_SIGHT and not hidden:
+                hidden = not _in_sight(track, cars, race, car, other, sight.beams.max_range)
+            if hidden:
+                row[k : k + OPPONENT_ELEMENTS] = 0.0
+            else:
+                _see_opponent(track.length, cars, frenet, state.progress, race, car, other, row, k)
+            k += OPPONENT_ELEMENTS
     if sight.time_left:
         row[k] = 1.0 - state.tick[race] / sight.end_tick
         k += 1
     scan = row[k:]
     if scan.shape[0] == 0:
         return
-    other = 1 - car
-    scan_into(
-        track,
-        sight.beams,
-        cars[race, car, _vehicle.X],
-        cars[race, car, _vehicle.Y],
-        cars[race, car, _vehicle.PSI],
-        frenet[race, car, 0],
-        not sight.alone,
-        cars[race, other, _vehicle.X],
-        cars[race, other, _vehicle.Y],
-        cars[race, other, _vehicle.PSI],
-        0.5 * vehicles[race, other, _vehicle.LENGTH],
-        0.5 * vehicles[race, other, _vehicle.WIDTH],
-        work,
-        scan,
-    )
+    x, y, psi = cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y], cars[race, car, _vehicle.PSI]
+    if scan_walls(track, sight.beams, x, y, psi, frenet[race, car, 0], work, scan):
+        for other in range(number):
+            if other != car:
+                scan_car(
+                    sight.beams,
+                    x,
+                    y,
+                    psi,
+                    cars[race, other, _vehicle.X],
+                    cars[race, other, _vehicle.Y],
+                    cars[race, other, _vehicle.PSI],
+                    0.5 * vehicles[race, other, _vehicle.LENGTH],
+                    0.5 * vehicles[race, other, _vehicle.WIDTH],
+                    work,
+                    scan,
+                )
+        end_scan(scan)
     if sight.noise[race] > 0.0:
         _noisy(scan, state.seed[race], car, state.tick[race], sight.noise[race], sight.beams.max_range)
 
@@ -317,6 +263,33 @@ def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
         state.leader[race] = -1
         state.overtakes[race] = 0
         state.laps[race] = 0.0
+        state.ahead[race] = 0
+        state.contact[race] = 0
+
+
+@inner_kernel
+def _beats(state, race, one, two, crashed, fault_loses):  # type: ignore[no-untyped-def]
+    """Whether a car beats another one: the rule of :func:`pcs_racing.race.races.pair_scores`, compiled."""
+    progress, crash, fault = state.progress, state.crash, state.fault
+    if crashed and fault_loses and fault[race, one] == 0 and fault[race, two] == 0:
+        if (crash[race, one] == 0) != (crash[race, two] == 0):
+            return crash[race, one] == 0
+        crashed = False  # for these two
+    lead = progress[race, one] - progress[race, two]
+    return win_sign(lead, crashed, fault[race, one], fault[race, two], fault_loses) > 0.0
+
+
+@inner_kernel
+def _won(state, race, car, crashed, fault_loses):  # type: ignore[no-untyped-def]
+    """1.0 if a car beats all others, -1.0 if another one does, else 0.0."""
+    number = state.progress.shape[1]
+    for one in range(number):
+        beaten = 0
+        for two in range(number):
+            beaten += one != two and _beats(state, race, one, two, crashed, fault_loses)
+        if beaten == number - 1:
+            return 1.0 if one == car else -1.0
+    return 0.0
 
 
 @inner_kernel
@@ -324,19 +297,25 @@ def _end_step(state, end_tick, weights, sight, results, first, last):  # type: i
     """Rewards and ends after a step, from the progress before it and the state after it."""
     per_metre, rivalry, penalty, win, fault_loses = weights
     progress, crash, fault, before = state.progress, state.crash, state.fault, results.before
+    number = progress.shape[1]
     for race in range(first, last):
-        crashed = crash[race, 0] != 0 or crash[race, 1] != 0
+        crashed = False
+        for car in range(number):
+            crashed |= crash[race, car] != 0
         late = state.tick[race] >= end_tick
         # Where winning pays, nothing follows after the last moment of a race.
         ended = crashed or (late and win > 0.0)
         for car in range(sight.players):
-            other = 1 - car
             own = progress[race, car] - before[race, car]
-            opponent = 0.0 if sight.alone else progress[race, other] - before[race, other]
-            reward = step_reward(own, opponent, fault[race, car], (per_metre, rivalry, penalty))
-            if win > 0.0 and not sight.alone and (crashed or late):
-                lead = progress[race, car] - progress[race, other]
-                reward += win * win_sign(lead, crashed, fault[race, car], fault[race, other], fault_loses)
+            opponents = 0.0
+            for other in range(number):
+                if other != car:
+                    opponents += progress[race, other] - before[race, other]
+            rival = opponents / max(1, number - 1)
+            blamed = 1 if fault[race, car] > results.faults[race, car] else 0
+            reward = step_reward(own, rival, blamed, (per_metre, rivalry, penalty))
+            if win > 0.0 and number > 1 and (crashed or late):
+                reward += win * _won(state, race, car, crashed, fault_loses)
             player = race * sight.players + car
             results.reward[player] = reward
             results.terminated[player] = ended
@@ -344,12 +323,12 @@ def _end_step(state, end_tick, weights, sight, results, first, last):  # type: i
 
 
 @kernel
-def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks, actions, limits, weights, sight, rows, first, last, buffers, results):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
+def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions, limits, weights, sight, rows, first, last, buffers, results):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
     """One step of races ``first`` to ``last - 1``: drive ``ticks`` steps on, pay, and observe.
 
     Parameters
     ----------
-    track, state, theta, vehicles, plan0, control0, plan1, control1, settings, ticks
+    track, state, theta, vehicles, drivers, settings, ticks
         As in :func:`pcs_racing.race.kernel.advance_races`.
     actions : ndarray, shape (B, players, 2)
         Steering and speed, clipped to [-1, 1].
@@ -366,10 +345,6 @@ def step_races(track, state, theta, vehicles, plan0, control0, plan1, control1, 
     """
     scratch, work, row, scan_work = buffers
     set_commands(actions, limits[0], limits[1], state.memory, first, last)
-    if sight.alone:
-        advance_alone(track, state, vehicles, settings, ticks, first, last)
-    else:
-        drivers = (plan0, control0, plan1, control1)
-        advance_races(track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work)
+    advance_races(track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work)
     _end_step(state, settings.end_tick, weights, sight, results, first, last)
     observe_races(track, state, vehicles, sight, rows, first, last, row, scan_work, results.observations)

@@ -1,5 +1,6 @@
 """Arguments of the environments at the level of steering and speed, and the elements of their observations."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +12,13 @@ from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Rule, Settings, checked, choice, flag, number, setting, whole
 from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_RANGE, MOST_BEAMS
-from pcs_racing.car.vehicle import F1TENTH, load_vehicles
+from pcs_racing.car.vehicle import F1TENTH, load_vehicle
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import ObservationElement as Element
 from pcs_racing.race.config import CONTROL_EVERY, DT, RaceConfig
+from pcs_racing.race.state import MOST_CARS
 
 SEE_OPPONENT = ("never", "in sight", "always")
 """When the opponent is observed; each at the index that the kernel knows it by."""
@@ -52,12 +54,27 @@ def _look_ahead(value: Any) -> tuple[float, ...]:
     return tuple(check_number("look_ahead", distance, 0.0, 1000.0) for distance in value)
 
 
+def _vehicles(value: Any) -> Any:
+    return tuple(map(load_vehicle, value)) if isinstance(value, list | tuple) else load_vehicle(value)
+
+
+def _opponents(value: Any) -> tuple[Any, ...]:
+    if not isinstance(value, list | tuple) or len(value) >= MOST_CARS:
+        raise InputError(
+            f"opponents is {value!r:.80}; it must list at most {MOST_CARS - 1} opponents, one for each car"
+        )
+    return tuple(value)
+
+
 @dataclass(frozen=True, eq=False)
 class DriveOptions(Settings):
     """Arguments of the control-level environments; :class:`pcs_racing.envs.drive.DriveEnv` describes them."""
 
     track: Any = setting("Tarnfjord", Rule(_anything), "Circuit or circuits (`pcs_racing.envs.circuits`).")
     opponent: Any = setting("lattice", Rule(_anything), "Opponents (`pcs_racing.envs.opponents`).")
+    opponents: tuple[Any, ...] | None = setting(
+        None, checked(_opponents, "at most 7"), "Drivers of the other cars, in place of `opponent`."
+    )
     race: str | Path | RaceConfig = setting("paper", _source(RaceConfig), "Rules of the race.")
     duration: float | None = setting(None, Rule(_anything), "Length of a race, s; by default that of the rules.")
     time_step: float = setting(0.1, checked(_time_step, "a multiple of 0.02, up to 1"), "Length of a step, s.")
@@ -83,7 +100,7 @@ class DriveOptions(Settings):
     archive: str | Path | PolicyArchive = setting(
         "default", _source(PolicyArchive), "Archive of opponents that move between policies."
     )
-    vehicle: Any = setting(F1TENTH, checked(load_vehicles), "The cars (`pcs_racing.car.vehicle.load_vehicles`).")
+    vehicle: Any = setting(F1TENTH, checked(_vehicles), "The cars (`pcs_racing.car.vehicle.load_vehicles`).")
     randomize: Randomization | None = setting(
         None, checked(load_randomization), "Ranges from which each episode draws."
     )
@@ -94,18 +111,22 @@ class DriveOptions(Settings):
         if self.randomize is not None and self.randomize.lidar_noise is not None and self.beams == 0:
             raise ConfigError("randomize holds lidar_noise, but beams is 0: there is no lidar")
 
+        if self.opponents is not None and self.opponent not in (None, DriveOptions.opponent):
+            raise ConfigError(f"opponent is {self.opponent!r}, and opponents were given, too; give one of the two")
+
     @property
     def ticks(self) -> int:
         """Simulation steps of 0.01 s in a step of the environment."""
         return CONTROL_EVERY * round(self.time_step / (CONTROL_EVERY * DT))
 
 
-def drive_elements(options: DriveOptions) -> list[Element]:
+def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
     """Every element of the observation, in order; values beyond the bounds are clipped to them."""
+    vehicles = options.vehicle if isinstance(options.vehicle, tuple) else (options.vehicle,)
     pi = float(np.pi)
-    top = max(F1TENTH.v_max, *(car.v_max for car in options.vehicle))
-    turn = max(F1TENTH.steer_max, *(car.steer_max for car in options.vehicle))
-    least = min(F1TENTH.v_min, *(car.v_min for car in options.vehicle))
+    top = max(F1TENTH.v_max, *(car.v_max for car in vehicles))
+    turn = max(F1TENTH.steer_max, *(car.steer_max for car in vehicles))
+    least = min(F1TENTH.v_min, *(car.v_min for car in vehicles))
     elements: list[Element] = []
     if options.own_state:
         elements += [
@@ -127,7 +148,7 @@ def drive_elements(options: DriveOptions) -> list[Element]:
             Element(f"right {at}", "m", 0.0, 10.0, f"free width right of the race line {at}"),
         ]
     if options.see_opponent != "never":
-        elements += [
+        rival = [
             Element(
                 "opponent", "1", 0.0, 1.0, "1 if there is an opponent (in sight); else it and the next eight are 0"
             ),
@@ -142,6 +163,10 @@ def drive_elements(options: DriveOptions) -> list[Element]:
             Element("opponent vy", "m/s", -30.0, 30.0, "its velocity minus the own one, to the left in the own frame"),
             Element("lead", "m", -1000.0, 1000.0, "own progress minus the opponent's"),
         ]
+        # Of several opponents the nearest comes first.
+        for k in range(max(1, cars - 1)):
+            nth = f" {k + 1}" if k else ""
+            elements += [one._replace(name=re.sub("opponent|lead", rf"\g<0>{nth}", one.name)) for one in rival]
     if options.time_left:
         elements.append(Element("time left", "1", 0.0, 1.0, "share of the race's duration that is left"))
     elements += [

@@ -99,6 +99,8 @@ class GameBatch:
     frame_rate = 1
     film_rate: int | None = FILM_RATE
 
+    cars = 2
+
     def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
         check_batch_size(episodes, threads)
         own = {one.name for one in fields(self.options_type)}

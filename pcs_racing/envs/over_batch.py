@@ -97,7 +97,7 @@ class OverBatch:
     batch_type: ClassVar[type[Any]]
     declared: ClassVar[Declared]  #: Arguments of the batch.
     __signature__: ClassVar[Signature]  #: What Python shows as the class's arguments.
-    players: ClassVar[int] = 1  #: Environments that belong to the same episode: 2 for both cars of a race.
+    players: int = 1  #: Environments that belong to the same episode: 2 for both cars of a race.
     batch: Batch
     metadata: dict[str, Any] = {"render_modes": list(MODES), "render_fps": 1}  # noqa: RUF012
     render_mode: str | None
@@ -125,6 +125,10 @@ class OverBatch:
 
     def _make_batch(self, arguments: dict[str, Any]) -> Batch:
         raise NotImplementedError
+
+    def _players(self, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
+        """Return the arguments that the batch itself takes, and its players."""
+        return arguments, self.players
 
     def _use(self, batch: Batch, arguments: dict[str, Any]) -> None:
         self.batch, self._arguments = batch, arguments

@@ -17,7 +17,7 @@ from pcs_racing.envs.batch import Batch
 from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import FILM, OverBatch
 
-AGENTS = ("car_0", "car_1")
+AGENTS = ("car_0", "car_1")  # of two
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
@@ -198,9 +198,9 @@ class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
 
 
 class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
-    """Base class of the environments for two agents; subclasses name the batch and document themselves.
+    """Base class of the environments for two or more agents; subclasses name the batch and document themselves.
 
-    Both agents act in every step, and both end with the episode: from then on `agents` is empty.
+    All agents act in every step, and all end with the episode: from then on `agents` is empty.
     Where the argument `opponent` is not None it drives car 1, and ``car_0`` is the only agent.
     """
 
@@ -221,7 +221,7 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
             check_whole("max_cycles", max_cycles, 1)
         self.max_cycles = max_cycles
         self._use(self._make_batch(arguments), arguments)
-        self.possible_agents = list(AGENTS[: self.batch.players])
+        self.possible_agents = [f"car_{car}" for car in range(self.batch.players)]
         box, action = self.batch.observation_space, self.batch.action_space
         self.observation_spaces: dict[str, spaces.Space[Any]] = {
             name: spaces.Box(box.low, box.high) for name in self.possible_agents
@@ -230,13 +230,16 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         self.action_spaces: dict[str, spaces.Space[Any]] = {
             name: copy.deepcopy(action) for name in self.possible_agents
         }
-        self.state_space = spaces.Box(np.tile(box.low, 2), np.tile(box.high, 2))
+        self.state_space = spaces.Box(np.tile(box.low, self.batch.cars), np.tile(box.high, self.batch.cars))
 
     def _make_batch(self, arguments: dict[str, Any]) -> Batch:
-        players = 2 if arguments["opponent"] is None else 1
+        arguments, players = self._players(arguments)
         if self.possible_agents and len(self.possible_agents) != players:
             raise InputError("reset option 'opponent' needs an environment that was made with an opponent")
         return super()._make_batch({**arguments, "players": players})
+
+    def _players(self, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
+        return arguments, 2 if arguments["opponent"] is None else 1
 
     @property
     def agents(self) -> list[str]:
@@ -274,7 +277,7 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         )
 
     def state(self) -> NDArray[np.float32]:
-        """Observations of both cars, one after the other, whoever drives them."""
+        """Observations of all cars, one after the other, whoever drives them."""
         self._check_started()
         return self.batch.both_views()[0].reshape(-1).copy()
 

@@ -28,12 +28,14 @@ class Variety:
     obstacles : see :func:`pcs_racing.envs.obstacles.load_obstacles`
     """
 
-    def __init__(self, episodes: int, track: Any, vehicle: Any, randomize: Any, obstacles: Any) -> None:
-        self.cars = load_vehicles(vehicle)  #: As they are where nothing is drawn.
+    def __init__(
+        self, episodes: int, track: Any, vehicle: Any, randomize: Any, obstacles: Any, *, cars: int = 2
+    ) -> None:
+        self.cars = load_vehicles(vehicle, cars)  #: As they are where nothing is drawn.
         self.randomization = load_randomization(randomize)
         self.episodes = episodes
         self.circuits = Circuits(track, episodes)
-        #: shape (episodes, 2, 18): Parameter rows of the cars of each episode.
+        #: shape (episodes, cars, 18): Parameter rows of the cars of each episode.
         self.vehicles = vehicle_rows(self.cars, episodes)  # never read-only, which would be another type to compile
         #: Each of shape (episodes,): what was drawn for each episode, by name.
         self.drawn = {name: np.zeros(episodes) for name in self.randomization.names}
@@ -64,7 +66,7 @@ class Variety:
         Parameters
         ----------
         rows : ndarray of int
-        starts : ndarray, shape (len(rows), 2)
+        starts : ndarray, shape (len(rows), cars)
             Arc lengths at which the cars start, m.
         given : sequence of ndarray, shape (K, 5), optional
             Boxes of each episode, in place of drawn ones.

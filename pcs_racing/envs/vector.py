@@ -73,11 +73,13 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         render_size: tuple[int, int] = (960, 640),
     ) -> None:
         self._set_looks(render_mode, view, render_size)
-        num_envs, players = self.players if num_envs is None else num_envs, self.players
+        players = self.players = self._players(arguments)[1]
+        num_envs = players if num_envs is None else num_envs
         if max_episode_steps is not None:
             check_whole("max_episode_steps", max_episode_steps, 1)
         if is_whole(num_envs) and num_envs % players:
-            raise InputError(f"num_envs is {num_envs}; it must be even: two environments belong to each game")
+            wanted = "even" if players == 2 else f"a multiple of {players}"
+            raise InputError(f"num_envs is {num_envs}; it must be {wanted}: {players} environments belong to each game")
         self.autoreset_mode = check_autoreset_mode(autoreset_mode)
         self.max_episode_steps, self.threads, self.num_envs = max_episode_steps, threads, num_envs
         self._use(self._make_batch(arguments), arguments)
@@ -93,7 +95,8 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
     def _make_batch(self, arguments: dict[str, Any]) -> Batch:
         # What is no whole number goes on as it is, so that the batch's own check names it.
         episodes = self.num_envs // self.players if is_whole(self.num_envs) else self.num_envs
-        batch: Batch = self.batch_type(episodes, threads=self.threads, players=self.players, **arguments)
+        given, players = self._players(arguments)
+        batch: Batch = self.batch_type(episodes, threads=self.threads, players=players, **given)
         return batch
 
     def _use(self, batch: Batch, arguments: dict[str, Any]) -> None:

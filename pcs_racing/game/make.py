@@ -22,7 +22,7 @@ def make_game(
     opponent_planner: Planner | str | None = None,
     threads: int | None = None,
     ego_planner: Planner | str | None = None,
-    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH),
+    vehicles: tuple[VehicleParams, ...] = (F1TENTH, F1TENTH),
     most_delay: float = 0.0,
     **settings: Any,
 ) -> RaceGame:

@@ -74,7 +74,7 @@ class RaceGame:
     #: Threads to share the races of a batch; all cores by default. It does not change the result.
     threads: int | None = None
     ego_planner: Planner | str | None = None  #: The same for car 0 (``reset(egos=...)``).
-    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH)  #: Car 0 and car 1.
+    vehicles: tuple[VehicleParams, ...] = (F1TENTH, F1TENTH)  #: Car 0 and car 1.
     most_delay: float = 0.0  #: Longest ``steer_delay`` of a car in a game that has cars of its own (``conditions``), s.
 
     def __post_init__(self) -> None:

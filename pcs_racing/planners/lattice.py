@@ -212,7 +212,7 @@ def _speed_at(line, per_ds, s):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _steady_speed(line, per_ds, s, scale):  # type: ignore[no-untyped-def]
-    """Speed at an arc length above -length of a car that follows the profile and brakes as hard as it may, but no harder.
+    """Speed at an arc length above -length of a car that follows the profile and brakes as hard as it may, no harder.
 
     Above speed scale 1 the profile brakes harder than that, and a car has to begin earlier.
     """
@@ -397,7 +397,7 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
                 scratch[_KAPPA_RATE + g] = max(scratch[_KAPPA_RATE + g], rate)
                 scratch[_SIDEWAYS + g] = max(scratch[_SIDEWAYS + g], abs(bent) * square)
                 scratch[_KAPPA + g] = bent
-        # A near move may not end where the bend behind it cannot be driven: bends are measured as far as far moves reach.
+        # A near move may not end where the bend behind it cannot be driven: bends count as far as far moves reach.
         for j in range(BEYOND if first == 0 else 0):
             driven = length * (1.0 + (j + 1) / BEYOND * (FAR - 1.0))
             i = _sample_at(line, per_ds, s0 + driven)

@@ -16,7 +16,7 @@ from pcs_racing.track.track import Track
 class RaceConditions:
     """Cars and tracks of the B races of a batch, where they are not the same in all of them."""
 
-    #: shape (B, 2, 18): Parameter rows of both cars (:meth:`pcs_racing.car.vehicle.VehicleParams.as_row`); None for
+    #: shape (B, N, 18): Parameter rows of the cars (:meth:`pcs_racing.car.vehicle.VehicleParams.as_row`); None for
     #: those of the setup.
     vehicles: NDArray[np.float64] | None = None
     #: One for each race: the setup's circuit with obstacles on it; None for the circuit itself.
@@ -30,14 +30,13 @@ class RaceConditions:
             None if self.tracks is None else tuple(self.tracks[i] for i in chosen),
         )
 
-    def rows(self, vehicles: tuple[VehicleParams, VehicleParams], races: int) -> NDArray[np.float64]:
-        """Parameter rows of both cars of every race, shape (races, 2, 18), the setup's where there are no others."""
+    def rows(self, vehicles: Sequence[VehicleParams], races: int) -> NDArray[np.float64]:
+        """Parameter rows of the cars of every race, shape (races, N, 18), the setup's where there are no others."""
         if self.vehicles is None:
             return vehicle_rows(vehicles, races)
-        if self.vehicles.shape != (races, 2, PARAMS_SIZE):
-            raise InputError(
-                f"vehicles have shape {self.vehicles.shape}; for {races} races they must have {(races, 2, PARAMS_SIZE)}"
-            )
+        wanted = (races, len(vehicles), PARAMS_SIZE)
+        if self.vehicles.shape != wanted:
+            raise InputError(f"vehicles have shape {self.vehicles.shape}; for {races} races they must have {wanted}")
         return self.vehicles
 
     def runs(self, track: Track, races: int) -> list[tuple[Track, int, int]]:
@@ -59,10 +58,10 @@ def runs_of(values: Sequence[object]) -> list[tuple[int, int]]:
     return list(pairwise(edges)) if values else []
 
 
-def vehicle_rows(vehicles: tuple[VehicleParams, VehicleParams], races: int) -> NDArray[np.float64]:
-    """Parameters of both cars for every race, shape (races, 2, 18)."""
+def vehicle_rows(vehicles: Sequence[VehicleParams], races: int) -> NDArray[np.float64]:
+    """Parameters of the cars for every race, shape (races, N, 18)."""
     # Writeable, or one race would compile the kernels a second time.
-    rows = np.empty((races, 2, PARAMS_SIZE))
+    rows = np.empty((races, len(vehicles), PARAMS_SIZE))
     for car, vehicle in enumerate(vehicles):
         rows[:, car] = vehicle.as_row()
     return rows

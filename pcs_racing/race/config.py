@@ -34,9 +34,13 @@ def _speed_range(value: Any) -> tuple[float, float]:
     return value[0], value[1]
 
 
+CONTACTS = ("end", "stop", "restart")
+"""What a contact does; each at the index that the kernel knows it by."""
+
+
 @dataclass(frozen=True)
 class RaceConfig(Settings):
-    """How two cars race; :data:`PAPER` and :data:`CONTEST` are the two presets."""
+    """How cars race; :data:`PAPER` and :data:`CONTEST` are the two presets."""
 
     name: str = setting("paper", text(), "Name of the rules in archives, trees, networks and results.")
     duration: float = setting(40.0, tenths(0.1, 3600.0), "Length of a race, s.")
@@ -82,6 +86,12 @@ class RaceConfig(Settings):
     )
     ittc_horizon: float = setting(
         10.0, number(0.1, 1000.0), "Cap of the time to collision, s; without a cap the mean is infinite."
+    )
+    contact: Literal["end", "stop", "restart"] = setting(
+        "end",
+        choice(CONTACTS),
+        "What a contact does: it ends the race; the car at fault, or in a wall, stands still where it was; or it is "
+        "put back on the race line at rest, 2 m behind the other car, or where it was if it hit a wall.",
     )
     stay_move: bool = setting(False, flag(), "Whether the game offers a move that keeps the policy.")
 

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +11,14 @@ from numpy.typing import NDArray
 from pcs_racing.base.compilation import first_call
 from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError
+from pcs_racing.car.lanes import LANES
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
-from pcs_racing.race.config import CONTROL_EVERY, DT, RaceConfig
-from pcs_racing.race.kernel import GROUP, WORK_SIZE, KernelSettings, advance_races, fill_view
+from pcs_racing.race.config import CONTACTS, CONTROL_EVERY, DT, RaceConfig
+from pcs_racing.race.kernel import WORK_SIZE, KernelSettings, advance_races, fill_view
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
@@ -44,6 +46,7 @@ def kernel_settings(config: RaceConfig, speed_range: tuple[float, float]) -> Ker
         noise_sd=float(config.steering_noise),
         noise_keep=float(exponential(-CONTROL_EVERY * DT / config.noise_time)),
         ittc_horizon=float(config.ittc_horizon),
+        contact=CONTACTS.index(config.contact),
     )
 
 
@@ -55,11 +58,18 @@ def pad_parameters(policies: Sequence[Policy], size: int) -> NDArray[np.float64]
     return theta
 
 
+def pointers_of(planners: Sequence[Planner]) -> Any:
+    """Addresses of plan and control of each car, as the kernel takes them."""
+    addresses = [address for planner in planners for address in planner.pointers()]
+    # The kernel is compiled twice: for two cars, the number of which it reads off the tuple, and for any other number.
+    return tuple(addresses) if len(planners) == 2 else np.array(addresses)
+
+
 def drive(
     track: Track,
     settings: KernelSettings,
-    planners: tuple[Planner, Planner],
-    vehicles: tuple[VehicleParams, VehicleParams],
+    planners: tuple[Planner, ...],
+    vehicles: tuple[VehicleParams, ...],
     state: RaceState,
     theta: NDArray[np.float64],
     ticks: int,
@@ -74,7 +84,7 @@ def drive(
     cars, runs = conditions.rows(vehicles, state.races), conditions.runs(track, state.races)
     if ticks < 0 or ticks % CONTROL_EVERY:
         raise InputError(f"ticks is {ticks}; it must be an even number from 0")
-    if planners[0].drive is None and planners[1].drive is None:
+    if all(planner.drive is None for planner in planners):
         _drive_compiled(runs, settings, planners, cars, state, theta, ticks, threads)
         return
     # The compiled loop stops before every command, so that Python can give it.
@@ -87,7 +97,7 @@ def drive(
 def _drive_compiled(
     runs: list[Run],
     settings: KernelSettings,
-    planners: tuple[Planner, Planner],
+    planners: tuple[Planner, ...],
     cars: NDArray[np.float64],
     state: RaceState,
     theta: NDArray[np.float64],
@@ -95,7 +105,7 @@ def _drive_compiled(
     threads: int | None,
 ) -> None:
     races = state.races
-    wanted = (races, 2, max(1, *(len(planner.parameters) for planner in planners)))
+    wanted = (races, len(planners), max(1, *(len(planner.parameters) for planner in planners)))
     if theta.shape != wanted or theta.dtype != np.float64 or not theta.flags.c_contiguous:
         raise InputError(
             f"theta has shape {theta.shape} and type {theta.dtype}; it must be C-contiguous float64 of shape {wanted}"
@@ -118,7 +128,7 @@ def _drive_compiled(
         )
 
     with first_call(advance_races, "the planners and the race kernel", 14) as compiling:
-        drivers = (*planners[0].pointers(), *planners[1].pointers())
+        drivers = pointers_of(planners)
         if compiling and runs:
             part(runs[0][0].arrays, 0, 0)
     workers = min(threads or default_threads(), races, races * ticks // WORTH_A_THREAD)
@@ -129,17 +139,19 @@ def _drive_compiled(
         return
     # Other types of arguments compile here, before several threads would.
     part(runs[0][0].arrays, 0, 0)
-    pieces = _pieces(runs, races, ticks, workers)
+    pieces = _pieces(runs, races, ticks, workers, len(planners))
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(part, *zip(*pieces, strict=True)))
 
 
-def _pieces(runs: list[Run], races: int, ticks: int, workers: int) -> list[tuple[TrackArrays, int, int]]:
+def _pieces(runs: list[Run], races: int, ticks: int, workers: int, cars: int = 2) -> list[tuple[TrackArrays, int, int]]:
     """Cut runs into pieces for threads, each of which takes the next piece when it is done with one.
 
-    Many pieces are of whole groups. A few are of equal size instead, so that no thread waits for the last one.
+    Many pieces are of whole groups, which are driven in lockstep. A few are of equal size instead, so that no thread
+    waits for the last one.
     """
-    size = GROUP * max(1, PIECE // (GROUP * ticks))
+    group = LANES // cars
+    size = group * max(1, PIECE // (group * ticks))
     rounds = max(1, round(races / (workers * size)))
     if rounds < FEW_ROUNDS:
         size = -(-races // (workers * rounds))
@@ -153,7 +165,7 @@ def _pieces(runs: list[Run], races: int, ticks: int, workers: int) -> list[tuple
 def _ask_python_drivers(
     run: Run,
     settings: KernelSettings,
-    planners: tuple[Planner, Planner],
+    planners: tuple[Planner, ...],
     cars: NDArray[np.float64],
     state: RaceState,
     theta: NDArray[np.float64],

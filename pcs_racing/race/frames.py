@@ -40,13 +40,13 @@ def replay_frames(
 
 
 def _frames(replay: Replay, renderer: Renderer, step: float, candidates: bool) -> Iterator[np.ndarray]:
-    lead = replay.lead
     for k in range(int(replay.duration / step + 1e-9) + 1):
         # A multiple, not a sum of steps: rounding errors would move the last frames.
         time = k * step
         i = min(round(time / replay.frame_dt), len(replay.cars) - 1)
         since = max(0, i - round(_TRAIL / replay.frame_dt))
-        leader = 0 if lead[i] >= 0.0 else 1
+        order = np.argsort(-replay.progress[i], kind="stable")
+        lead = replay.progress[i, order[0]] - replay.progress[i, order[min(1, len(order) - 1)]]
         shown: dict[str, Any] = {}
         plan = int(time / replay.plan_dt + 1e-6)
         if replay.paths is not None and len(replay.paths):
@@ -59,7 +59,7 @@ def _frames(replay: Replay, renderer: Renderer, step: float, candidates: bool) -
             replay.cars[i],
             trails=replay.cars[since : i + 1, :, :2],
             names=replay.car_names,
-            text=f"{time:.1f} s    {replay.car_names[leader]:.60} leads by {abs(lead[i]):.1f} m",
+            text=f"{time:.1f} s    {replay.car_names[order[0]]:.60} leads by {lead:.1f} m",
             **shown,
         )
         if frame is not None:

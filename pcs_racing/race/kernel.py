@@ -1,4 +1,4 @@
-"""The compiled loop that advances a batch of two-car races: plan, control, drive, collide, measure.
+"""The compiled loop that advances a batch of races: plan, control, drive, collide, measure.
 
 Everything happens at fixed multiples of the simulation step of 0.01 s, so that stopping and going on changes nothing.
 """
@@ -16,21 +16,23 @@ from pcs_racing.planners import view as _view
 from pcs_racing.planners.calling import call_control, call_plan
 from pcs_racing.race import state as _state
 from pcs_racing.race.config import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
-from pcs_racing.race.positions import collide, update_progress
+from pcs_racing.race.contacts import END, settle_contacts
+from pcs_racing.race.positions import collide, nearest_car, update_progress
 from pcs_racing.race.steering import delayed, steering_noise, steering_sd
 from pcs_racing.track.frenet import COS, SIN, SPEED, WALLS_BEGIN, WALLS_END, WallArrays
 
 BLOCKING_REACH = 3.0  # m
 
-GROUP = LANES // 2
-"""Races that are driven in lockstep."""
+FAR = 1e6  # m: away stands the opponent that a driver alone on the track sees
 
-# The loop's scratch memory: the cars in their lanes; whether each is slow, and its steering angle before a control
-# period; the steps that each race has left; and the view of each car.
+# The loop's scratch memory: the cars in their lanes; whether each is slow; its steering angle and progress before a
+# control period; the velocities of the cars of a race; the steps that each race has left; and the view of each car.
 _SLOW = LANES_SIZE
 _STEERING_BEFORE = _SLOW + LANES
-_LEFT = _STEERING_BEFORE + LANES
-_VIEWS = _LEFT + GROUP
+_PROGRESS_BEFORE = _STEERING_BEFORE + LANES
+_VELOCITIES = _PROGRESS_BEFORE + LANES
+_LEFT = _VELOCITIES + 2 * LANES
+_VIEWS = _LEFT + LANES
 WORK_SIZE = _VIEWS + LANES * _view.VIEW_SIZE
 
 
@@ -46,11 +48,12 @@ class KernelSettings(NamedTuple):
     noise_sd: float
     noise_keep: float
     ittc_horizon: float
+    contact: int  #: Index in :data:`pcs_racing.race.config.CONTACTS`.
 
 
 @inner_kernel
-def _fill_fixed(own, opponent, settings, view):  # type: ignore[no-untyped-def]
-    """Write what stays the same during a race into a view: the two cars' parameters and the range of speeds."""
+def _fill_fixed(own, settings, view):  # type: ignore[no-untyped-def]
+    """Write what stays the same during a race into a view: the car's parameters and the range of speeds."""
     view[_view.OWN_LENGTH] = own[_vehicle.LENGTH]
     view[_view.OWN_WIDTH] = own[_vehicle.WIDTH]
     view[_view.WHEELBASE] = own[_vehicle.LF] + own[_vehicle.LR]
@@ -64,8 +67,6 @@ def _fill_fixed(own, opponent, settings, view):  # type: ignore[no-untyped-def]
     )
     view[_view.REAR_SLIP] = 1.0 / (grip * own[_vehicle.C_SR])
     view[_view.REAR_AXLE] = own[_vehicle.LR]
-    view[_view.OPP_LENGTH] = opponent[_vehicle.LENGTH]
-    view[_view.OPP_WIDTH] = opponent[_vehicle.WIDTH]
     view[_view.SPEED_LOW] = settings.speed_low
     view[_view.SPEED_HIGH] = settings.speed_high
 
@@ -79,9 +80,21 @@ def _part_at(s, size, parts):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view):  # type: ignore[no-untyped-def]
-    """Write what changes from step to step into a view."""
-    other = 1 - car
+def _fill_nobody(length, view):  # type: ignore[no-untyped-def]
+    """Write an opponent that nobody can meet, over the own car: far off the track, half a lap away along it."""
+    view[_view.OPP_X] = view[_view.OWN_X] + FAR
+    view[_view.OPP_Y] = view[_view.OWN_Y] + FAR
+    view[_view.OPP_V] = 0.0
+    s = view[_view.OWN_S] + 0.5 * length
+    view[_view.OPP_S] = s - length if s >= length else s
+    view[_view.OPP_D] = FAR
+    view[_view.OPP_D_DOT] = 0.0
+    view[_view.GAP] = 0.5 * length
+
+
+@inner_kernel
+def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, other, vehicles, view):  # type: ignore[no-untyped-def]
+    """Write what changes from step to step into a view whose opponent is the car ``other``."""
     view[_view.TIME] = tick * DT
     view[_view.OWN_X] = cars[race, car, _vehicle.X]
     view[_view.OWN_Y] = cars[race, car, _vehicle.Y]
@@ -92,6 +105,8 @@ def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view):  # ty
     view[_view.OWN_BETA] = cars[race, car, _vehicle.BETA]
     view[_view.OWN_S] = frenet[race, car, 0]
     view[_view.OWN_D] = frenet[race, car, 1]
+    view[_view.OPP_LENGTH] = vehicles[other, _vehicle.LENGTH]
+    view[_view.OPP_WIDTH] = vehicles[other, _vehicle.WIDTH]
     view[_view.OPP_X] = cars[race, other, _vehicle.X]
     view[_view.OPP_Y] = cars[race, other, _vehicle.Y]
     view[_view.OPP_V] = cars[race, other, _vehicle.V]
@@ -105,79 +120,93 @@ def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view):  # ty
     view[_view.GAP] = progress[race, other] - progress[race, car]
 
 
+@inner_kernel(forceinline=True)
+def _opponent(length, frenet, race, car, number):  # type: ignore[no-untyped-def]
+    """The car that a driver sees: the nearest one along the track, of two the other one, alone itself."""
+    return 1 - car if number == 2 else max(nearest_car(length, frenet, race, car, 0), 0)
+
+
 @kernel
 def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignore[no-untyped-def]
     """Write what the driver of ``car`` sees (:data:`pcs_racing.planners.view.VIEW`) into ``view``."""
-    _fill_fixed(vehicles[car], vehicles[1 - car], settings, view)
-    _fill_moving(track.line, track.ds, state.tick[race], state.cars, state.frenet, state.progress, race, car, view)
+    line, ds, length, tick = track.line, track.ds, track.length, state.tick[race]
+    _fill_fixed(vehicles[car], settings, view)
+    other = _opponent(length, state.frenet, race, car, state.frenet.shape[1])
+    _fill_moving(line, ds, tick, state.cars, state.frenet, state.progress, race, car, other, vehicles, view)
+    if other == car:
+        _fill_nobody(length, view)
 
 
-@inner_kernel
-def _count_overtakes(progress, leader, overtakes, race, length):  # type: ignore[no-untyped-def]
+@inner_kernel(forceinline=True)
+def _count_overtakes(progress, leader, overtakes, ahead, race, vehicles, number):  # type: ignore[no-untyped-def]
     """Count a pass once the car that was behind leads by more than a car's length."""
-    # By more than a length, so that two cars side by side don't pass each other at every step.
-    lead = progress[race, 0] - progress[race, 1]
-    if abs(lead) > length:
-        ahead = 0 if lead > 0.0 else 1
-        if leader[race] == 1 - ahead:
-            overtakes[race, ahead] += 1
-        leader[race] = ahead
+    for one in range(number):
+        for two in range(one + 1, number):
+            # By more than a length, so that two cars side by side don't pass each other at every step.
+            lead = progress[race, one] - progress[race, two]
+            if abs(lead) > vehicles[one, _vehicle.LENGTH]:
+                first, second = (one, two) if lead > 0.0 else (two, one)
+                if ahead[race, first] >> second & 1:
+                    continue
+                if ahead[race, second] >> first & 1:
+                    overtakes[race, first] += 1
+                    ahead[race, second] &= ~(1 << first)
+                ahead[race, first] |= 1 << second
+                if ahead[race, first] | 1 << first == (1 << number) - 1:
+                    leader[race] = first
 
 
 @kernel(forceinline=True)
-def measure_ittc(near, cars, frenet, sums, race, vehicles, horizon):  # type: ignore[no-untyped-def]
-    """Sample the minimum time to collision of both cars."""
-    sine0, cosine0 = sine_cosine(cars[race, 0, _vehicle.PSI] + cars[race, 0, _vehicle.BETA])
-    sine1, cosine1 = sine_cosine(cars[race, 1, _vehicle.PSI] + cars[race, 1, _vehicle.BETA])
-    v0x = cars[race, 0, _vehicle.V] * cosine0
-    v0y = cars[race, 0, _vehicle.V] * sine0
-    v1x = cars[race, 1, _vehicle.V] * cosine1
-    v1y = cars[race, 1, _vehicle.V] * sine1
-    # The velocities of both are worked out once, before the loop: each car needs that of the other, too.
-    for car in range(2):
-        other = 1 - car
+def measure_ittc(near, cars, frenet, sums, race, vehicles, horizon, work, number):  # type: ignore[no-untyped-def]
+    """Sample the minimum time to collision of so many cars."""
+    # The velocities of all are worked out once, before the loop: each car needs those of the others, too.
+    for car in range(number):
+        sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI] + cars[race, car, _vehicle.BETA])
+        work[car], work[LANES + car] = cars[race, car, _vehicle.V] * cosine, cars[race, car, _vehicle.V] * sine
+    for car in range(number):
         x = cars[race, car, _vehicle.X]
         y = cars[race, car, _vehicle.Y]
-        vx = v0x if car == 0 else v1x
-        vy = v0y if car == 0 else v1y
         stretch = _part_at(frenet[race, car, 0], near.seen_stretch, near.seen_middle.shape[0])
-        time = walls_ittc(near, stretch, x, y, vx, vy, horizon)
-        time = rectangle_ittc(
-            cars[race, other, _vehicle.X] - x,
-            cars[race, other, _vehicle.Y] - y,
-            cars[race, other, _vehicle.PSI],
-            0.5 * vehicles[other, _vehicle.LENGTH],
-            0.5 * vehicles[other, _vehicle.WIDTH],
-            vx - (v1x if car == 0 else v0x),
-            vy - (v1y if car == 0 else v0y),
-            time,
-        )
+        time = walls_ittc(near, stretch, x, y, work[car], work[LANES + car], horizon)
+        for other in range(number):
+            if other != car:
+                time = rectangle_ittc(
+                    cars[race, other, _vehicle.X] - x,
+                    cars[race, other, _vehicle.Y] - y,
+                    cars[race, other, _vehicle.PSI],
+                    0.5 * vehicles[other, _vehicle.LENGTH],
+                    0.5 * vehicles[other, _vehicle.WIDTH],
+                    work[car] - work[other],
+                    work[LANES + car] - work[LANES + other],
+                    time,
+                )
         sums[race, car, _state.ITTC] += time
         sums[race, car, _state.ITTC_SAMPLES] += 1.0
 
 
-@inner_kernel
-def _measure_speed(line, ds, speed_high, frenet, progress, sums, race, before0, before1):  # type: ignore[no-untyped-def]
-    """Add the time that the profile of pace 1 takes for what a control period drove, from the progress before it."""
-    for car in range(2):
-        driven = progress[race, car] - (before0 if car == 0 else before1)
+@inner_kernel(forceinline=True)
+def _measure_driving(  # type: ignore[no-untyped-def]
+    line, ds, speed_high, cars, frenet, progress, sums, race, vehicles, before, number
+):
+    """Add what one control period contributes to the running sums.
+
+    ``before`` begins with the steering angles of the cars before the period, followed by their progress.
+    """
+    period = CONTROL_EVERY * DT
+    for car in range(number):
+        # The time that the profile of pace 1 takes for what was driven.
+        driven = progress[race, car] - before[LANES + car]
         i = _part_at(frenet[race, car, 0], ds, line.shape[0])
         sums[race, car, _state.PROFILE] += driven / (speed_high * line[i, SPEED])
-
-
-@inner_kernel
-def _measure_driving(cars, frenet, progress, sums, race, vehicles, before0, before1):  # type: ignore[no-untyped-def]
-    """Add what one control period contributes to the running sums."""
-    period = CONTROL_EVERY * DT
-    lead = progress[race, 0] - progress[race, 1]
-    beside = abs(frenet[race, 0, 1] - frenet[race, 1, 1])
-    in_the_way = 0.5 * (vehicles[0, _vehicle.WIDTH] + vehicles[1, _vehicle.WIDTH])
-    if beside < in_the_way and 0.0 < abs(lead) < BLOCKING_REACH:
-        sums[race, 0 if lead > 0.0 else 1, _state.BLOCKING] += period
-    for car in range(2):
+        for other in range(number):
+            lead = progress[race, car] - progress[race, other]
+            beside = abs(frenet[race, car, 1] - frenet[race, other, 1])
+            in_the_way = 0.5 * (vehicles[car, _vehicle.WIDTH] + vehicles[other, _vehicle.WIDTH])
+            if beside < in_the_way and 0.0 < lead < BLOCKING_REACH:
+                sums[race, car, _state.BLOCKING] += period
+                break
         sideways = cars[race, car, _vehicle.V] * cars[race, car, _vehicle.PSI_DOT]
-        before = before0 if car == 0 else before1
-        sums[race, car, _state.STEERING] += abs(cars[race, car, _vehicle.DELTA] - before)
+        sums[race, car, _state.STEERING] += abs(cars[race, car, _vehicle.DELTA] - before[car])
         sums[race, car, _state.LATERAL] += sideways * sideways * period
         sums[race, car, _state.TIME] += period
 
@@ -189,34 +218,37 @@ def advance_races(  # type: ignore[no-untyped-def]
     """Advance races ``first`` to ``last - 1`` of a batch by ``ticks`` steps each, in place.
 
     A race that crashed or reached ``settings.end_tick`` stands still. Races are driven in groups whose cars share the
-    processor's vectors; no race depends on the others in its group.
+    processor's vectors, eight cars at a time; no race depends on the others in its group.
 
-    ``theta``, shape (B, 2, P), are parameters of the two policies of each race, and ``vehicles``, shape (B, 2, 18), its
-    cars' parameter rows. ``drivers`` are the addresses of plan and control of car 0 and of car 1
-    (:meth:`pcs_racing.planners.planner.Planner.pointers`). ``scratch``, as large as that of either planner, and
+    ``theta``, shape (B, N, P), are parameters of the policies of each race, and ``vehicles``, shape (B, N, 18), its
+    cars' parameter rows. ``drivers`` are the addresses of plan and control of each car
+    (:meth:`pcs_racing.planners.planner.Planner.pointers`). ``scratch``, as large as that of any planner, and
     ``work``, of ``WORK_SIZE``, hold nothing afterwards.
     """
-    plan0, control0, plan1, control1 = drivers
     # Arrays are taken out of their tuples once: handing whole tuples to functions costs more than many of these do.
     near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
     line, ds, length = track.line, track.ds, track.length
     cars, frenet, progress, sums = state.cars, state.frenet, state.progress, state.sums
     crash, fault, leader, overtakes, laps = state.crash, state.fault, state.leader, state.overtakes, state.laps
     commands, disturbances, paths, memories = state.command, state.disturbance, state.path, state.memory
+    # A number that is known when the code is compiled makes races of two cars faster: `pointers_of` sees to it.
+    number = len(drivers) // 2
+    group = LANES // number
     noise_share = np.sqrt(1.0 - settings.noise_keep * settings.noise_keep)
     # Numbers left over from elsewhere may be so small that arithmetic with them is slow.
     work[:LANES_SIZE] = 0.0
-    for start in range(first, last, GROUP):
-        stop = min(start + GROUP, last)
-        lanes = 2 * (stop - start)
+    for start in range(first, last, group):
+        stop = min(start + group, last)
+        lanes = number * (stop - start)
         for race in range(start, stop):
-            crashed = crash[race, 0] != 0 or crash[race, 1] != 0
-            work[_LEFT + race - start] = 0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])
-            for car in range(2):
-                lane = 2 * (race - start) + car
+            crashed = False
+            for car in range(number):
+                crashed |= crash[race, car] != 0
+                lane = number * (race - start) + car
                 load_car(work, lane, cars[race, car], vehicles[race, car])
                 view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
-                _fill_fixed(vehicles[race, car], vehicles[race, 1 - car], settings, view)
+                _fill_fixed(vehicles[race, car], settings, view)
+            work[_LEFT + race - start] = 0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])
         # One turn is one step of all races of the group that still drive.
         driving = True
         while driving:
@@ -227,19 +259,18 @@ def advance_races(  # type: ignore[no-untyped-def]
                 driving = True
                 tick = state.tick[race]
                 if tick % CONTROL_EVERY == 0:
-                    for car in range(2):
-                        lane = 2 * (race - start) + car
+                    for car in range(number):
+                        lane = number * (race - start) + car
                         view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
                         path, memory, command = paths[race, car], memories[race, car], commands[race, car]
-                        _fill_moving(line, ds, tick, cars, frenet, progress, race, car, view)
-                        if car == 0:
-                            if tick % PLAN_EVERY == 0:
-                                call_plan(plan0, track, theta[race, 0], view, memory, scratch, path)
-                            call_control(control0, track, theta[race, 0], view, memory, scratch, path, command)
-                        else:
-                            if tick % PLAN_EVERY == 0:
-                                call_plan(plan1, track, theta[race, 1], view, memory, scratch, path)
-                            call_control(control1, track, theta[race, 1], view, memory, scratch, path, command)
+                        other = _opponent(length, frenet, race, car, number)
+                        _fill_moving(line, ds, tick, cars, frenet, progress, race, car, other, vehicles[race], view)
+                        if number == 1:
+                            _fill_nobody(length, view)
+                        if tick % PLAN_EVERY == 0:
+                            call_plan(drivers[2 * car], track, theta[race, car], view, memory, scratch, path)
+                        control = drivers[2 * car + 1]
+                        call_control(control, track, theta[race, car], view, memory, scratch, path, command)
                         # First the disturbance, then the delay: the car gets late what was disturbed when it was sent.
                         noise_sd = steering_sd(settings, vehicles[race, car])
                         if noise_sd > 0.0:
@@ -252,8 +283,8 @@ def advance_races(  # type: ignore[no-untyped-def]
                         set_target(work, lane, command[0], command[1])
                         work[_STEERING_BEFORE + lane] = cars[race, car, _vehicle.DELTA]
                 # Slow cars are driven alone; their lanes are computed as well, and overwritten below.
-                for car in range(2):
-                    lane = 2 * (race - start) + car
+                for car in range(number):
+                    lane = number * (race - start) + car
                     slow = step_slow_car(work, lane, cars[race, car], vehicles[race, car], DT)
                     work[_SLOW + lane] = 1.0 if slow else 0.0
             step_lanes(work, lanes, DT)
@@ -262,23 +293,32 @@ def advance_races(  # type: ignore[no-untyped-def]
                     continue
                 work[_LEFT + race - start] -= 1.0
                 params = vehicles[race]
-                for car in range(2):
-                    lane = 2 * (race - start) + car
-                    if work[_SLOW + lane] != 0.0:
-                        load_car(work, lane, cars[race, car], params[car])
+                place = number * (race - start)  # of its cars, in the lanes
+                for car in range(number):
+                    if work[_SLOW + place + car] != 0.0:
+                        load_car(work, place + car, cars[race, car], params[car])
                     else:
-                        store_car(work, lane, cars[race, car])
+                        store_car(work, place + car, cars[race, car])
                 tick = state.tick[race] + 1
                 state.tick[race] = tick
                 # Measured before contacts are looked for: a race that ends now has driven this period.
                 if tick % CONTROL_EVERY == 0:
-                    before = _STEERING_BEFORE + 2 * (race - start)
-                    progress0, progress1 = progress[race, 0], progress[race, 1]
-                    update_progress(line, ds, length, cars, frenet, progress, laps, tick, race)
-                    _measure_speed(line, ds, settings.speed_high, frenet, progress, sums, race, progress0, progress1)
-                    _measure_driving(cars, frenet, progress, sums, race, params, work[before], work[before + 1])
-                    if collide(near, cars, frenet, crash, fault, race, params):
+                    for car in range(number):
+                        work[_PROGRESS_BEFORE + place + car] = progress[race, car]
+                        update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, car)
+                    before = work[_STEERING_BEFORE + place :]
+                    _measure_driving(
+                        line, ds, settings.speed_high, cars, frenet, progress, sums, race, params, before, number
+                    )
+                    if settings.contact != END:
+                        before = work[_VIEWS + _view.VIEW_SIZE * place :]
+                        if settle_contacts(track, state, race, params, settings.contact, before):
+                            for car in range(number):
+                                load_car(work, place + car, cars[race, car], params[car])
+                    elif collide(near, cars, frenet, crash, fault, race, params, number):
                         work[_LEFT + race - start] = 0.0
-                    _count_overtakes(progress, leader, overtakes, race, params[0, _vehicle.LENGTH])
+                    _count_overtakes(progress, leader, overtakes, state.ahead, race, params, number)
                 if tick % ITTC_EVERY == 0 and settings.ittc_horizon > 0.0:
-                    measure_ittc(near, cars, frenet, sums, race, params, settings.ittc_horizon)
+                    measure_ittc(
+                        near, cars, frenet, sums, race, params, settings.ittc_horizon, work[_VELOCITIES:], number
+                    )

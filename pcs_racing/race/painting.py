@@ -24,12 +24,20 @@ _THEMES = {
         "car0": "#1b6fd8", "car1": "#e08700", "slow": "#9a5fc0", "mid": "#6f8fd0", "fast": "#2fb3a0",
         "best": "#00695c", "worst": "#c9d3d6", "rejected": "#d12c4c",
         "name0": "#1559b0", "name1": "#945900",
+        "car2": "#22964f", "car3": "#c03fa0", "car4": "#8a5a2b",
+        "car5": "#008fa6", "car6": "#8c8f00", "car7": "#5b6775",
+        "name2": "#0f5a2c", "name3": "#7a2466", "name4": "#553517",
+        "name5": "#005765", "name6": "#555700", "name7": "#323a44",
     },
     "dark": {
         "ground": "#0c1117", "asphalt": "#222c37", "wall": "#74869b", "ink": "#e6ebf1", "tyre": "#070a0e",
         "car0": "#58a6ff", "car1": "#ffb03b", "slow": "#a772cf", "mid": "#6d8ed6", "fast": "#36c5ae",
         "best": "#8ef5d6", "worst": "#35454f", "rejected": "#ff5570",
         "name0": "#58a6ff", "name1": "#ffb03b",
+        "car2": "#4fd68a", "car3": "#ff7ad9", "car4": "#c79a6b",
+        "car5": "#4dd7ea", "car6": "#d7d94a", "car7": "#a9b6c6",
+        "name2": "#4fd68a", "name3": "#ff7ad9", "name4": "#c79a6b",
+        "name5": "#4dd7ea", "name6": "#d7d94a", "name7": "#a9b6c6",
     },
 }  # fmt: skip
 THEMES = tuple(_THEMES)
@@ -184,14 +192,16 @@ def paint_names(
     font: Any,
     top: float,
 ) -> None:
-    """Write beside each car who drives it, away from the other car and within the frame, ``top`` pixels below its edge.
+    """Write beside each car who drives it, away from the nearest one, in the frame, ``top`` pixels below its edge.
 
     The picture is the reduced one.
     """
     pen = ImageDraw.Draw(image)
     places = camera.pixels(cars[:, :2]) / FINER
     for car, name in enumerate(names[: len(cars)]):
-        apart = places[car] - places[1 - car] if len(cars) == 2 else np.zeros(2)
+        others = np.delete(places, car, axis=0)
+        ways = places[car] - others
+        apart = ways[np.argmin(np.hypot(*ways.T))] if len(others) else np.zeros(2)
         distance = float(np.hypot(*apart))
         # Cars at one place, or one car alone: the first name above, the second below.
         away = apart / distance if distance > 1.0 else np.array([0.0, 1.0 if car else -1.0])

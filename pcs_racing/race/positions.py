@@ -1,5 +1,7 @@
 """Where the cars of a race are: progress along the race line, laps, contacts, and who is to blame for these."""
 
+import numpy as np
+
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import Rectangle, contact_fault, hits_wall, rectangles_overlap
@@ -34,82 +36,106 @@ def count_crossing(length, before, driven, tick, laps, race, car):  # type: igno
 
 
 @kernel(forceinline=True)
-def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race):  # type: ignore[no-untyped-def]
-    """Project both cars onto the race line and add what they drove; crossing s = 0 only counts for the laps.
+def move_along(length, frenet, progress, laps, tick, race, car, s, d):  # type: ignore[no-untyped-def]
+    """Account for a car that was at another place of the line before; crossing s = 0 only counts for the laps."""
+    # Nobody drives half a lap in a control period: a larger change of s is a crossing of the start line.
+    half = 0.5 * length
+    before = frenet[race, car, 0]
+    driven = s - before
+    if driven > half:
+        driven -= length
+        count_crossing(length, before, driven, tick, laps, race, car)
+    elif driven < -half:
+        driven += length
+        count_crossing(length, before, driven, tick, laps, race, car)
+    progress[race, car] += driven
+    frenet[race, car, 0] = s
+    frenet[race, car, 1] = d
+
+
+@kernel(forceinline=True)
+def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, car):  # type: ignore[no-untyped-def]
+    """Project a car onto the race line and add what it drove.
 
     Takes single arrays: handing whole named tuples to small functions costs more than their work, in reference counts.
     """
-    # Nobody drives half a lap in a control period: a larger change of s is a crossing of the start line.
-    half = 0.5 * length
-    for car in range(2):
-        before = frenet[race, car, 0]
-        s, d = foot(line, ds, length, cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y], before)
-        driven = s - before
-        if driven > half:
-            driven -= length
-            count_crossing(length, before, driven, tick, laps, race, car)
-        elif driven < -half:
-            driven += length
-            count_crossing(length, before, driven, tick, laps, race, car)
-        progress[race, car] += driven
-        frenet[race, car, 0] = s
-        frenet[race, car, 1] = d
+    s, d = foot(line, ds, length, cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y], frenet[race, car, 0])
+    move_along(length, frenet, progress, laps, tick, race, car, s, d)
+
+
+@kernel
+def nearest_car(length, frenet, race, car, left_out):  # type: ignore[no-untyped-def]
+    """The car that is nearest to another one along the track, the shorter way round; the first of two that are as near.
+
+    Cars whose bits are set in ``left_out`` do not count; -1 if there is none.
+    """
+    nearest, least = -1, np.inf
+    for other in range(frenet.shape[1]):
+        gap = frenet[race, other, 0] - frenet[race, car, 0]
+        gap = abs(gap - length * np.floor(gap / length + 0.5))
+        if other != car and left_out >> other & 1 == 0 and gap < least:
+            nearest, least = other, gap
+    return nearest
 
 
 @inner_kernel(forceinline=True)
-def _body(state, vehicle):  # type: ignore[no-untyped-def]
+def body(state, vehicle):  # type: ignore[no-untyped-def]
     """The rectangle of a car."""
     half_length, half_width = 0.5 * vehicle[_vehicle.LENGTH], 0.5 * vehicle[_vehicle.WIDTH]
     return Rectangle(state[_vehicle.X], state[_vehicle.Y], state[_vehicle.PSI], half_length, half_width)
 
 
 @inner_kernel
-def _latch(cars, crash, fault, race, vehicles, wall0, wall1):  # type: ignore[no-untyped-def]
-    """Keep a crash and who is to blame for it; who is in a wall hit it before the other car."""
-    if wall0 or wall1:
-        if wall0:
-            crash[race, 0] = _state.WALL_CRASH
-            fault[race, 0] = 1
-        if wall1:
-            crash[race, 1] = _state.WALL_CRASH
-            fault[race, 1] = 1
-        return
-    first, second = cars[race, 0], cars[race, 1]
-    fault0, fault1 = contact_fault(first, second, _body(first, vehicles[0]), _body(second, vehicles[1]))
-    crash[race, 0] = _state.CAR_CRASH
-    crash[race, 1] = _state.CAR_CRASH
-    fault[race, 0] = 1 if fault0 else 0
-    fault[race, 1] = 1 if fault1 else 0
+def _latch(cars, crash, fault, race, vehicles, walls):  # type: ignore[no-untyped-def]
+    """Keep the crashes and who is to blame; a car in a wall, whose bit is set in ``walls``, hit it before any other."""
+    for first in range(cars.shape[1]):
+        if walls >> first & 1:
+            crash[race, first] = _state.WALL_CRASH
+            fault[race, first] = 1
+            continue
+        for second in range(first + 1, cars.shape[1]):
+            one, two = body(cars[race, first], vehicles[first]), body(cars[race, second], vehicles[second])
+            if walls >> second & 1 or not rectangles_overlap(one, two):
+                continue
+            fault0, fault1 = contact_fault(cars[race, first], cars[race, second], one, two)
+            crash[race, first] = _state.CAR_CRASH
+            crash[race, second] = _state.CAR_CRASH
+            if fault0:
+                fault[race, first] = 1
+            if fault1:
+                fault[race, second] = 1
 
 
 @inner_kernel
-def _touch(cars, race, vehicles):  # type: ignore[no-untyped-def]
-    """Whether the two cars of a race overlap."""
-    return rectangles_overlap(_body(cars[race, 0], vehicles[0]), _body(cars[race, 1], vehicles[1]))
+def overlap(cars, race, one, other, vehicles):  # type: ignore[no-untyped-def]
+    """Whether two cars of a race overlap."""
+    return rectangles_overlap(body(cars[race, one], vehicles[one]), body(cars[race, other], vehicles[other]))
 
 
 @inner_kernel(forceinline=True)
-def collide(near, cars, frenet, crash, fault, race, vehicles):  # type: ignore[no-untyped-def]
-    """Latch crashes and their faults; returns whether there is one."""
-    # False, but no constant, for which numba would compile `_latch` once more.
-    wall0 = wall1 = crash[race, 0] != 0
-    for car in range(2):
-        hit = hits_wall(near, frenet[race, car, 0], _body(cars[race, car], vehicles[car]))
-        wall0 = hit if car == 0 else wall0
-        wall1 = hit if car == 1 else wall1
-    crashed = wall0 or wall1 or _touch(cars, race, vehicles)
+def collide(near, cars, frenet, crash, fault, race, vehicles, number):  # type: ignore[no-untyped-def]
+    """Latch crashes of so many cars and their faults; returns whether there is one."""
+    walls = 0
+    for car in range(number):
+        if hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car])):
+            walls |= 1 << car
+    crashed = walls != 0
+    for one in range(number):
+        for other in range(one + 1, number):
+            crashed = crashed or overlap(cars, race, one, other, vehicles)
     if crashed:
-        _latch(cars, crash, fault, race, vehicles, wall0, wall1)
+        _latch(cars, crash, fault, race, vehicles, walls)
     return crashed
 
 
 @kernel
 def place_cars(track, state, vehicles):  # type: ignore[no-untyped-def]
-    """Set the Frenet coordinates of freshly placed cars; a car in a wall or in the other one is marked as crashed."""
+    """Set the Frenet coordinates of freshly placed cars; those in a wall or in another one are marked as crashed."""
     near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
     for race in range(state.tick.shape[0]):
-        for car in range(2):
+        number = state.cars.shape[1]
+        for car in range(number):
             s, d = locate(track, state.cars[race, car, _vehicle.X], state.cars[race, car, _vehicle.Y])
             state.frenet[race, car, 0] = s
             state.frenet[race, car, 1] = d
-        collide(near, state.cars, state.frenet, state.crash, state.fault, race, vehicles[race])
+        collide(near, state.cars, state.frenet, state.crash, state.fault, race, vehicles[race], number)

@@ -1,4 +1,4 @@
-"""Racing two cars against each other, one race or thousands: start, advance, and what came of it."""
+"""Racing cars against each other, one race or thousands: start, advance, and what came of it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import DT, PAPER, RaceConfig
 from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
-from pcs_racing.race.start_grid import Starts, place_on_grid
+from pcs_racing.race.start_grid import Starts, place_on_grid, places_of_grid
 from pcs_racing.race.start_places import places_of, split_places
-from pcs_racing.race.state import RaceState, concatenate, empty_state, take
+from pcs_racing.race.state import MOST_CARS, NO_CRASH, RaceState, concatenate, empty_state, take
 from pcs_racing.track.track import Track
 
 TIE_WITHIN = 0.01  # m of lead
@@ -27,14 +27,22 @@ TIE_WITHIN = 0.01  # m of lead
 
 @dataclass(frozen=True, eq=False)
 class RaceSetup:
-    """What stays the same during a batch of races: track, rules, the two planners and the two cars."""
+    """What stays the same during a batch of races: track, rules, and planner and car of each of 1 to 8 drivers."""
 
     track: Track
     config: RaceConfig
-    planners: tuple[Planner, Planner]  #: Family of car 0's and car 1's policies.
-    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH)  #: Car 0 and car 1.
+    planners: tuple[Planner, ...]  #: Family of the policies of each car, car 0's first.
+    vehicles: tuple[VehicleParams, ...] = ()  #: The cars; F1TENTH's if there are none.
     #: Longest ``steer_delay`` of a car in a race that has cars of its own (:class:`RaceConditions`), s.
     most_delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.planners) <= MOST_CARS or len(self.vehicles) not in (0, len(self.planners)):
+            raise InputError(
+                f"there are {len(self.planners)} planners and {len(self.vehicles)} cars; a race has 1 to {MOST_CARS} "
+                "planners, and a car for each of them"
+            )
+        object.__setattr__(self, "vehicles", self.vehicles or (F1TENTH,) * len(self.planners))
 
     @cached_property
     def memory_size(self) -> int:
@@ -44,7 +52,7 @@ class RaceSetup:
 
     @cached_property
     def theta_size(self) -> int:
-        """Length of the longer of the two planners' parameter vectors."""
+        """Length of the longest of the planners' parameter vectors."""
         return max(1, *(len(planner.parameters) for planner in self.planners))
 
     @cached_property
@@ -93,28 +101,30 @@ def _spread(places: NDArray[np.float64], number: int, rng: np.random.Generator) 
     return places[np.minimum(at, len(places) - 1)] if number else places[:0]
 
 
-def draw_starts(track: Track, config: RaceConfig, races: int, seed: int, *, split: str = "test") -> Starts:
+def draw_starts(
+    track: Track, config: RaceConfig, races: int, seed: int, *, split: str = "test", cars: int = 2
+) -> Starts:
     """Draw the starts of a batch: several random start lines, and on each of them both sides in turn.
 
     Race ``i`` starts on line ``(i // 2) % config.start_lines`` with side ``i % 2``, whatever the size of the batch.
+    With more than two ``cars`` there are as many places in place of the two sides.
     """
-    return starts_of(track, config, np.arange(races), seed, split=split)
+    return starts_of(track, config, np.arange(races), seed, split=split, cars=cars)
 
 
-def starts_of(track: Track, config: RaceConfig, index: ArrayLike, seed: int, *, split: str = "test") -> Starts:
+def starts_of(
+    track: Track, config: RaceConfig, index: ArrayLike, seed: int, *, split: str = "test", cars: int = 2
+) -> Starts:
     """Starts of some races of the batch that :func:`draw_starts` draws, by their indices."""
     lines = start_lines(track, config, np.random.SeedSequence(check_seed(seed), spawn_key=(0,)), split=split)
-    index = np.asarray(index, np.int64)
-    return Starts(lines[(index // 2) % len(lines)], index % 2)
+    index, places = np.asarray(index, np.int64), places_of_grid(cars)
+    return Starts(lines[(index // places) % len(lines)], index % places)
 
 
 def start_races(
     setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64], conditions: RaceConditions = AS_THE_SETUP
 ) -> RaceState:
-    """Put both cars of every race on the grid.
-
-    Side by side, the two cars are centred between the walls; staggered and rolling, the rear car stands ``start_gap``
-    behind and both are ``start_spacing`` apart across the track. Progress is counted from the front car's line.
+    """Put the cars of every race on the grid, as :func:`pcs_racing.race.start_grid.place_on_grid` says.
 
     Raises
     ------
@@ -131,7 +141,7 @@ def start_races(
         i = int(np.flatnonzero(state.crashed)[0])
         raise InputError(
             f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car would stand in a wall or in "
-            f"the other car; choose another line or a smaller start_spacing than {spacing:g} m"
+            f"{state.another}; choose another line or a smaller start_spacing than {spacing:g} m"
         )
     return state
 
@@ -154,8 +164,8 @@ def advance(
     ----------
     state : RaceState
         Overwritten.
-    theta : ndarray, shape (B, 2, P)
-        Parameter vectors of the two policies in each race, padded to the longer planner's.
+    theta : ndarray, shape (B, N, P)
+        Parameter vectors of the policies in each race, padded to the longest planner's.
     ticks : int
         Steps to drive, an even number: drivers are asked every second step.
     threads : int, optional
@@ -195,7 +205,7 @@ class RaceResult:
 
     @property
     def lead(self) -> NDArray[np.float64]:
-        """Progress of car 0 minus that of car 1 at the end, m, shape (B,)."""
+        """Progress of car 0 minus that of the car ahead of the others at the end, m, shape (B,)."""
         return self.state.lead
 
     @property
@@ -209,9 +219,14 @@ class RaceResult:
         return winners(self.config, self.state)
 
     @property
+    def order(self) -> NDArray[np.intp]:
+        """The cars in the order in which they finished, shape (B, N): see :func:`finishing_order`."""
+        return finishing_order(self.state)
+
+    @property
     def own_crash(self) -> NDArray[np.bool_]:
-        """Whether each car is to blame for the end of its race, shape (B, 2)."""
-        return self.state.fault == 1
+        """Whether each car is to blame for the end of its race, shape (B, N)."""
+        return (self.state.fault > 0) & self.state.crashed[:, None]
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -220,29 +235,60 @@ class RaceResult:
 
     @property
     def laps(self) -> NDArray[np.int64]:
-        """Complete laps of each car, shape (B, 2): from one forward crossing of s = 0 to the next."""
+        """Complete laps of each car, shape (B, N): from one forward crossing of s = 0 to the next."""
         return self.state.lap_count
 
     @property
     def lap_time(self) -> NDArray[np.float64]:
-        """Time of each car's last complete lap, s, shape (B, 2); -1 if there is none."""
+        """Time of each car's last complete lap, s, shape (B, N); -1 if there is none."""
         return self.state.lap_time
 
     @property
     def best_lap(self) -> NDArray[np.float64]:
-        """Time of each car's shortest complete lap, s, shape (B, 2); -1 if there is none."""
+        """Time of each car's shortest complete lap, s, shape (B, N); -1 if there is none."""
         return self.state.best_lap
 
 
-def winners(config: RaceConfig, state: RaceState) -> NDArray[np.int8]:
-    """The car that won each race, 0 or 1, or -1 for a tie and for a crash that pays nobody, shape (B,)."""
-    ahead = np.where(state.lead > TIE_WITHIN, 0, np.where(state.lead < -TIE_WITHIN, 1, -1))
+def _merit(state: RaceState) -> NDArray[np.int64]:
+    """How each car came through, shape (B, N): 0 without a crash, 1 in a crash that others caused, 2 at fault."""
+    return np.where(state.crash != NO_CRASH, np.where(state.fault > 0, 2, 1), 0)
+
+
+def finishing_order(state: RaceState) -> NDArray[np.intp]:
+    """The cars in the order in which they finished, shape (B, N).
+
+    The farther car is ahead; behind all others are the cars that crashed, and last those at fault for it.
+    """
+    return np.lexsort((-state.progress, _merit(state)), axis=-1)
+
+
+def pair_scores(config: RaceConfig, state: RaceState) -> NDArray[np.float64]:
+    """What each car scored against each other one, shape (B, N, N): 1 if it beat it, 0.5 for a tie, else 0.
+
+    Ratings take one race of N cars as the results of all its pairs. The rule is that of :func:`winners`; on the
+    diagonal it is 0.5.
+    """
+    merit = _merit(state)
+    ahead = state.progress[:, :, None] - state.progress[:, None]
+    better = np.where(np.abs(ahead) > TIE_WITHIN, np.sign(ahead), 0.0)
+    # Two cars that are both to blame for the end of a race share its loss.
+    better[(merit[:, :, None] == 2) & (merit[:, None] == 2)] = 0.0
+    apart = merit[:, None] - merit[:, :, None]
+    better = np.where(apart != 0, np.sign(apart), better)
     if config.crash_rule == "nobody":
-        after_crash = np.full(len(ahead), -1)
-    else:
-        fault = state.fault
-        after_crash = np.where(fault[:, 0] == fault[:, 1], -1, np.where(fault[:, 0] == 1, 1, 0))
-    return np.where(state.crashed, after_crash, ahead).astype(np.int8)
+        better[state.crashed] = 0.0
+    return 0.5 + 0.5 * better
+
+
+def winners(config: RaceConfig, state: RaceState) -> NDArray[np.int8]:
+    """The car that won each race, or -1 for a tie, for a crash that pays nobody, and for a car alone, shape (B,).
+
+    It is the car that beats all others: the one ahead at the end, or after a crash, by the rule "fault-loses", the
+    first one that is not at fault.
+    """
+    scores = pair_scores(config, state)
+    won = (scores == 1.0).sum(axis=2) == max(1, state.number - 1)
+    return np.where(won.any(axis=1), won.argmax(axis=1), -1).astype(np.int8)
 
 
 def run_races(
@@ -253,7 +299,7 @@ def run_races(
     *,
     seed: int = 0,
     starts: Starts | None = None,
-    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH),
+    vehicles: tuple[VehicleParams, ...] = (),
     threads: int | None = None,
 ) -> RaceResult:
     """Run races between pairs of policies, from the start to the end.
@@ -269,7 +315,7 @@ def run_races(
         Root of the start lines and of every race's noise.
     starts : Starts, optional
         Where to start; drawn from the seed by default (:func:`draw_starts`).
-    vehicles : tuple of two VehicleParams
+    vehicles : tuple of VehicleParams, optional
         The cars.
     threads : int, optional
         Threads to share the races; all cores by default. It does not change the result.
@@ -279,40 +325,60 @@ def run_races(
     InputError
         If the numbers of egos, opponents and starts do not fit, or a start is impossible.
     """
-    if isinstance(egos, Policy):
-        egos = [egos] * (1 if isinstance(opponents, Policy) and starts is None else len(starts or opponents))  # type: ignore[arg-type]
-    if isinstance(opponents, Policy):
-        opponents = [opponents] * len(egos)
-    races = len(egos)
-    if len(opponents) != races:
-        raise InputError(f"there are {races} egos but {len(opponents)} opponents; give one opponent for each ego")
+    counts = [len(one) for one in (egos, opponents) if not isinstance(one, Policy)]
+    if len(set(counts)) > 1:
+        raise InputError(f"there are {counts[0]} egos but {counts[1]} opponents; give one opponent for each ego")
+    return run_field(track, (egos, opponents), config, seed=seed, starts=starts, vehicles=vehicles, threads=threads)
+
+
+def run_field(
+    track: Track,
+    drivers: Sequence[Policy | Sequence[Policy]],
+    config: RaceConfig = PAPER,
+    *,
+    seed: int = 0,
+    starts: Starts | None = None,
+    vehicles: tuple[VehicleParams, ...] = (),
+    threads: int | None = None,
+) -> RaceResult:
+    """Run races between 1 to 8 policies, from the start to the end.
+
+    Parameters
+    ----------
+    drivers : sequence of Policy or of sequences of Policy
+        Driver of each car, or its drivers in all races. The others are those of :func:`run_races`.
+
+    Raises
+    ------
+    InputError
+        If the numbers of drivers, cars and starts do not fit, or a start is impossible.
+    """
+    given = [len(one) for one in drivers if not isinstance(one, Policy)]
+    races = given[0] if given else 1 if starts is None else len(starts)
+    if any(number != races for number in given):
+        raise InputError(f"cars have {given} drivers; give each car one driver, or one for each race")
+    cars = [[one] * races if isinstance(one, Policy) else list(one) for one in drivers]
     if starts is None:
-        starts = draw_starts(track, config, races, seed)
+        starts = draw_starts(track, config, races, seed, cars=len(cars))
     if len(starts) != races:
         raise InputError(f"there are {races} races but {len(starts)} starts; give one start for each race")
     seeds = race_seeds(seed, races)
-    # The loop is given the same two planners for all races of a call, so races are grouped by them.
-    groups: dict[tuple[int, int], list[int]] = {}
-    for i, (ego, opponent) in enumerate(zip(egos, opponents, strict=True)):
-        groups.setdefault((id(ego.planner), id(opponent.planner)), []).append(i)
+    # The loop is given the same planners for all races of a call, so races are grouped by them.
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for i in range(races):
+        groups.setdefault(tuple(id(car[i].planner) for car in cars), []).append(i)
     parts: list[tuple[list[int], RaceState]] = []
     for members in groups.values():
-        setup = RaceSetup(track, config, (egos[members[0]].planner, opponents[members[0]].planner), vehicles)
+        setup = RaceSetup(track, config, tuple(car[members[0]].planner for car in cars), vehicles)
         state = start_races(setup, starts.take(members), seeds[members])
-        theta = np.stack(
-            [
-                pad_parameters([egos[i] for i in members], setup.theta_size),
-                pad_parameters([opponents[i] for i in members], setup.theta_size),
-            ],
-            axis=1,
-        )
+        theta = np.stack([pad_parameters([car[i] for i in members], setup.theta_size) for car in cars], axis=1)
         advance(setup, state, theta, config.ticks, threads=threads)
         parts.append((members, state))
     # States are joined only in one width: planners that remember less leave the rest 0.
     widest = max((state.memory.shape[2] for _, state in parts), default=0)
-    joined = concatenate([_widen_memory(state, widest) for _, state in parts]) if parts else empty_state(0, 0)
+    joined = [_widen_memory(state, widest) for _, state in parts] or [empty_state(0, 0, len(cars))]
     order = np.argsort(np.concatenate([members for members, _ in parts])) if parts else np.array([], np.intp)
-    return RaceResult(config, take(joined, order), starts)
+    return RaceResult(config, take(concatenate(joined), order), starts)
 
 
 def _widen_memory(state: RaceState, size: int) -> RaceState:

@@ -3,6 +3,7 @@
 A recorded race is the race: it ends in exactly the state that ``run_races``, or a game, gives for it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +14,7 @@ from pcs_racing.base.checks import check_whole
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seed
-from pcs_racing.car.vehicle import F1TENTH, VehicleParams
+from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import PATH_SPEED, PATH_Y, VIEW_SIZE
@@ -37,12 +38,12 @@ Floats = NDArray[np.float64]
 def record_race(
     track: Track,
     ego: Policy,
-    opponent: Policy,
+    opponent: Policy | Sequence[Policy],
     config: RaceConfig = PAPER,
     *,
     seed: int = 0,
     index: int = 0,
-    vehicles: tuple[VehicleParams, VehicleParams] = (F1TENTH, F1TENTH),
+    vehicles: tuple[VehicleParams, ...] = (),
     candidates: bool = True,
 ) -> Replay:
     """Drive one race and keep what is needed to watch it.
@@ -50,13 +51,13 @@ def record_race(
     Parameters
     ----------
     ego, opponent : Policy
-        Drivers of car 0 and car 1.
+        Drivers of car 0 and car 1; a sequence of opponents, up to seven, drives as many cars.
     config : RaceConfig
         The rules.
     seed, index : int
-        The race number ``index`` (0 to :data:`LAST_INDEX`) of ``run_races(..., seed=seed)``: same start, same noise,
+        The race number ``index`` (0 to :data:`LAST_INDEX`) of ``run_field(..., seed=seed)``: same start, same noise,
         same end to the last bit. No race before it is drawn.
-    vehicles : tuple of two VehicleParams
+    vehicles : tuple of VehicleParams, optional
         The cars.
     candidates : bool
         Whether to keep the paths that each planner chose from (if it can tell).
@@ -72,11 +73,13 @@ def record_race(
         If the index is outside its range, or the start is impossible.
     """
     check_whole("index", index, 0, LAST_INDEX)
-    setup = RaceSetup(track, config, (ego.planner, opponent.planner), vehicles)
-    start = starts_of(track, config, [int(index)], seed)
-    theta = pad_parameters([ego, opponent], setup.theta_size)[None]
+    drivers = [ego, opponent] if isinstance(opponent, Policy) else [ego, *opponent]
+    setup = RaceSetup(track, config, tuple(driver.planner for driver in drivers), vehicles)
+    start = starts_of(track, config, [int(index)], seed, cars=len(drivers))
+    theta = pad_parameters(drivers, setup.theta_size)[None]
     noise = race_seed(seed, int(index))
-    return record_drive(setup, start, noise, theta, names=(ego.name, opponent.name), candidates=candidates)
+    names = tuple(driver.name for driver in drivers)
+    return record_drive(setup, start, noise, theta, names=names, candidates=candidates)
 
 
 def record_drive(
@@ -85,7 +88,7 @@ def record_drive(
     noise: np.uint64,
     theta: Floats,
     *,
-    names: tuple[str, str],
+    names: tuple[str, ...],
     step_ticks: int | None = None,
     candidates: bool = True,
 ) -> Replay:
@@ -97,10 +100,10 @@ def record_drive(
         Of one race.
     noise : uint64
         Key of its noise: what ``RaceState.seed`` holds.
-    theta : ndarray, shape (S, 2, P)
-        Parameters of both cars in each of S steps, padded to the setup's ``theta_size``; the last go on to the end.
-    names : tuple of two str
-        What the replay calls the cars; two equal names get the number of the car (:func:`tell_apart`).
+    theta : ndarray, shape (S, N, P)
+        Parameters of the cars in each of S steps, padded to the setup's ``theta_size``; the last go on to the end.
+    names : tuple of str
+        What the replay calls the cars; equal names get the number of the car (:func:`tell_apart`).
     step_ticks : int, optional
         Length of a step in ticks of 0.01 s; a multiple of 10, as plans are made. Not needed for a single step.
     """
@@ -114,7 +117,7 @@ def record_drive(
     track = setup.track
     line = track.line
     return Replay(
-        title=f"{names[0]} against {names[1]}",
+        title=" against ".join((names[0], ", ".join(names[1:]))) if len(names) > 1 else names[0],
         track_name=track.name,
         car_names=names,
         walls=track.arrays.walls,
@@ -132,10 +135,9 @@ def record_drive(
     )
 
 
-def tell_apart(names: tuple[str, str]) -> tuple[str, str]:
-    """Return what two cars are called: equal names get the number of the car, as in ``"lattice (car 0)"``."""
-    first, second = names
-    return names if first != second else (f"{first} (car 0)", f"{second} (car 1)")
+def tell_apart(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return what the cars are called: equal names get the number of the car, as in ``"lattice (car 0)"``."""
+    return tuple(name if names.count(name) == 1 else f"{name} (car {car})" for car, name in enumerate(names))
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,7 @@ def _drive(setup: RaceSetup, state: RaceState, steps: Floats, step_ticks: int, c
         if over or tick % FRAME_EVERY == 0:
             log.cars.append(state.cars[0].copy())
             log.progress.append(state.progress[0].copy())
-            log.ittc.append(np.zeros(2) if ittc is None else ittc)
+            log.ittc.append(np.zeros(state.number) if ittc is None else ittc)
         if over:
             return log
         step = min(tick // step_ticks, len(steps) - 1)
@@ -168,9 +170,9 @@ def _drive(setup: RaceSetup, state: RaceState, steps: Floats, step_ticks: int, c
         plans = tick % PLAN_EVERY == 0
         if plans and candidates:
             # Asked before the step: afterwards the planner's memory already holds this plan.
-            log.choices.append([_choices(setup, state, theta, car) for car in range(2)])
+            log.choices.append([_choices(setup, state, theta, car) for car in range(state.number)])
         # Running sums and counts: what this period added is their difference.
-        sums, overtakes = state.sums[0].copy(), state.overtakes[0].copy()
+        sums, overtakes, faults = state.sums[0].copy(), state.overtakes[0].copy(), state.fault[0].copy()
         advance(setup, state, theta, CONTROL_EVERY, threads=1)
         if plans:
             log.paths.append(_followed(state.path[0]))
@@ -180,7 +182,7 @@ def _drive(setup: RaceSetup, state: RaceState, steps: Floats, step_ticks: int, c
             ittc = added[:, ITTC] / added[:, ITTC_SAMPLES]
             if first:  # frames before the first sample show it too
                 log.ittc[:] = [ittc] * len(log.ittc)
-        log.events.extend(_happened(state, overtakes))
+        log.events.extend(_happened(state, overtakes, faults))
 
 
 def _choices(setup: RaceSetup, state: RaceState, theta: Floats, car: int) -> tuple[Floats, Floats] | None:
@@ -211,7 +213,7 @@ def _plans(log: _Log) -> dict[str, Any]:
     known = [choice for pair in log.choices for choice in pair if choice is not None]
     if not known:
         return {"paths": paths}
-    shape = (len(log.choices), 2, max(len(costs) for _, costs in known))
+    shape = (len(log.choices), paths.shape[1], max(len(costs) for _, costs in known))
     places = np.full((*shape, max(points.shape[1] for points, _ in known), 2), np.nan)
     prices = np.full(shape, np.inf)
     for row, pair in enumerate(log.choices):
@@ -224,7 +226,7 @@ def _plans(log: _Log) -> dict[str, Any]:
 
 
 def _followed(path: Floats) -> Floats:
-    """The plans of both cars as points x, y, speed, time; NaN for a driver that plans nothing."""
+    """The plans of the cars as points x, y, speed, time; NaN for a driver that plans nothing."""
     out = np.array(path)
     step = lengths(np.diff(path[..., : PATH_Y + 1], axis=1))
     speed = np.maximum(0.5 * (path[:, 1:, PATH_SPEED] + path[:, :-1, PATH_SPEED]), 0.1)
@@ -234,26 +236,32 @@ def _followed(path: Floats) -> Floats:
     return out
 
 
-def _happened(state: RaceState, overtakes_before: NDArray[np.int64]) -> list[ReplayEvent]:
+def _happened(
+    state: RaceState, overtakes_before: NDArray[np.int64], faults_before: NDArray[np.int8]
+) -> list[ReplayEvent]:
     """Events of the last control period."""
     time = float(state.tick[0]) * DT
     events = [
         ReplayEvent(time, car, "overtake", "overtakes")
-        for car in range(2)
+        for car in range(state.number)
         if state.overtakes[0, car] > overtakes_before[car]
     ]
-    for car in range(2):
-        if state.fault[0, car]:
-            into = "the wall" if state.crash[0, car] == WALL_CRASH else "the other car"
+    for car in range(state.number):
+        if state.fault[0, car] > faults_before[car]:
+            into = "the wall" if WALL_CRASH in (state.crash[0, car], state.contact[0, car]) else state.another
             events.append(ReplayEvent(time, car, "crash", f"crashes into {into}"))
     return events
 
 
-def _outcome(result: RaceResult, names: tuple[str, str]) -> str:
+def _outcome(result: RaceResult, names: tuple[str, ...]) -> str:
     """How a race ended, in words."""
-    winner, lead, time = int(result.winner[0]), float(result.lead[0]), float(result.time[0])
+    winner, time = int(result.winner[0]), float(result.time[0])
+    order, progress = result.order[0], result.state.progress[0]
+    lead = progress[order[0]] - progress[order[min(1, len(order) - 1)]]
     prize = f"{names[winner]} wins" if winner >= 0 else "nobody wins"
     if result.crashed[0]:
-        guilty = " and ".join(names[car] for car in range(2) if result.own_crash[0, car])
+        guilty = " and ".join(names[car] for car in range(len(names)) if result.own_crash[0, car])
         return f"crash after {time:.1f} s, fault of {guilty or 'nobody'}: {prize}"
+    if len(names) == 1:
+        return f"{progress[0]:.1f} m in {time:.0f} s"
     return f"{prize} by {abs(lead):.1f} m after {time:.0f} s" if winner >= 0 else f"a tie after {time:.0f} s"

@@ -29,13 +29,14 @@ from pcs_racing.race.painting import (
     theme_colours,
 )
 from pcs_racing.race.replay import Replay
+from pcs_racing.race.state import MOST_CARS
 from pcs_racing.track.frenet import SPEED
 
 if TYPE_CHECKING:
     from pcs_racing.track.track import Track
 
 MODES = ("rgb_array", "human")
-VIEWS = ("track", "both", "car_0", "car_1")
+VIEWS = ("track", "both", *(f"car_{car}" for car in range(MOST_CARS)))
 
 _CLOSE = 9.0  # m across the smaller side of the frame when a car is followed
 _LEAST_CLOSE = 32.0  # pixels per metre then, however small the frame
@@ -54,10 +55,10 @@ class Renderer:
     mode : str
         ``"rgb_array"``: `render` returns the frame; ``"human"``: it shows it in a window (needs the extra ``window``).
     view : str
-        ``"track"`` shows the whole track, ``"car_0"`` and ``"car_1"`` follow a car, ``"both"`` keeps all cars in sight.
+        ``"track"`` shows the whole track, ``"car_0"`` to ``"car_7"`` follow a car, ``"both"`` keeps all cars in sight.
     theme : str
         ``"light"`` or ``"dark"``.
-    half_sizes : ndarray, shape (2, 2), optional
+    half_sizes : ndarray, shape (cars, 2), optional
         Half length and half width of each car in m; a replay brings its own.
     fps : float
         Frames per second at most in a window.
@@ -113,7 +114,7 @@ class Renderer:
 
         Parameters
         ----------
-        cars : ndarray, shape (1 or 2, 7)
+        cars : ndarray, shape (1 to 8, 7)
             States x, y, delta, v, psi, psi_dot, beta.
         plans : ndarray, shape (cars, P, 2 or more), optional
             The plan of each car: x, y first; rows of NaN are left out.
@@ -132,8 +133,8 @@ class Renderer:
             None in a window (``mode="human"``).
         """
         cars = np.asarray(cars, float)
-        if cars.ndim != 2 or cars.shape[0] not in (1, 2) or cars.shape[1] != 7 or not np.all(np.isfinite(cars)):
-            raise InputError(f"cars must be finite and have shape (1, 7) or (2, 7), got shape {cars.shape}")
+        if cars.ndim != 2 or not 1 <= len(cars) <= MOST_CARS or cars.shape[1] != 7 or not np.all(np.isfinite(cars)):
+            raise InputError(f"cars must be finite and have shape (1, 7) to ({MOST_CARS}, 7), got shape {cars.shape}")
         camera = self._aim(cars)
         image = self._background(camera)
         pen = ImageDraw.Draw(image, "RGBA")

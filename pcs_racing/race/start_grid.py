@@ -1,4 +1,4 @@
-"""Putting both cars of every race on the grid."""
+"""Putting the cars of every race on the grid."""
 
 from dataclasses import dataclass
 
@@ -15,13 +15,17 @@ from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.track import Track
 
+ROW = 2.0  # m between rows of two cars
+CLEAR = 0.4  # m from the middle of a car to a wall, from the third car on
+
 
 @dataclass(frozen=True, eq=False)
 class Starts:
     """Where the cars of a batch of races start."""
 
     s: NDArray[np.float64]  #: shape (B,): Arc length of the start line, m.
-    #: shape (B,): 0 when car 0 starts on the left (side by side) or in front (staggered, rolling), 1 when car 1 does.
+    #: shape (B,): Place of car 0 on the grid: 0 is on the left (side by side) or in front (staggered, rolling); the
+    #: places after it belong to car 1, 2 ..., the first ones follow the last.
     side: NDArray[np.int64]
 
     def __len__(self) -> int:
@@ -38,16 +42,18 @@ def place_on_grid(
     config: RaceConfig,
     spacing: float,
     slowest: float,
-    vehicles: tuple[VehicleParams, VehicleParams],
+    vehicles: tuple[VehicleParams, ...],
     starts: Starts,
     memory_size: int,
     conditions: RaceConditions = AS_THE_SETUP,
 ) -> RaceState:
-    """Both cars of every race at their start; a race whose cars do not fit there is marked as crashed.
+    """The cars of every race at their start; a race whose cars do not fit there is marked as crashed.
 
-    Side by side, the two cars are centred between the walls; staggered and rolling, the rear car stands ``start_gap``
-    behind and both are ``spacing`` (m) apart across the track. Progress is counted from the front car's line. No car
-    starts faster than the race line at the speed scale ``slowest``, that of pace 0.
+    Side by side, two cars are centred between the walls, and the next two stand `ROW` m, or ``start_gap`` if that is
+    more, behind them; staggered and rolling, each car stands ``start_gap`` behind the one before, on the other side.
+    The sides are ``spacing`` (m) apart across the track; from the third car on they are nearer where the track is
+    narrow. Progress is counted from the front car's line. No car starts faster than the race line at the speed scale
+    ``slowest``, that of pace 0.
     """
     arrays = track.arrays
     outside = ~((starts.s >= 0.0) & (starts.s < arrays.length))
@@ -57,39 +63,47 @@ def place_on_grid(
             f"race {i}: the start line {starts.s[i]} m is not on track {track.name!r}; it must lie in "
             f"[0, {arrays.length:.2f})"
         )
-    neither = (starts.side != 0) & (starts.side != 1)
-    if neither.any():
-        raise InputError(f"start sides must be 0 or 1; found {starts.side[neither][0]}")
-    state = empty_state(len(starts), memory_size)
-    # A row for each race, and in it the left or front place, then the right or rear one.
-    car = np.stack([starts.side, 1 - starts.side], axis=1)
-    race = np.arange(len(starts))[:, None]
-    behind = np.zeros(2) if config.start == "side-by-side" else np.array([0.0, config.start_gap])
+    places = places_of_grid(len(vehicles))
+    wrong = (starts.side < 0) | (starts.side >= places)
+    if wrong.any():
+        sides = "0 or 1" if places == 2 else f"from 0 to {places - 1}"
+        raise InputError(f"start sides must be {sides}; found {starts.side[wrong][0]}")
+    state = empty_state(len(starts), memory_size, len(vehicles))
+    # A row for each race, and in it a column for each car.
+    place = (starts.side[:, None] + np.arange(len(vehicles))) % places
+    row, gap = place, config.start_gap
+    if config.start == "side-by-side":
+        row, gap = place // 2, max(ROW, config.start_gap)
+    behind = row * gap
     s = np.mod(starts.s[:, None] - behind, arrays.length)
     sample = arrays.line[(s / arrays.ds).astype(np.intp) % len(arrays.line)]
     middle = 0.5 * (sample[..., LEFT] - sample[..., RIGHT])
-    d = middle + np.array([0.5, -0.5]) * spacing
+    d = middle + np.array([0.5, -0.5])[place % 2] * spacing
+    fitting = np.minimum(np.maximum(d, CLEAR - sample[..., RIGHT]), sample[..., LEFT] - CLEAR)
+    d = np.where(place < 2, d, fitting)
     pose = track.to_cartesian(np.stack([s, d], axis=-1))
     # No start faster than the slowest policy may drive there: it would begin with a crash that nobody chose.
     profile = slowest * sample[..., SPEED]
-    state.cars[race, car, X] = pose[..., 0]
-    state.cars[race, car, Y] = pose[..., 1]
-    state.cars[race, car, _vehicle.V] = (
-        profile if config.start == "rolling" else np.minimum(config.start_speed, profile)
-    )
-    state.cars[race, car, _vehicle.PSI] = np.mod(pose[..., 2], 2.0 * np.pi)
-    state.progress[race, car] = -behind
+    state.cars[..., X], state.cars[..., Y] = pose[..., 0], pose[..., 1]
+    state.cars[..., _vehicle.V] = profile if config.start == "rolling" else np.minimum(config.start_speed, profile)
+    state.cars[..., _vehicle.PSI] = np.mod(pose[..., 2], 2.0 * np.pi)
+    state.progress[:] = -behind
     settle(track, vehicles, state, conditions)
     return state
 
 
+def places_of_grid(cars: int) -> int:
+    """Places from which car 0 may start in a race of so many cars: as many, or both where it is alone."""
+    return max(2, cars)
+
+
 def settle(
     track: Track,
-    vehicles: tuple[VehicleParams, VehicleParams],
+    vehicles: tuple[VehicleParams, ...],
     state: RaceState,
     conditions: RaceConditions = AS_THE_SETUP,
 ) -> None:
-    """Set the Frenet coordinates of freshly placed cars, and mark those that stand in a wall or in the other one."""
+    """Set the Frenet coordinates of freshly placed cars, and mark those that stand in a wall or in another one."""
     cars = conditions.rows(vehicles, state.races)
     for on, first, last in conditions.runs(track, state.races):
         part = RaceState._make(array[first:last] for array in state)

@@ -35,9 +35,11 @@ NO_LAP = -1.0
 
 NO_CRASH, WALL_CRASH, CAR_CRASH = range(3)
 
+MOST_CARS = 8
+
 
 class RaceState(NamedTuple):
-    """A batch of B two-car races at one moment: plain arrays, race axis first.
+    """A batch of B races of N cars at one moment: plain arrays, race axis first.
 
     Nothing else is needed to go on: two races with equal states, policies and rules continue identically to the last
     bit.
@@ -47,24 +49,31 @@ class RaceState(NamedTuple):
     #: shape (B,): Key of each race's own noise; the noise is a function of (seed, car, tick), there is no stream to
     #: carry.
     seed: NDArray[np.uint64]
-    cars: NDArray[np.float64]  #: shape (B, 2, 7): Vehicle states (:mod:`pcs_racing.car.vehicle`).
-    frenet: NDArray[np.float64]  #: shape (B, 2, 2): Arc length in [0, length) and distance from the race line, m.
-    #: shape (B, 2): Cumulative arc length since the start line, m; a lap adds the length of the track.
+    cars: NDArray[np.float64]  #: shape (B, N, 7): Vehicle states (:mod:`pcs_racing.car.vehicle`).
+    frenet: NDArray[np.float64]  #: shape (B, N, 2): Arc length in [0, length) and distance from the race line, m.
+    #: shape (B, N): Cumulative arc length since the start line, m; a lap adds the length of the track.
     progress: NDArray[np.float64]
-    #: shape (B, 2, 2): Target steering angle (rad) and speed (m/s) in force, the noise included.
+    #: shape (B, N, 2): Target steering angle (rad) and speed (m/s) in force, the noise included.
     command: NDArray[np.float64]
-    disturbance: NDArray[np.float64]  #: shape (B, 2): AR(1) steering disturbance, rad.
-    #: shape (B, 2, 12, 4): Path that each driver follows: x, y (m), speed (m/s), curvature (1/m).
+    disturbance: NDArray[np.float64]  #: shape (B, N): AR(1) steering disturbance, rad.
+    #: shape (B, N, 12, 4): Path that each driver follows: x, y (m), speed (m/s), curvature (1/m).
     path: NDArray[np.float64]
-    memory: NDArray[np.float64]  #: shape (B, 2, M): What the planners remember.
-    sums: NDArray[np.float64]  #: shape (B, 2, 7): Running sums (:data:`SUMS`).
-    #: shape (B, 2): 0 none, 1 into a wall, 2 with the other car; latched, and the race stands still from then on.
+    memory: NDArray[np.float64]  #: shape (B, N, M): What the planners remember.
+    sums: NDArray[np.float64]  #: shape (B, N, 7): Running sums (:data:`SUMS`).
+    #: shape (B, N): 0 none, 1 into a wall, 2 with another car; latched, and the race stands still from then on.
     crash: NDArray[np.int8]
-    fault: NDArray[np.int8]  #: shape (B, 2): 1 for a car that is to blame for the crash.
-    leader: NDArray[np.int8]  #: shape (B,): Car that last led by more than a car's length (-1 none yet).
-    overtakes: NDArray[np.int64]  #: shape (B, 2): How often each car passed the other.
-    #: shape (B, 2, 5): What :attr:`lap_count`, :attr:`lap_time` and :attr:`best_lap` are read from.
+    #: shape (B, N): How often each car was to blame: for the crash 1, where contacts do not end the race 127 at most.
+    fault: NDArray[np.int8]
+    #: shape (B,): Car that last led every other one by more than a car's length (-1 none yet).
+    leader: NDArray[np.int8]
+    overtakes: NDArray[np.int64]  #: shape (B, N): How often each car passed another one.
+    #: shape (B, N, 5): What :attr:`lap_count`, :attr:`lap_time` and :attr:`best_lap` are read from.
     laps: NDArray[np.float64]
+    #: shape (B, N): Bit k of a car is set if it was last more than a car's length ahead of car k, not behind it.
+    ahead: NDArray[np.uint8]
+    #: shape (B, N): Where contacts do not end the race, what each car last ran into, as in ``crash``; 0 once it drives
+    #: faster than 1 m/s again.
+    contact: NDArray[np.int8]
 
     @property
     def races(self) -> int:
@@ -72,23 +81,34 @@ class RaceState(NamedTuple):
         return len(self.tick)
 
     @property
+    def number(self) -> int:
+        """Number of cars in each race, N: 1 to 8."""
+        return self.progress.shape[1]
+
+    @property
+    def another(self) -> str:
+        """What messages call a car that a car ran into."""
+        return "the other car" if self.number == 2 else "another car"
+
+    @property
     def lead(self) -> NDArray[np.float64]:
-        """Progress of car 0 minus that of car 1, m, shape (B,)."""
-        return self.progress[:, 0] - self.progress[:, 1]
+        """Progress of car 0 minus that of the car ahead of the others, m, shape (B,); alone 0."""
+        rivals = self.progress[:, 1:] if self.number > 1 else self.progress
+        return np.asarray(self.progress[:, 0] - rivals.max(axis=1))
 
     @property
     def crashed(self) -> NDArray[np.bool_]:
         """Whether a race ended in a crash, shape (B,)."""
-        return (self.crash[:, 0] | self.crash[:, 1]) != NO_CRASH  # which is 0
+        return np.asarray(self.crash.any(axis=1))  # NO_CRASH is 0
 
     @property
     def lap_count(self) -> NDArray[np.int64]:
-        """Complete laps of each car, shape (B, 2): from one forward crossing of s = 0 to the next."""
+        """Complete laps of each car, shape (B, N): from one forward crossing of s = 0 to the next."""
         return np.maximum(self.laps[..., MOST_CROSSINGS] - 1.0, 0.0).astype(np.int64)
 
     @property
     def lap_time(self) -> NDArray[np.float64]:
-        """Time of each car's last complete lap, s, shape (B, 2); -1 if there is none.
+        """Time of each car's last complete lap, s, shape (B, N); -1 if there is none.
 
         The moments of crossing are interpolated between two samples, which are 0.02 s apart.
         """
@@ -96,7 +116,7 @@ class RaceState(NamedTuple):
 
     @property
     def best_lap(self) -> NDArray[np.float64]:
-        """Time of each car's shortest complete lap, s, shape (B, 2); -1 if there is none."""
+        """Time of each car's shortest complete lap, s, shape (B, N); -1 if there is none."""
         return self._laps_or_none(BEST_LAP)
 
     def _laps_or_none(self, column: int) -> NDArray[np.float64]:
@@ -107,24 +127,26 @@ class RaceState(NamedTuple):
         return RaceState._make(array.copy() for array in self)
 
 
-def empty_state(races: int, memory_size: int) -> RaceState:
+def empty_state(races: int, memory_size: int, cars: int = 2) -> RaceState:
     """Return the state of a batch of races in which every number is 0 and nobody leads."""
     return RaceState(
         tick=np.zeros(races, np.int64),
         seed=np.zeros(races, np.uint64),
-        cars=np.zeros((races, 2, 7)),
-        frenet=np.zeros((races, 2, 2)),
-        progress=np.zeros((races, 2)),
-        command=np.zeros((races, 2, 2)),
-        disturbance=np.zeros((races, 2)),
-        path=np.zeros((races, 2, PATH_POINTS, PATH_COLUMNS)),
-        memory=np.zeros((races, 2, memory_size)),
-        sums=np.zeros((races, 2, len(SUMS))),
-        crash=np.zeros((races, 2), np.int8),
-        fault=np.zeros((races, 2), np.int8),
+        cars=np.zeros((races, cars, 7)),
+        frenet=np.zeros((races, cars, 2)),
+        progress=np.zeros((races, cars)),
+        command=np.zeros((races, cars, 2)),
+        disturbance=np.zeros((races, cars)),
+        path=np.zeros((races, cars, PATH_POINTS, PATH_COLUMNS)),
+        memory=np.zeros((races, cars, memory_size)),
+        sums=np.zeros((races, cars, len(SUMS))),
+        crash=np.zeros((races, cars), np.int8),
+        fault=np.zeros((races, cars), np.int8),
         leader=np.full(races, -1, np.int8),
-        overtakes=np.zeros((races, 2), np.int64),
-        laps=np.zeros((races, 2, LAP_COLUMNS)),
+        overtakes=np.zeros((races, cars), np.int64),
+        laps=np.zeros((races, cars, LAP_COLUMNS)),
+        ahead=np.zeros((races, cars), np.uint8),
+        contact=np.zeros((races, cars), np.int8),
     )
 
 
@@ -158,10 +180,11 @@ def load_state(path: str | Path) -> RaceState:
         raise InputError(f"{path} is not a saved race state: {error}") from None
     if set(arrays) != set(RaceState._fields):
         raise InputError(f"{path} holds {sorted(arrays)}; a race state holds {sorted(RaceState._fields)}")
-    # Everything but two sizes follows from the declaration of an empty state, which the file is compared with.
+    # Everything but three sizes follows from the declaration of an empty state, which the file is compared with.
     memory = arrays["memory"]
     races = len(arrays["tick"]) if arrays["tick"].ndim else 0
-    model = empty_state(races, memory.shape[2] if memory.ndim == 3 else 0)
+    cars = memory.shape[1] if memory.ndim == 3 else 2
+    model = empty_state(races, memory.shape[2] if memory.ndim == 3 else 0, cars)
     for name, expected in model._asdict().items():
         if arrays[name].shape != expected.shape or arrays[name].dtype != expected.dtype:
             raise InputError(

@@ -1,6 +1,7 @@
 """``pcs-racing race``: simulate one race, print its events and write a replay."""
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -38,29 +39,30 @@ def run(
     *,
     track: Circuit = DEFAULT_TRACK,
     ego: Annotated[str, Option(f"policy of car 0: {POLICY_HELP}", "POLICY")] = EGO,
-    opponent: Annotated[str, Option("policy of car 1", "POLICY")] = OPPONENT,
+    opponent: Annotated[Sequence[str], Option("policy of car 1, or of car 1, 2 ... up to 7", "POLICY")] = (OPPONENT,),
     rules: _Rules,
     index: Annotated[int, Option(f"number of the race of this seed, 0 to {LAST_INDEX}")] = 0,
     replay: Annotated[
         Path | None, Option("file for a replay: a page that plays the race (.html), or data (.json)", "FILE")
     ] = None,
 ) -> None:
-    """Simulate one race between two policies."""
+    """Simulate one race between two or more policies."""
     config = rules.config()
     check_seed(rules.seed)
     check_whole("index", index, 0, LAST_INDEX)
-    policies = _policy("--ego", ego), _policy("--opponent", opponent)
+    driver, others = _policy("--ego", ego), [_policy("--opponent", text) for text in opponent]
     target = output_file(replay, ".html", ".json") if replay else None
     circuit = load_track(track)
     # Before the race, which may have to be compiled first.
     about = f"preset {config.name}, seed {rules.seed}, race {index}"
     print(f"{circuit.name}, {circuit.length:.1f} m a lap, {about}", flush=True)
-    recorded = record_race(circuit, *policies, config, seed=rules.seed, index=index, candidates=target is not None)
+    recorded = record_race(circuit, driver, others, config, seed=rules.seed, index=index, candidates=target is not None)
     print(_story(recorded))
     if target is None:
         # Every option except those left to the preset: a later version may have other defaults.
-        options = {"track": track, "ego": ego, "opponent": opponent, **asdict(rules), "index": index}
-        words = [text for name, value in options.items() if value is not None for text in (f"--{name}", str(value))]
+        options = {"track": track, "ego": ego, "opponent": tuple(opponent), **asdict(rules), "index": index}
+        stated = {name: value if isinstance(value, tuple) else (value,) for name, value in options.items()}
+        words = [text for name, value in stated.items() if value != (None,) for text in (f"--{name}", *map(str, value))]
         print(f"to watch it: {shlex.join(['pcs-racing', 'race', *words])} --replay race.html")
     else:
         print(f"replay: {save_replay(recorded, target)}")

@@ -1,5 +1,7 @@
 """The options of a reset that say where the cars stand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -33,18 +35,23 @@ def poses_at(track, first, second):
 
 
 def test_poses_count_progress_and_keep_cars_out_of_walls_and_of_each_other(oval, setup):
-    state = place_poses(setup, poses_at(oval, (3.0, 0.2), (7.0, -0.2)), alone=False)
+    state = place_poses(setup, poses_at(oval, (3.0, 0.2), (7.0, -0.2)))
     assert state.progress[0] == pytest.approx([-4.0, 0.0], abs=0.01)
     assert state.frenet[0] == pytest.approx(np.array([[3.0, 0.2], [7.0, -0.2]]), abs=0.01)
     inside_each_other, in_a_wall = poses_at(oval, (3.0, 0.0), (3.1, 0.0)), poses_at(oval, (7.0, 0.0), (3.0, 1.1))
     for poses in (inside_each_other, in_a_wall):
         with pytest.raises(InputError, match="episode 0"):
-            place_poses(setup, poses, alone=False)
-    state = place_poses(setup, poses_at(oval, (3.0, 0.0), (3.1, 0.0)), alone=True)
+            place_poses(setup, poses)
+
+
+def test_a_car_that_drives_alone_meets_nobody(oval, setup):
+    """Wherever the poses put the other one; but its own wall counts."""
+    setup = replace(setup, planners=(LATTICE,), vehicles=())
+    state = place_poses(setup, poses_at(oval, (3.0, 0.0), (3.1, 0.0))[:, :1])
     assert not state.crashed.any()
     assert state.cars[0, 0, [X, Y]] == pytest.approx(oval.to_cartesian((3.0, 0.0))[:2])
     with pytest.raises(InputError, match="episode 0"):
-        place_poses(setup, poses_at(oval, (3.0, 1.1), (7.0, 0.0)), alone=True)
+        place_poses(setup, poses_at(oval, (3.0, 1.1), (7.0, 0.0))[:, :1])
 
 
 def test_cars_start_where_the_options_say(coarse_oval):

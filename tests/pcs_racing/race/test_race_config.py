@@ -36,6 +36,7 @@ def test_the_papers_race():
         "crash_rule": "nobody",
         "aggressiveness": "lead",
         "ittc_horizon": 10.0,
+        "contact": "end",
         "stay_move": False,
     }
     assert CONTEST.stay_move

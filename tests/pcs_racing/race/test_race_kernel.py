@@ -397,9 +397,9 @@ def test_crossing_the_start_line_either_way_does_not_jump(coarse_oval):
             state.cars[0, car, [X, Y, PSI]] = x, y, psi
             state.frenet[0, car] = np.mod(from_s, coarse_oval.length), 0.0
         state.progress[0] = 100.0, 100.0
-        update_progress(
-            arrays.line, arrays.ds, arrays.length, state.cars, state.frenet, state.progress, state.laps, 1, 0
-        )
+        moved = state.cars, state.frenet, state.progress, state.laps
+        for car in range(2):
+            update_progress(arrays.line, arrays.ds, arrays.length, *moved, 1, 0, car)
         np.testing.assert_allclose(state.progress[0], [100.0, 100.0 + to_s - from_s], atol=1e-6)
         np.testing.assert_allclose(state.frenet[0, :, 0], np.mod([from_s, to_s], coarse_oval.length), atol=1e-6)
         np.testing.assert_allclose(state.frenet[0, :, 1], 0.3, atol=1e-6)

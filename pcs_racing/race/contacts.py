@@ -1,0 +1,113 @@
+"""Contacts that do not end a race: the car at fault stands still, or is put back on the race line."""
+
+import numpy as np
+
+from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.car.collision import Rectangle, contact_fault, hits_wall, rectangles_overlap
+from pcs_racing.planners.view import OWN_D, OWN_LENGTH, OWN_PSI, OWN_S, OWN_WIDTH, OWN_X, OWN_Y, VIEW_SIZE
+from pcs_racing.race import state as _state
+from pcs_racing.race.positions import body, move_along, overlap
+from pcs_racing.track import frenet as _frenet
+
+END, STOP, RESTART = range(3)  # as in `pcs_racing.race.config.CONTACTS`
+
+BEHIND = 2.0  # m behind the other car, and from one place on the line that is tried to the next
+TRIES = 20
+DRIVES_AGAIN = 1.0  # m/s: a slower car is still in its last contact, so that pushing a wall is one fault
+MOST_FAULTS = 127
+
+
+@inner_kernel
+def _overlapped(before, car, other):  # type: ignore[no-untyped-def]
+    """Whether two cars overlapped already before the control period."""
+    a, b = before[VIEW_SIZE * car :], before[VIEW_SIZE * other :]
+    return rectangles_overlap(
+        Rectangle(a[OWN_X], a[OWN_Y], a[OWN_PSI], 0.5 * a[OWN_LENGTH], 0.5 * a[OWN_WIDTH]),
+        Rectangle(b[OWN_X], b[OWN_Y], b[OWN_PSI], 0.5 * b[OWN_LENGTH], 0.5 * b[OWN_WIDTH]),
+    )
+
+
+@inner_kernel
+def _stand_on_line(near, line, ds, cars, race, car, s, vehicles):  # type: ignore[no-untyped-def]
+    """Put a car on the race line at rest, at s or behind it where there is no room; returns its arc length."""
+    for _ in range(TRIES):
+        i = int(np.floor(s / ds)) % line.shape[0]
+        cars[race, car, :] = 0.0
+        cars[race, car, _vehicle.X] = line[i, _frenet.X]
+        cars[race, car, _vehicle.Y] = line[i, _frenet.Y]
+        cars[race, car, _vehicle.PSI] = line[i, _frenet.PSI]
+        taken = hits_wall(near, i * ds, body(cars[race, car], vehicles[car]))
+        for other in range(cars.shape[1]):
+            taken = taken or (other != car and overlap(cars, race, car, other, vehicles))
+        if not taken:
+            break
+        s -= BEHIND
+    return i * ds
+
+
+@inner_kernel
+def _set_back(near, track, state, race, car, s, vehicles, mode, before):  # type: ignore[no-untyped-def]
+    """Let a car stand still where it was before the control period, or put it on the race line at s."""
+    cars = state.cars
+    d = 0.0
+    if mode == STOP:
+        view = before[VIEW_SIZE * car :]
+        cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y] = view[OWN_X], view[OWN_Y]
+        cars[race, car, _vehicle.PSI] = view[OWN_PSI]
+        cars[race, car, _vehicle.V] = cars[race, car, _vehicle.PSI_DOT] = cars[race, car, _vehicle.BETA] = 0.0
+        s, d = view[OWN_S], view[OWN_D]
+    else:
+        s = _stand_on_line(near, track.line, track.ds, cars, race, car, s, vehicles)
+    move_along(track.length, state.frenet, state.progress, state.laps, state.tick[race], race, car, s, d)
+
+
+@inner_kernel
+def _note(fault, contact, race, car, kind, blamed):  # type: ignore[no-untyped-def]
+    """Keep what a car ran into, and count its fault unless that contact goes on."""
+    if blamed and contact[race, car] == _state.NO_CRASH:
+        fault[race, car] = min(fault[race, car] + 1, MOST_FAULTS)
+    contact[race, car] = kind
+
+
+@kernel
+def settle_contacts(track, state, race, vehicles, mode, before):  # type: ignore[no-untyped-def]
+    """Set back the cars that ran into a wall or into another car by their own fault; returns whether there are any.
+
+    ``before`` holds the views that the drivers had before the control period, one after the other. If both cars are to
+    blame and are put on the line, the one ahead stays where it is. Cars that overlapped already are left alone, so that
+    they can part.
+    """
+    near = _frenet.WallArrays(*track[_frenet.WALLS_BEGIN : _frenet.WALLS_END])
+    cars, frenet, fault, contact = state.cars, state.frenet, state.fault, state.contact
+    length, moved, touched = track.length, False, 0
+    for car in range(cars.shape[1]):
+        if hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car])):
+            _note(fault, contact, race, car, _state.WALL_CRASH, True)
+            _set_back(near, track, state, race, car, frenet[race, car, 0], vehicles, mode, before)
+            moved, touched = True, touched | 1 << car
+    for one in range(cars.shape[1]):
+        for two in range(one + 1, cars.shape[1]):
+            if not overlap(cars, race, one, two, vehicles):
+                continue
+            touched |= 1 << one | 1 << two
+            if _overlapped(before, one, two):
+                continue
+            bodies = body(cars[race, one], vehicles[one]), body(cars[race, two], vehicles[two])
+            fault1, fault2 = contact_fault(cars[race, one], cars[race, two], bodies[0], bodies[1])
+            _note(fault, contact, race, one, _state.CAR_CRASH, fault1)
+            _note(fault, contact, race, two, _state.CAR_CRASH, fault2)
+            gap = frenet[race, two, 0] - frenet[race, one, 0]
+            ahead = gap - length * np.floor(gap / length + 0.5) < 0.0  # whether the first one is
+            for turn in range(2):
+                # The car ahead first: the other one is put behind where it then stands.
+                car, other = (one, two) if ahead == (turn == 0) else (two, one)
+                if fault1 if car == one else fault2:
+                    both = fault1 and fault2 and turn == 0
+                    s = frenet[race, car, 0] if both else frenet[race, other, 0] - BEHIND
+                    _set_back(near, track, state, race, car, s, vehicles, mode, before)
+                    moved = True
+    for car in range(cars.shape[1]):
+        if touched >> car & 1 == 0 and abs(cars[race, car, _vehicle.V]) > DRIVES_AGAIN:
+            contact[race, car] = _state.NO_CRASH
+    return moved

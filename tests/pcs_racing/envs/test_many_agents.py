@@ -1,0 +1,190 @@
+"""Control level with one car or more than two: what is observed, paid and told, and the libraries' checkers."""
+
+import copy
+import warnings
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from pcs_racing import InputError, Lidar, load_race_config
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv, env
+from pcs_racing.envs.infos import Crash, Result
+
+with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
+    warnings.simplefilter("ignore")
+    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
+
+X, Y, _, V, PSI = range(5)
+DRIVERS = ["lattice:pace=0.3", "pure-pursuit", "lattice:pace=0.2"]
+SHORT = {"race": "contest", "duration": 1.0, "time_step": 0.1}
+
+
+def poses(track, *places):
+    return [(*track.to_cartesian([s, d]), speed) for s, d, speed in places]
+
+
+def named(env, observation):
+    return dict(zip([element.name for element in env.elements], observation, strict=True))
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_the_checkers_are_content(oval, count):
+    opponents = DRIVERS[: count - 1]
+    one = DriveEnv(oval, opponents=opponents, beams=3, render_mode="rgb_array", **SHORT)
+    check_env(one, skip_render_check=True)
+    pytest.importorskip("stable_baselines3.common.env_checker").check_env(one)
+    arguments = {"cars": count, "beams": 3, **SHORT}
+    parallel_api_test(DriveHeadToHeadEnv(oval, **arguments), num_cycles=20)
+    api_test(env(track=oval, **arguments), num_cycles=20)
+    parallel_seed_test(lambda: DriveHeadToHeadEnv(oval, **arguments), num_cycles=10)
+
+
+def test_stable_baselines3_learns_from_all_agents(oval):
+    sb3 = pytest.importorskip("pcs_racing.envs.sb3")
+    envs = sb3.make_sb3_vec_env("drive-self-play", 8, track=oval, cars=4, **SHORT)
+    envs.seed(3)
+    assert envs.reset().shape == (8, 59)
+    for _ in range(12):
+        _, rewards, done, infos = envs.step(np.tile([0.0, -0.5], (8, 1)))
+        if done.any():
+            break
+    assert rewards.shape == (8,)
+    assert done.reshape(2, 4).all(axis=1).any()  # the agents of a race end together
+    assert "terminal_observation" in infos[int(np.flatnonzero(done)[0])]
+
+
+def test_opponents_are_observed_the_nearest_first(oval):
+    """Behind counts as ahead does, also over the start line; each has the same nine numbers."""
+    one = DriveEnv(oval, opponents=DRIVERS)
+    names = [element.name for element in one.elements]
+    assert names[32:41] == [element.name for element in DriveEnv(oval).elements][32:]
+    assert names[41:43] == ["opponent 2", "opponent 2 gap"]
+    assert names[-1] == "lead 3"
+    places = (1.0, 0.0, 1.0), (7.0, 0.5, 0.0), (oval.length - 1.0, -0.5, 2.0), (4.0, 0.0, 3.0)
+    observation, _ = one.reset(options={"poses": poses(oval, *places)})
+    seen = named(one, observation)
+    order = {"": 2, " 2": 3, " 3": 1}
+    for k, car in order.items():
+        gap = places[car][0] - 1.0 if car != 2 else -2.0
+        assert seen[f"opponent{k} gap"] == pytest.approx(gap, abs=0.05)
+        assert seen[f"opponent{k} offset"] == pytest.approx(places[car][1], abs=0.05)
+        pair = DriveEnv(oval).reset(options={"poses": poses(oval, places[0], places[car])})[0]
+        start = names.index(f"opponent{k}")
+        np.testing.assert_allclose(observation[start : start + 8], pair[32:40], atol=1e-6)
+    assert [seen["lead"], seen["lead 2"], seen["lead 3"]] == pytest.approx([2.0, -3.0, -6.0], abs=0.1)
+
+
+def test_the_lidar_sees_all_cars(oval):
+    one = DriveEnv(oval, opponents=DRIVERS[:2], beams=61)
+    places = (3.0, 0.0, 0.0), (6.0, 0.6, 0.0), (5.0, -0.6, 0.0)
+    observation, _ = one.reset(options={"poses": poses(oval, *places)})
+    own, *others = one.batch.state.cars[0][:, [X, Y, PSI]]
+    lidar = Lidar(oval, 61)
+    scans = np.array([lidar.scan(own, other) for other in others])
+    np.testing.assert_allclose(observation[-61:], scans.min(axis=0), rtol=1e-5)
+    assert all((scan < lidar.scan(own) - 0.5).any() for scan in scans)
+
+
+def test_many_environments_give_the_numbers_of_each(oval):
+    arguments = {"track": oval, "opponents": DRIVERS, "beams": 5, **SHORT}
+    envs, ones = DriveVectorEnv(3, threads=2, **arguments), [DriveEnv(**arguments) for _ in range(3)]
+    first, _ = envs.reset(seed=7)
+    np.testing.assert_array_equal(first, [one.reset(seed=7 + i)[0] for i, one in enumerate(ones)])
+    for _ in range(4):
+        seen, rewards, *_ = envs.step(np.tile([0.05, -0.4], (3, 1)))
+        answers = [one.step([0.05, -0.4]) for one in ones]
+        np.testing.assert_array_equal(seen, [answer[0] for answer in answers])
+        np.testing.assert_array_equal(rewards, [answer[1] for answer in answers])
+
+
+def test_agents_of_a_race_of_four(oval):
+    """Rewards add up to zero, infos tell each car's own facts, and the vector environment has the same numbers."""
+    four, envs = DriveHeadToHeadEnv(oval, cars=4, **SHORT), DriveHeadToHeadVectorEnv(8, track=oval, cars=4, **SHORT)
+    observations, _ = four.reset(seed=2)
+    agents = ["car_0", "car_1", "car_2", "car_3"]
+    assert four.agents == four.possible_agents == agents
+    assert len(set(envs.reset(seed=2)[0][:, 0])) >= 1
+    commands = {agent: [0.0, 0.1 * car - 0.5] for car, agent in enumerate(agents)}
+    for _ in range(3):
+        observations, rewards, _, _, infos = four.step(commands)
+        seen, paid, *_ = envs.step(np.tile([commands[agent] for agent in agents], (2, 1)))
+    np.testing.assert_array_equal(seen[:4], [observations[agent] for agent in agents])
+    np.testing.assert_array_equal(paid[:4], [rewards[agent] for agent in agents])
+    assert sum(rewards.values()) == pytest.approx(0.0, abs=1e-9)
+    progress = np.array([infos[agent]["progress"] for agent in agents])
+    for car, agent in enumerate(agents):
+        assert infos[agent]["lead"] == pytest.approx(progress[car] - np.delete(progress, car).max())
+    np.testing.assert_array_equal(four.state(), np.concatenate([observations[agent] for agent in agents]))
+    copied = copy.deepcopy(four)
+    np.testing.assert_array_equal(copied.step(commands)[0]["car_3"], four.step(commands)[0]["car_3"])
+    with pytest.raises(InputError, match="a multiple of 4"):
+        DriveHeadToHeadVectorEnv(6, track=oval, cars=4)
+
+
+def test_opponents_drive_the_last_cars(oval):
+    mixed = DriveHeadToHeadEnv(oval, cars=3, opponents=["lattice"], render_mode="rgb_array", **SHORT)
+    mixed.reset(seed=1)
+    assert mixed.possible_agents == ["car_0", "car_1"]
+    mixed.step({agent: [0.0, -1.0] for agent in mixed.agents})
+    assert mixed.render().shape == (640, 960, 3)
+    assert mixed.batch.state.path[0, :, 0, 0].nonzero()[0].tolist() == [2]
+
+
+def test_a_win_is_paid_to_the_first_of_all(oval):
+    four = DriveHeadToHeadEnv(oval, cars=4, progress_reward=0.0, win_reward=2.0, **{**SHORT, "duration": 0.2})
+    four.reset(options={"poses": poses(oval, *((s, 0.0, 0.0) for s in (3.0, 9.0, 6.0, 1.0)))})
+    stand = {agent: [0.0, -1.0] for agent in four.agents}
+    four.step(stand)
+    _, rewards, ended, _, infos = four.step(stand)
+    assert list(rewards.values()) == [-2.0, 2.0, -2.0, -2.0]
+    assert all(ended.values())
+    assert [infos[agent]["result"] for agent in rewards] == [Result.LOSS, Result.WIN, Result.LOSS, Result.LOSS]
+
+
+@pytest.mark.parametrize("contact", ["stop", "restart"])
+def test_a_contact_need_not_end_an_episode(oval, contact):
+    """Every fault is paid for once, in its step; the infos count them."""
+    rules = load_race_config("paper", contact=contact, duration=6.0)
+    three = DriveHeadToHeadEnv(oval, cars=3, race=rules, progress_reward=0.0, crash_penalty=7.0, time_step=0.1)
+    three.reset(options={"poses": poses(oval, (3.0, 0.0, 5.0), (6.0, 0.0, 0.0), (20.0, 0.0, 0.0))})
+    paid, crashes = np.zeros(3), set()
+    for _ in range(20):
+        answer = three.step({"car_0": [0.0, 0.25], "car_1": [0.0, -1.0], "car_2": [0.0, -1.0]})
+        paid += list(answer[1].values())
+        crashes.add(answer[4]["car_0"]["crash"])
+        assert three.agents
+    faults = [answer[4][agent]["fault"] for agent in three.agents]
+    assert faults[0] >= 1
+    assert faults[1:] == [0, 0]
+    assert paid.tolist() == [-7.0 * faults[0], 0.0, 0.0]
+    assert crashes >= {Crash.CAR}
+
+
+def test_alone_by_an_empty_list_is_alone_without_an_opponent(oval):
+    answers = []
+    for arguments in ({"opponents": []}, {"opponent": None}):
+        one = DriveEnv(oval, **arguments)
+        first, _ = one.reset(seed=3)
+        answers.append((first.tolist(), one.step([0.1, 0.0])[0].tolist()))
+        assert (first[32:41] == 0.0).all()
+    assert answers[0] == answers[1]
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "error", "message"),
+    [
+        (DriveEnv, {"opponents": ["lattice"] * 8}, ConfigError, "at most 7"),
+        (DriveEnv, {"opponents": "lattice"}, ConfigError, "opponents is 'lattice'"),
+        (DriveEnv, {"opponent": "pure-pursuit", "opponents": ["lattice"]}, ConfigError, "one of the two"),
+        (DriveEnv, {"opponents": ["lattice", ["lattice", "lattice:pace=0.3"]]}, InputError, "each is one driver"),
+        (DriveEnv, {"opponents": ["lattice", "never-switch"]}, InputError, "none makes moves"),
+        (DriveEnv, {"opponents": DRIVERS, "vehicle": [{}, {}]}, ConfigError, "lists 2 cars; give one for all, or 4"),
+        (DriveHeadToHeadEnv, {"cars": 9}, InputError, "cars is 9"),
+        (DriveHeadToHeadEnv, {"cars": 2, "opponents": DRIVERS[:2]}, InputError, "leave a car to an agent"),
+    ],
+)
+def test_what_is_refused(oval, kind, arguments, error, message):
+    with pytest.raises(error, match=message):
+        kind(oval, **arguments)

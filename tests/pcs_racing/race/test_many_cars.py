@@ -1,0 +1,211 @@
+"""Races of one car, and of more than two: the same rules for all pairs, and nothing depends on a car's number."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from pcs_racing import (
+    InputError,
+    Parameter,
+    Planner,
+    RaceSetup,
+    Starts,
+    advance,
+    load_race_config,
+    parse_policy,
+    read_replay,
+    record_race,
+    run_field,
+    run_races,
+    save_replay,
+    start_races,
+)
+from pcs_racing.base.compilation import compiled
+from pcs_racing.planners.view import VIEW, VIEW_SIZE
+from pcs_racing.race.kernel import fill_view
+from pcs_racing.race.positions import place_cars
+from pcs_racing.race.races import finishing_order, pair_scores, winners
+from pcs_racing.race.rendering import Renderer
+from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, empty_state
+
+X, Y, _, V, PSI = range(5)
+QUIET = load_race_config("paper", duration=8.0, start="staggered", start_gap=1.4, start_spacing=0.45)
+FIELD = [parse_policy(text) for text in ("lattice:pace=0.3", "lattice:pace=0.8", "pure-pursuit", "lane-switcher:3")]
+
+
+@compiled
+def hold(track, theta, view, memory, scratch, path, command):
+    command[0] = theta[0]
+    command[1] = theta[1]
+
+
+HOLD = Planner(
+    "hold", (Parameter("steer", -1.0, 1.0, 0.0, "rad"), Parameter("speed", -3.0, 9.0, 0.0, "m/s")), control=hold
+)
+
+
+def placed(track, places, speeds=None, planner=HOLD, **rules):
+    """A race of cars that stand at (s, d) or (s, d, turned by) or drive so fast; they hold their speed."""
+    speeds = [0.0] * len(places) if speeds is None else speeds
+    setup = RaceSetup(track, load_race_config("paper", **rules), (planner,) * len(places))
+    state = empty_state(1, setup.memory_size, len(places))
+    for car, (s, d, *turned) in enumerate(places):
+        x, y, psi = track.to_cartesian([s, d])
+        state.cars[0, car, [X, Y, V, PSI]] = x, y, speeds[car], psi + sum(turned)
+        state.progress[0, car] = s
+    place_cars(track.arrays, state, np.stack([[vehicle.as_row() for vehicle in setup.vehicles]]))
+    return setup, state, np.array([[(0.0, speed) for speed in speeds]])
+
+
+def of_cars(state, cars):
+    """All that a race holds of some cars, apart from what names cars by their numbers."""
+    skipped = ("tick", "seed", "leader", "ahead")
+    return {name: array[:, cars] for name, array in state._asdict().items() if name not in skipped}
+
+
+def assert_same(found, expected):
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
+
+
+def test_numbers_of_cars_do_not_matter(oval):
+    """Lattice cars that meet each other, in every order: the same race to the last bit."""
+    places, paces = [(2.0, 0.3), (3.6, -0.3), (5.5, 0.2)], [0.9, 0.5, 0.1]
+    policy = {pace: parse_policy(f"lattice:pace={pace}") for pace in paces}
+    ends = []
+    for order in itertools.permutations(range(3)):
+        planner = policy[0.9].planner
+        setup, state, _ = placed(oval, [places[k] for k in order], [3.0] * 3, planner)
+        advance(setup, state, np.array([[policy[paces[k]].parameters for k in order]]), 500)
+        ends.append(of_cars(state, np.argsort(order)))
+    for end in ends:
+        assert_same(end, ends[0])
+    assert ends[0]["overtakes"].sum() > 0
+
+
+def test_a_car_far_away_changes_nothing(oval):
+    race, lattice = load_race_config("contest"), parse_policy("lattice").planner
+    ends = []
+    for count in (2, 3):
+        places = [(2.0, 0.3), (3.6, -0.3), (22.0, 0.0)][:count]
+        setup, state, _ = placed(oval, places, [3.0, 3.0, 0.0][:count], lattice, steering_noise=race.steering_noise)
+        state.seed[:] = 5
+        theta = np.array([[parse_policy(f"lattice:pace={pace}").parameters for pace in (0.9, 0.2, 0.0)[:count]]])
+        advance(setup, state, theta, 200, ittc=False)
+        ends.append(of_cars(state, [0, 1]))
+    assert_same(ends[1], ends[0])
+    assert ends[0]["disturbance"].all()
+
+
+@pytest.mark.parametrize("count", [1, 3, 8])
+def test_a_race_does_not_depend_on_batch_or_threads(oval, count):
+    rules = load_race_config("contest", duration=3.0, contact="stop")
+    drivers = [[FIELD[(car + race) % 2] for race in range(5)] for car in range(count)]
+    one, two = (run_field(oval, drivers, rules, seed=3, threads=threads) for threads in (1, 2))
+    for name, array in one.state._asdict().items():
+        np.testing.assert_array_equal(getattr(two.state, name), array, err_msg=name)
+    single = run_field(oval, [car[3] for car in drivers], rules, seed=3, starts=one.starts.take([3]))
+    quiet = run_field(oval, [car[:1] for car in drivers], rules, seed=3)  # the first race has the same key
+    np.testing.assert_array_equal(quiet.state.cars[0], one.state.cars[0])
+    assert single.state.cars.shape == (1, count, 7)
+
+
+def test_a_field_of_two_is_a_race_of_two(oval):
+    field, pair = run_field(oval, FIELD[:2], QUIET, seed=4), run_races(oval, *FIELD[:2], QUIET, seed=4)
+    assert_same(of_cars(field.state, [0, 1]), of_cars(pair.state, [0, 1]))
+    with pytest.raises(InputError, match="1 to 8"):
+        run_field(oval, FIELD * 3, QUIET)
+    with pytest.raises(InputError, match=r"\[2, 3\]"):
+        run_field(oval, [FIELD[:2], FIELD[:3]], QUIET)
+
+
+@pytest.mark.parametrize(("start", "gap"), [("staggered", 1.4), ("side-by-side", 0.0)])
+def test_the_grid(oval, start, gap):
+    """One behind the other on sides in turn, or rows of two; car 0 starts from each place."""
+    rules = load_race_config("paper", start=start, start_gap=gap)
+    setup = RaceSetup(oval, rules, (HOLD,) * 5)
+    state = start_races(setup, Starts(np.full(5, 8.0), np.arange(5)), np.zeros(5, np.uint64))
+    behind = np.array([0, 1.4, 2.8, 4.2, 5.6]) if gap else np.array([0, 0, 2.0, 2.0, 4.0])
+    for side in range(5):
+        np.testing.assert_allclose(-state.progress[side], np.roll(behind, -side))
+        np.testing.assert_allclose(8.0 - state.frenet[side, :, 0], np.roll(behind, -side), atol=0.05)
+        assert (np.roll(np.sign(state.frenet[side, :, 1]), side) == [1, -1, 1, -1, 1]).all()
+
+
+def test_a_driver_sees_the_nearest_car_along_the_track(oval):
+    """Also across the start line; and alone nobody near."""
+    length = oval.length
+    for places, seen in (([3.0, 8.0, 1.0], [2, 0, 0]), ([0.5, length - 0.5, 4.0], [1, 0, 0]), ([3.0], [None])):
+        setup, state, _ = placed(oval, [(s, 0.0) for s in places])
+        rows = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
+        for car, other in enumerate(seen):
+            view = np.zeros(VIEW_SIZE)
+            fill_view(oval.arrays, state, 0, car, rows, setup.settings, view)
+            found = dict(zip(VIEW, view, strict=True))
+            if other is None:
+                assert abs(found["OPP_X"] - found["X"]) > 1e5
+                assert abs(found["GAP"]) == pytest.approx(0.5 * length)
+            else:
+                np.testing.assert_array_equal([found["OPP_X"], found["OPP_Y"]], state.cars[0, other, :2])
+
+
+def test_a_crash_of_two_ends_the_race_of_all(oval):
+    setup, state, theta = placed(oval, [(9.0, 0.0), (3.0, 0.0), (6.0, 0.0)], [1.0, 5.0, 0.0])
+    advance(setup, state, theta, 200)
+    assert state.crash[0].tolist() == [NO_CRASH, CAR_CRASH, CAR_CRASH]
+    assert state.fault[0].tolist() == [0, 1, 0]
+    assert state.tick[0] < 200
+    assert finishing_order(state).tolist() == [[0, 2, 1]]
+    for rule, winner in (("nobody", -1), ("fault-loses", 0)):
+        rules = load_race_config("paper", crash_rule=rule)
+        assert winners(rules, state).tolist() == [winner]
+    assert pair_scores(rules, state)[0].tolist() == [[0.5, 1.0, 1.0], [0.0, 0.5, 0.0], [0.0, 1.0, 0.5]]
+
+
+def test_the_finishing_order_is_that_of_progress():
+    state = empty_state(2, 0, 4)
+    state.progress[:] = [[5.0, 9.0, 1.0, 7.0], [5.0, 4.0, 5.005, 1.0]]
+    assert finishing_order(state).tolist() == [[1, 3, 0, 2], [2, 0, 1, 3]]
+    rules = load_race_config("paper")
+    assert winners(rules, state).tolist() == [1, -1]  # 5 mm are a tie
+    scores = pair_scores(rules, state)
+    np.testing.assert_array_equal(scores + scores.transpose(0, 2, 1), 1.0)
+    assert scores[1, 0].tolist() == [0.5, 1.0, 0.5, 1.0]
+    assert winners(rules, empty_state(1, 0, 1)).tolist() == [-1]
+
+
+def test_passes_are_counted_for_every_pair(oval):
+    setup, state, theta = placed(oval, [(3.0, 0.5), (6.0, 0.5), (9.0, -0.5)])
+    for progress in ([0.0, 2.0, 4.0], [3.0, 2.0, 4.0], [5.0, 2.0, 4.0], [5.0, 4.7, 4.0], [5.0, 6.0, 4.0]):
+        state.progress[0] = progress
+        advance(setup, state, theta, 2)
+    assert state.overtakes[0].tolist() == [2, 2, 0]
+    assert state.leader[0] == 1
+
+
+def test_the_time_to_collision_counts_the_third_car(oval):
+    """A car that drives at 2 m/s towards a car that stands 4 m ahead of it, beside nothing else."""
+    column, times = list(SUMS).index("ITTC"), []
+    for count in (2, 3):
+        setup, state, theta = placed(oval, [(2.0, 0.0), (22.0, 0.0), (6.0, 0.0)][:count], [2.0, 0.0, 0.0][:count])
+        advance(setup, state, theta, 10)
+        times.append(state.sums[0, 0, column] / 2)
+    assert times[1] == pytest.approx((4.0 - 0.29) / 2.0, abs=0.1)
+    assert times[0] > times[1] + 0.5
+
+
+def test_a_recorded_race_of_three_is_the_race_and_shows_all(oval, tmp_path):
+    rules = load_race_config("contest", duration=4.0, contact="restart")
+    replay = record_race(oval, FIELD[0], FIELD[1:3], rules, seed=2, index=1)
+    ends = run_field(oval, [[driver] * 2 for driver in FIELD[:3]], rules, seed=2).state
+    np.testing.assert_array_equal(replay.cars[-1], ends.cars[1])
+    again = read_replay(save_replay(replay, tmp_path / "race.html"))
+    np.testing.assert_allclose(again.cars, replay.cars, atol=1e-3)
+    assert again.car_names == replay.car_names
+    # A car more is a colour more in the frame.
+    frame = Renderer(replay, view="both").render(replay.cars[0], names=replay.car_names)
+    without = Renderer(replay, view="both").render(replay.cars[0])
+    assert (frame != without).any()
+    bodies = [np.array(colour) for colour in ((27, 111, 216), (224, 135, 0), (34, 150, 79))]
+    assert all((np.abs(without.astype(int) - colour).max(axis=2) < 12).sum() > 10 for colour in bodies)
