@@ -117,7 +117,9 @@ def draw(studies: list[dict[str, object]], path: Path) -> None:
         )
         axis.set_title(f"{item['track']}, {item['preset']}", fontsize=10)
         axis.set_xlabel("restraint: mean minimum iTTC, s")
-        axis.set_ylabel("aggressiveness, m")
+        axis.set_ylabel(
+            "aggressiveness: " + ("mean lead, m" if item["preset"] == "paper" else "speed, in parts of the profile")
+        )
         axis.grid(alpha=0.25)
     figure.colorbar(dots, ax=axes, label="share of races ended by an own crash", shrink=0.8)
     axes.flat[0].legend(loc="lower left", fontsize=8)

@@ -274,7 +274,7 @@ def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped
 def scan_walls(track, beams, x, y, psi, s, work, out):  # type: ignore[no-untyped-def]
     """Begin a scan: write the inverse ranges of the walls, 1/m; returns whether the lidar stands in none of them.
 
-    `scan_car` adds cars, and `end_scan` makes ranges of it. In a wall all ranges are 0 already.
+    `scan_car` adds cars; the inverse of what is then there are ranges. In a wall all ranges are 0 already.
     """
     if inside_wall(track, x, y):
         out[:] = 0.0
@@ -308,13 +308,6 @@ def scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out)
         _draw_rectangle(beams, dx, dy, opsi, half_length, half_width, cos, sin, work, out)
 
 
-@inner_kernel(forceinline=True)
-def end_scan(out):  # type: ignore[no-untyped-def]
-    """Turn inverse ranges into ranges, m."""
-    for k in range(out.shape[0]):
-        out[k] = 1.0 / out[k]
-
-
 @kernel
 def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out):  # type: ignore[no-untyped-def]
     """Write one scan, without allocating anything: ranges in m, in [0, max_range], into ``out`` of shape (beams,).
@@ -326,4 +319,5 @@ def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_lengt
     if scan_walls(track, beams, x, y, psi, s, work, out):
         if has_opponent:
             scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out)
-        end_scan(out)
+        for k in range(out.shape[0]):
+            out[k] = 1.0 / out[k]

@@ -219,6 +219,8 @@ class _SeveralAgents:
     def _players(self, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
         own = {name: value for name, value in arguments.items() if name != "cars"}
         cars = check_whole("cars", arguments["cars"], 1, MOST_CARS)
+        if arguments["opponent"] is not None and isinstance(self, BatchVectorEnv):
+            raise InputError(f"opponent is {arguments['opponent']!r}; it must be None here, give opponents instead")
         given = [arguments["opponent"]] if arguments["opponents"] is None else arguments["opponents"]
         opponents = 0 if given == [None] else len(given)
         if opponents >= cars:
@@ -334,8 +336,8 @@ class DriveHeadToHeadVectorEnv(_SeveralAgents, BatchVectorEnv):
 
     Environment ``2 i`` is car 0 of race ``i``, and ``2 i + 1`` its car 1: one policy that acts in all of them races
     against itself; with N agents in a race they are ``N i`` to ``N i + N - 1``. Seeds belong to races:
-    ``reset(seed=...)`` takes one for each race. The arguments are those of :class:`DriveHeadToHeadEnv` and of
-    :class:`pcs_racing.envs.vector.BatchVectorEnv`.
+    ``reset(seed=...)`` takes one for each race. The arguments are those of :class:`DriveHeadToHeadEnv`, without
+    ``opponent``, and of :class:`pcs_racing.envs.vector.BatchVectorEnv`.
 
     Examples
     --------

@@ -140,7 +140,9 @@ class DriveBatch:
         options = self.options
         rules = load_game_config(options.race)
         track = self.variety.circuits.track(0)
-        return RaceGame(track, load_archive(options.archive), rules, ego_planner=EXTERNAL, vehicles=self.variety.cars)
+        return RaceGame(
+            track, load_archive(options.archive), rules, ego_planner=EXTERNAL, vehicles=self.variety.cars[:2]
+        )
 
     @property
     def track(self) -> Track:
@@ -218,7 +220,7 @@ class DriveBatch:
         self._varied = bool(variety.codes or variety.drawn or variety.obstacles)
         self._in_python = any(planner.drive is not None for planner in setup.planners)
         scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
-        enough_for = int(races * (0.5 * self.cars * TICK_US * self._ticks + scans) / WORTH_A_THREAD)
+        enough_for = int(races * (0.5 * max(2, self.cars) * TICK_US * self._ticks + scans) / WORTH_A_THREAD)
         #: Threads that share a step: no more than have enough to do.
         self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
         size = max(1, *(planner.scratch_size for planner in setup.planners))

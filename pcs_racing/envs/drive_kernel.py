@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.lidar_kernel import Beams, end_scan, scan_car, scan_walls
+from pcs_racing.car.lidar_kernel import Beams, scan_car, scan_walls
 from pcs_racing.game.reward import step_reward, win_sign
 from pcs_racing.race.kernel import advance_races
-from pcs_racing.race.positions import nearest_car
+from pcs_racing.race.positions import gap_to
 from pcs_racing.race.steering import steering_noise
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between
 from pcs_racing.track.grid import cast
@@ -95,27 +95,22 @@ def _see_line(line, ds, s, ahead, row, k):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _see_opponent(length, cars, frenet, progress, race, car, other, row, k):  # type: ignore[no-untyped-def]
-    """Write the numbers about an opponent from ``row[k]`` on."""
-    psi = cars[race, car, _vehicle.PSI]
-    v = cars[race, car, _vehicle.V]
-    sn, c = sine_cosine(psi)
+def _see_opponent(length, cars, frenet, progress, race, car, other, own, row, k):  # type: ignore[no-untyped-def]
+    """Write the numbers about an opponent from ``row[k]`` on; ``own`` are sine, cosine and velocity of the own car."""
+    sn, c, own_vx, own_vy = own
     dx = cars[race, other, _vehicle.X] - cars[race, car, _vehicle.X]
     dy = cars[race, other, _vehicle.Y] - cars[race, car, _vehicle.Y]
     course = cars[race, other, _vehicle.PSI] + cars[race, other, _vehicle.BETA]
-    own_course = psi + cars[race, car, _vehicle.BETA]
     speed = cars[race, other, _vehicle.V]
     sine, cosine = sine_cosine(course)
-    own_sine, own_cosine = sine_cosine(own_course)
-    vx = speed * cosine - v * own_cosine
-    vy = speed * sine - v * own_sine
-    gap = frenet[race, other, 0] - frenet[race, car, 0]
+    vx = speed * cosine - own_vx
+    vy = speed * sine - own_vy
     row[k] = 1.0
-    row[k + 1] = gap - length * np.floor(gap / length + 0.5)
+    row[k + 1] = gap_to(length, frenet, race, car, other)
     row[k + 2] = frenet[race, other, 1] - frenet[race, car, 1]
     row[k + 3] = dx * c + dy * sn
     row[k + 4] = dy * c - dx * sn
-    row[k + 5] = angle_between(cars[race, other, _vehicle.PSI], psi)
+    row[k + 5] = angle_between(cars[race, other, _vehicle.PSI], cars[race, car, _vehicle.PSI])
     row[k + 6] = vx * c + vy * sn
     row[k + 7] = vy * c - vx * sn
     row[k + 8] = progress[race, car] - progress[race, other]
@@ -150,18 +145,27 @@ def _observe(track, state, vehicles, sight, race, car, row, work):  # type: igno
     _see_line(track.line, track.ds, frenet[race, car, 0], sight.ahead, row, k)
     k += STRETCH_ELEMENTS * sight.ahead.shape[0]
     if sight.opponent != NEVER:
-        seen = 0
+        v, psi = cars[race, car, _vehicle.V], cars[race, car, _vehicle.PSI]
+        sine, cosine = sine_cosine(psi)
+        own_sine, own_cosine = sine_cosine(psi + cars[race, car, _vehicle.BETA])
+        own = sine, cosine, v * own_cosine, v * own_sine
+        gaps = work[0]
+        for other in range(number):
+            gaps[other] = abs(gap_to(track.length, frenet, race, car, other))
+        gaps[car] = np.inf
         for _ in range(max(1, number - 1)):
             # The nearest first; there is none where the car is alone.
-            other = 1 - car if number == 2 else nearest_car(track.length, frenet, race, car, seen)
-            seen |= 1 << max(other, 0)
-            hidden = other < 0
+            other = 0
+            for one in range(1, number):
+                other = one if gaps[one] < gaps[other] else other
+            gaps[other] = np.inf
+            hidden = number == 1
             if sight.opponent == IN_SIGHT and not hidden:
                 hidden = not _in_sight(track, cars, race, car, other, sight.beams.max_range)
             if hidden:
                 row[k : k + OPPONENT_ELEMENTS] = 0.0
             else:
-                _see_opponent(track.length, cars, frenet, state.progress, race, car, other, row, k)
+                _see_opponent(track.length, cars, frenet, state.progress, race, car, other, own, row, k)
             k += OPPONENT_ELEMENTS
     if sight.time_left:
         row[k] = 1.0 - state.tick[race] / sight.end_tick
@@ -186,7 +190,8 @@ def _observe(track, state, vehicles, sight, race, car, row, work):  # type: igno
                     work,
                     scan,
                 )
-        end_scan(scan)
+        for i in range(scan.shape[0]):
+            scan[i] = 1.0 / scan[i]
     if sight.noise[race] > 0.0:
         _noisy(scan, state.seed[race], car, state.tick[race], sight.noise[race], sight.beams.max_range)
 

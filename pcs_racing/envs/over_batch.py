@@ -12,7 +12,7 @@ from gymnasium.envs.registration import EnvSpec
 from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import InputError, UnknownNameError, choices, unknown_argument
 from pcs_racing.envs.batch import Batch
-from pcs_racing.race.rendering import MODES, VIEWS, Renderer
+from pcs_racing.race.rendering import MODES, Renderer, views
 from pcs_racing.track.track import Track
 
 FILM = "rgb_array_list"
@@ -131,12 +131,12 @@ class OverBatch:
         return arguments, self.players
 
     def _use(self, batch: Batch, arguments: dict[str, Any]) -> None:
+        check_choice("view", self.view, views(batch.cars))
         self.batch, self._arguments = batch, arguments
         own = {"render_fps": self._frames_per_second(), "codes": batch.codes}
         self.metadata = {**type(self).metadata, **own}
 
     def _set_looks(self, render_mode: str | None, view: str, render_size: tuple[int, int]) -> None:
-        check_choice("view", view, VIEWS)
         if render_mode is not None:
             check_choice("render_mode", render_mode, self.metadata["render_modes"])
         self.render_mode, self.view, self.render_size = render_mode, view, render_size

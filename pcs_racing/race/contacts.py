@@ -7,7 +7,7 @@ from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import Rectangle, contact_fault, hits_wall, rectangles_overlap
 from pcs_racing.planners.view import OWN_D, OWN_LENGTH, OWN_PSI, OWN_S, OWN_WIDTH, OWN_X, OWN_Y, VIEW_SIZE
 from pcs_racing.race import state as _state
-from pcs_racing.race.positions import body, move_along, overlap
+from pcs_racing.race.positions import body, gap_to, move_along, overlap
 from pcs_racing.track import frenet as _frenet
 
 END, STOP, RESTART = range(3)  # as in `pcs_racing.race.config.CONTACTS`
@@ -49,10 +49,8 @@ def _stand_on_line(near, line, ds, cars, race, car, s, vehicles):  # type: ignor
 @inner_kernel
 def _set_back(near, track, state, race, car, s, vehicles, mode, before):  # type: ignore[no-untyped-def]
     """Let a car stand still where it was before the control period, or put it on the race line at s."""
-    cars = state.cars
-    d = 0.0
+    cars, view, d = state.cars, before[VIEW_SIZE * car :], 0.0
     if mode == STOP:
-        view = before[VIEW_SIZE * car :]
         cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y] = view[OWN_X], view[OWN_Y]
         cars[race, car, _vehicle.PSI] = view[OWN_PSI]
         cars[race, car, _vehicle.V] = cars[race, car, _vehicle.PSI_DOT] = cars[race, car, _vehicle.BETA] = 0.0
@@ -80,7 +78,7 @@ def settle_contacts(track, state, race, vehicles, mode, before):  # type: ignore
     """
     near = _frenet.WallArrays(*track[_frenet.WALLS_BEGIN : _frenet.WALLS_END])
     cars, frenet, fault, contact = state.cars, state.frenet, state.fault, state.contact
-    length, moved, touched = track.length, False, 0
+    moved, touched = False, 0
     for car in range(cars.shape[1]):
         if hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car])):
             _note(fault, contact, race, car, _state.WALL_CRASH, True)
@@ -97,13 +95,12 @@ def settle_contacts(track, state, race, vehicles, mode, before):  # type: ignore
             fault1, fault2 = contact_fault(cars[race, one], cars[race, two], bodies[0], bodies[1])
             _note(fault, contact, race, one, _state.CAR_CRASH, fault1)
             _note(fault, contact, race, two, _state.CAR_CRASH, fault2)
-            gap = frenet[race, two, 0] - frenet[race, one, 0]
-            ahead = gap - length * np.floor(gap / length + 0.5) < 0.0  # whether the first one is
+            ahead = gap_to(track.length, frenet, race, one, two) < 0.0  # whether the first one is
             for turn in range(2):
-                # The car ahead first: the other one is put behind where it then stands.
-                car, other = (one, two) if ahead == (turn == 0) else (two, one)
+                # The car behind first: it makes room for the one ahead.
+                car, other = (one, two) if ahead == (turn == 1) else (two, one)
                 if fault1 if car == one else fault2:
-                    both = fault1 and fault2 and turn == 0
+                    both = fault1 and fault2 and turn == 1
                     s = frenet[race, car, 0] if both else frenet[race, other, 0] - BEHIND
                     _set_back(near, track, state, race, car, s, vehicles, mode, before)
                     moved = True

@@ -123,7 +123,7 @@ def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, other, vehic
 @inner_kernel(forceinline=True)
 def _opponent(length, frenet, race, car, number):  # type: ignore[no-untyped-def]
     """The car that a driver sees: the nearest one along the track, of two the other one, alone itself."""
-    return 1 - car if number == 2 else max(nearest_car(length, frenet, race, car, 0), 0)
+    return 1 - car if number == 2 else nearest_car(length, frenet, race, car)
 
 
 @kernel

@@ -63,17 +63,20 @@ def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, 
     move_along(length, frenet, progress, laps, tick, race, car, s, d)
 
 
-@kernel
-def nearest_car(length, frenet, race, car, left_out):  # type: ignore[no-untyped-def]
-    """The car that is nearest to another one along the track, the shorter way round; the first of two that are as near.
+@inner_kernel(forceinline=True)
+def gap_to(length, frenet, race, car, other):  # type: ignore[no-untyped-def]
+    """How far a car is ahead of another one along the race line, the shorter way round, m."""
+    gap = frenet[race, other, 0] - frenet[race, car, 0]
+    return gap - length * np.floor(gap / length + 0.5)
 
-    Cars whose bits are set in ``left_out`` do not count; -1 if there is none.
-    """
-    nearest, least = -1, np.inf
+
+@inner_kernel
+def nearest_car(length, frenet, race, car):  # type: ignore[no-untyped-def]
+    """The car that is nearest along the track, the first of two that are as near; alone the car itself."""
+    nearest, least = car, np.inf
     for other in range(frenet.shape[1]):
-        gap = frenet[race, other, 0] - frenet[race, car, 0]
-        gap = abs(gap - length * np.floor(gap / length + 0.5))
-        if other != car and left_out >> other & 1 == 0 and gap < least:
+        gap = abs(gap_to(length, frenet, race, car, other))
+        if other != car and gap < least:
             nearest, least = other, gap
     return nearest
 

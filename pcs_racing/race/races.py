@@ -141,7 +141,7 @@ def start_races(
         i = int(np.flatnonzero(state.crashed)[0])
         raise InputError(
             f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car would stand in a wall or in "
-            f"{state.another}; choose another line or a smaller start_spacing than {spacing:g} m"
+            f"another car; choose another line or a smaller start_spacing than {spacing:g} m"
         )
     return state
 
@@ -346,12 +346,7 @@ def run_field(
     Parameters
     ----------
     drivers : sequence of Policy or of sequences of Policy
-        Driver of each car, or its drivers in all races. The others are those of :func:`run_races`.
-
-    Raises
-    ------
-    InputError
-        If the numbers of drivers, cars and starts do not fit, or a start is impossible.
+        Driver of each car, or its drivers in all races. The others are those of :func:`run_races`, and so are errors.
     """
     given = [len(one) for one in drivers if not isinstance(one, Policy)]
     races = given[0] if given else 1 if starts is None else len(starts)

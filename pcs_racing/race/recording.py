@@ -246,9 +246,10 @@ def _happened(
         for car in range(state.number)
         if state.overtakes[0, car] > overtakes_before[car]
     ]
+    other = "the other car" if state.number == 2 else "another car"
     for car in range(state.number):
         if state.fault[0, car] > faults_before[car]:
-            into = "the wall" if WALL_CRASH in (state.crash[0, car], state.contact[0, car]) else state.another
+            into = "the wall" if WALL_CRASH in (state.crash[0, car], state.contact[0, car]) else other
             events.append(ReplayEvent(time, car, "crash", f"crashes into {into}"))
     return events
 

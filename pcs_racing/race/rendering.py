@@ -36,7 +36,14 @@ if TYPE_CHECKING:
     from pcs_racing.track.track import Track
 
 MODES = ("rgb_array", "human")
-VIEWS = ("track", "both", *(f"car_{car}" for car in range(MOST_CARS)))
+
+
+def views(cars: int) -> tuple[str, ...]:
+    """What a frame of a race of so many cars may show."""
+    return ("track", "both", *(f"car_{car}" for car in range(max(2, cars))))
+
+
+VIEWS = views(2)
 
 _CLOSE = 9.0  # m across the smaller side of the frame when a car is followed
 _LEAST_CLOSE = 32.0  # pixels per metre then, however small the frame
@@ -76,7 +83,8 @@ class Renderer:
         half_sizes: np.ndarray | None = None,
         fps: float = 20.0,
     ) -> None:
-        self.mode, self.view = check_choice("mode", mode, MODES), check_choice("view", view, VIEWS)
+        cars = len(scene.car_names) if isinstance(scene, Replay) else MOST_CARS
+        self.mode, self.view = check_choice("mode", mode, MODES), check_choice("view", view, views(cars))
         check_choice("theme", theme, THEMES)
         self.width, self.height = check_whole("width", width, 64, 4096), check_whole("height", height, 64, 4096)
         self.fps = fps

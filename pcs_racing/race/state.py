@@ -86,11 +86,6 @@ class RaceState(NamedTuple):
         return self.progress.shape[1]
 
     @property
-    def another(self) -> str:
-        """What messages call a car that a car ran into."""
-        return "the other car" if self.number == 2 else "another car"
-
-    @property
     def lead(self) -> NDArray[np.float64]:
         """Progress of car 0 minus that of the car ahead of the others, m, shape (B,); alone 0."""
         rivals = self.progress[:, 1:] if self.number > 1 else self.progress

@@ -237,7 +237,7 @@ def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_o
     assert mine.progress[0, 0] > coarse_oval.length
     # After the crash nothing moves any more.
     before = mine.copy()
-    alone.batch.step(np.zeros((1, 1, 2)))
+    alone.batch.step(command[None, None])
     for name, was, now in zip(before._fields, before, mine, strict=True):
         np.testing.assert_array_equal(now, was, err_msg=name)
 

@@ -38,7 +38,7 @@ GOOD = race_on_a_circle(candidates=3)
 STEPS = np.arange(len(GOOD.candidates))
 WRONG = {
     "title": (3, "x" * 501, "\ud800"),
-    "car_names": (("alone",), "ab"),
+    "car_names": ((), "ab"),
     "outcome": (None,),
     "frame_dt": (0.0, float("nan")),
     "plan_dt": ("0.1",),
