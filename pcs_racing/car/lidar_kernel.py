@@ -177,7 +177,7 @@ def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-
 
 
 @inner_kernel
-def _draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):  # type: ignore[no-untyped-def]
+def draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):  # type: ignore[no-untyped-def]
     """Draw a rectangle, centred at (x, y) relative to the lidar, into a buffer of inverse ranges."""
     s, c = sine_cosine(psi)
     px, py = work[2, :_RECTANGLE], work[3, :_RECTANGLE]
@@ -299,6 +299,6 @@ def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_lengt
     _settle_edges(track, beams, x, y, cos, sin, out)
     # The opponent comes last: its edges are exact and need not be settled on the grid.
     if has_opponent:
-        _draw_rectangle(beams, ox - x, oy - y, opsi, half_length, half_width, cos, sin, work, out)
+        draw_rectangle(beams, ox - x, oy - y, opsi, half_length, half_width, cos, sin, work, out)
     for k in range(out.shape[0]):
         out[k] = 1.0 / out[k]
