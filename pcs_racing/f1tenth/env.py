@@ -5,7 +5,7 @@ from typing import Any, Self
 
 import gymnasium
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_flag, check_number, check_seed, check_whole
 from pcs_racing.base.errors import ConfigError
@@ -86,15 +86,34 @@ class F110Env(gymnasium.Env[Any, Any]):
             count_progress(self.sim.track.arrays, poses, self._places, self._progress, *laps)
         else:
             count_laps(self._starts, self.ego_idx, poses, self.near_starts, *laps)
-        self.poses_x, self.poses_y, self.poses_theta = poses.T
-        self.collisions = self.sim.collisions
         finished = self.toggle_list >= 4.0
         infos: dict[str, Any] = {"checkpoint_done": finished}
-        crashed = self.collisions[self.ego_idx]
+        crashed = self.sim.collisions.tolist()
+        done = crashed[self.ego_idx] > 0.0
         if not self.faithful:
             # Any crash ends the race, and the infos say whose fault it was.
-            crashed, infos["at_fault"] = self.collisions.any(), self.sim.at_fault
-        return bool(crashed) or bool(finished.all()), infos
+            done, infos["at_fault"] = max(crashed) > 0.0, self.sim.at_fault
+        return done or all(finished.tolist()), infos
+
+    @property
+    def collisions(self) -> NDArray[np.float64]:
+        """Which cars are in contact, shape (N,)."""
+        return self.sim.collisions
+
+    @property
+    def poses_x(self) -> NDArray[np.float64]:
+        """Places and headings of the cars, shape (N,), m and rad."""
+        return self.sim.agent_poses[:, 0]
+
+    @property
+    def poses_y(self) -> NDArray[np.float64]:
+        """See ``poses_x``."""
+        return self.sim.agent_poses[:, 1]
+
+    @property
+    def poses_theta(self) -> NDArray[np.float64]:
+        """See ``poses_x``."""
+        return self.sim.agent_poses[:, 2]
 
     def update_params(self, params: Any, index: int = -1) -> None:
         """Change the parameters of all cars, or of the one with an index from 0."""

@@ -235,7 +235,8 @@ def _touches_wall(grid, body):  # type: ignore[no-untyped-def]
 
 @kernel
 def advance(  # type: ignore[no-untyped-def]
-    grid, track, setup, beams, tables, sides, params, states, actions, waiting, noise, poses, scans, contact, walls, inverse, work
+    grid, track, setup, beams, tables, sides, params, states, actions, waiting, noise, poses, scans, crashed, contact,
+    walls, inverse, work
 ):
     """Advance all cars in place by one step, and write what their lidars measure.
 
@@ -257,6 +258,8 @@ def advance(  # type: ignore[no-untyped-def]
         Where the cars are, before a wall stops them; written.
     scans : ndarray, shape (N, beams)
         Written, m.
+    crashed : ndarray, shape (N,)
+        Written: 1 for cars in contact with a wall or a car.
     contact : ndarray, shape (N,)
         Written: with which car each is in contact, -1 for none.
     walls : ndarray of bool, shape (N,)
@@ -294,6 +297,7 @@ def advance(  # type: ignore[no-untyped-def]
                 states[i, PSI] = 0.0
         for k in range(np.uint64(scans.shape[1])):
             scans[i, k] += noise[row, k]
+        crashed[i] = 1.0 if walls[i] or contact[i] >= 0.0 else 0.0
         # The gym looks for other cars from the centre of gravity, and with the heading that a wall has left.
         sine, cosine = sine_cosine(states[i, PSI])
         if not setup.faithful:

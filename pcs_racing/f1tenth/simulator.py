@@ -90,6 +90,35 @@ class RaceCar:
         return self._simulator.lidar.angles
 
 
+class SameNoise:
+    """The noise of one seed, which every episode of the gym begins anew and all its cars share."""
+
+    BLOCK, KEPT = 64, 32  # steps drawn at once, and blocks that are kept: 18 MB
+
+    def __init__(self, seed: int) -> None:
+        self._rng, self._last = np.random.default_rng(seed), np.empty(0)
+        self._kept: list[Floats] = []
+        self._after: Any = None
+
+    def of_step(self, step: int) -> Floats:
+        """Return what is added to the ranges in a step, shape (1, 1080), m; steps are asked for in order."""
+        block, k = divmod(step, self.BLOCK)
+        if k == 0:
+            self._last = self._block(block)
+        return self._last[k]  # type: ignore[no-any-return]
+
+    def _block(self, block: int) -> Floats:
+        if block < len(self._kept):
+            return self._kept[block]
+        if block == self.KEPT:  # of this episode or of an earlier one
+            self._after = self._after or self._rng.bit_generator.state
+            self._rng.bit_generator.state = self._after
+        drawn = NOISE * self._rng.standard_normal((self.BLOCK, 1, BEAMS))
+        if block < self.KEPT:
+            self._kept.append(drawn)
+        return drawn
+
+
 class Simulator:
     """All cars on one map.
 
@@ -125,7 +154,7 @@ class Simulator:
         self.collision_idx, self.walls = np.full(num_agents, -1.0), np.zeros(num_agents, np.bool_)
         self.collisions, self.at_fault = np.zeros(num_agents), np.zeros(num_agents, np.bool_)
         self.agents = [RaceCar(self, i) for i in range(num_agents)]
-        self.rng = np.random.default_rng(seed)
+        self.rng, self._noise, self._steps = np.random.default_rng(seed), SameNoise(seed), 0
         self._take_params()
 
     @property
@@ -158,7 +187,7 @@ class Simulator:
             self._sides = np.minimum(half_width / np.abs(np.sin(angles)), half_length / np.abs(np.cos(angles)))
 
     def reset(self, poses: ArrayLike, rng: np.random.Generator | None = None) -> None:
-        """Put the cars at poses, shape (N, 3), at rest; the noise begins anew unless a generator is given."""
+        """Put the cars at poses, shape (N, 3), at rest; without the gym's faults the noise is drawn from ``rng``."""
         at = check_array("poses", poses, (self.num_agents, 3), least=-1e6, most=1e6)
         if (np.abs(at[:, 2]) > 900.0).any():
             raise InputError(f"poses: heading {np.abs(at[:, 2]).max():g} rad; it must be from -900 to 900")
@@ -167,33 +196,35 @@ class Simulator:
         self._waiting[:] = 0.0
         self.collisions = np.zeros(self.num_agents)
         self.walls[:] = False
-        self.rng = rng or np.random.default_rng(self.seed)
+        self._steps = 0
+        self.rng = rng or self.rng
 
     def step(self, control_inputs: ArrayLike) -> None:
         """Advance all cars by one step with actions of shape (N, 2): steering, then speed or acceleration."""
         actions = checked_actions(control_inputs, self.num_agents)
-        # Both cars of the gym draw the same noise, for each begins with the same seed.
-        noise = self.rng.standard_normal((1 if self.faithful else self.num_agents, BEAMS))
-        noise *= NOISE
+        if self.faithful:
+            noise = self._noise.of_step(self._steps)
+        else:
+            noise = NOISE * self.rng.standard_normal((self.num_agents, BEAMS))
+        self._steps += 1
         # New arrays: programs keep what they were given.
         self.states, self.agent_poses = self.states.copy(), np.empty((self.num_agents, 3))
-        self.agent_scans = np.empty((self.num_agents, BEAMS))
+        self.agent_scans, self.collisions = np.empty((self.num_agents, BEAMS)), np.empty(self.num_agents)
         arguments = (
             self._grid, self.track.arrays, self._setup, self.lidar.kernel, self._tables, self._sides, self._params,
-            self.states, actions, self._waiting, noise, self.agent_poses, self.agent_scans, self.collision_idx,
-            self.walls, self._inverse, self._work,
+            self.states, actions, self._waiting, noise, self.agent_poses, self.agent_scans, self.collisions,
+            self.collision_idx, self.walls, self._inverse, self._work,
         )  # fmt: skip
         if _advance is None:
             _compile(arguments)
         _advance(*arguments)  # type: ignore[misc]
-        self.collisions = np.maximum(self.walls, self.collision_idx >= 0.0).astype(np.float64)
-        self.at_fault = self.walls.copy()
         if not self.faithful:
             np.clip(self.agent_scans, 0.0, RANGE, out=self.agent_scans)
             self._find_faults()
 
     def _find_faults(self) -> None:
-        """Say who is at fault for the contacts of cars."""
+        """Say who hit a wall, and who is at fault for the contacts of cars."""
+        self.at_fault = self.walls.copy()
         bodies = [
             Rectangle(*pose, 0.5 * row[LENGTH], 0.5 * row[WIDTH])
             for pose, row in zip(self.agent_poses.tolist(), self._params.tolist(), strict=True)

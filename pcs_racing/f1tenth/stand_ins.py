@@ -16,7 +16,16 @@ import gymnasium
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.f1tenth import env, generation_a, generation_b, lines, old_names, register_environments, rendering
+from pcs_racing.f1tenth import (
+    env,
+    generation_a,
+    generation_b,
+    lines,
+    old_names,
+    old_numpy,
+    register_environments,
+    rendering,
+)
 from pcs_racing.f1tenth import observations as seen
 from pcs_racing.f1tenth import simulator as cars
 
@@ -91,10 +100,6 @@ _GL = (
 )
 _CALLS = "glPointSize glLineWidth glEnable glDisable glBlendFunc glClearColor glHint glColor3f glColor4f"
 _MORE_GL = "GL_BLEND GL_SRC_ALPHA GL_ONE_MINUS_SRC_ALPHA GL_LINE_SMOOTH GL_POINT_SMOOTH GL_LINE_SMOOTH_HINT GL_NICEST"
-_REMOVED = {
-    "float": float, "int": int, "complex": complex, "object": object, "str": str, "float_": np.float64, "Inf": np.inf,
-    "infty": np.inf, "NaN": np.nan, "product": np.prod, "in1d": np.isin, "row_stack": np.vstack, "bool8": np.bool_,
-}  # fmt: skip
 
 
 def _ignored(*args: Any, **named: Any) -> None:
@@ -169,7 +174,7 @@ class _Refuser(MetaPathFinder):
 
 
 def install() -> None:
-    """Provide the modules in this process, and the names that numpy has removed since."""
+    """Provide the modules in this process, and what an older numpy had."""
     register_environments()
     env.F110Env.current_obs = None  # type: ignore[attr-defined]
     contents = _contents()
@@ -186,9 +191,7 @@ def install() -> None:
             setattr(sys.modules[parent], child, module)
     sys.modules["gym"].__version__ = "0.21.0"  # type: ignore[attr-defined]
     sys.meta_path.insert(0, _Refuser())
-    for name, value in _REMOVED.items():
-        if name not in vars(np):
-            setattr(np, name, value)
+    old_numpy.install()
 
 
 def _missing(module: str) -> Any:
