@@ -10,7 +10,10 @@ from pcs_racing.base.errors import InputError
 def main(given: list[str]) -> int:
     """Run the program; an error in what it asks for is one line, and status 2."""
     if not given or given[0] in ("-h", "--help") or not os.path.isfile(given[0]):
-        print(f"{__doc__}" if not given or given[0][0] == "-" else f"error: there is no program {given[0]}", file=sys.stderr)
+        print(
+            f"{__doc__}" if not given or given[0][0] == "-" else f"error: there is no program {given[0]}",
+            file=sys.stderr,
+        )
         return 2
     from pcs_racing.f1tenth.stand_ins import install
 

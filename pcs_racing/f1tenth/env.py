@@ -1,14 +1,15 @@
 """What both generations of the F1TENTH gym's environment share: cars, laps, the end of an episode, callbacks."""
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, Self
 
 import gymnasium
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pcs_racing.base.checks import check_flag, check_number, check_seed, check_whole
-from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.f1tenth.kernel import count_laps, count_progress
 from pcs_racing.f1tenth.simulator import DEFAULT_PARAMS, MOST_CARS, Simulator, merged_params
 
@@ -20,14 +21,14 @@ class F110Env(gymnasium.Env[Any, Any]):
 
     num_agents: int
     renderer: Any = None
+    render_obs: dict[str, Any] | None = None
 
     def __new__(cls, *args: Any, **named: Any) -> Self:
         """Choose the generation by the arguments."""
         if cls is F110Env:
-            from pcs_racing.f1tenth.generation_a import GenerationA
-            from pcs_racing.f1tenth.generation_b import GenerationB
-
-            return object.__new__(GenerationB if args or "config" in named else GenerationA)  # type: ignore[return-value]
+            letter = "b" if args or "config" in named else "a"
+            module = import_module(f"pcs_racing.f1tenth.generation_{letter}")
+            return object.__new__(getattr(module, f"Generation{letter.upper()}"))
         return object.__new__(cls)
 
     def _set_up(
@@ -54,7 +55,7 @@ class F110Env(gymnasium.Env[Any, Any]):
             faithful=self.faithful,
         )
         self.lap_times, self.lap_counts = np.zeros(self.num_agents), np.zeros(self.num_agents)
-        self.current_time, self.render_obs = 0.0, None
+        self.current_time = 0.0
         self._started = False
 
     def _start(self, poses: ArrayLike, rng: np.random.Generator | None = None) -> None:
@@ -75,7 +76,7 @@ class F110Env(gymnasium.Env[Any, Any]):
 
     def _advance(self, action: ArrayLike) -> None:
         if not self._started:
-            raise gymnasium.error.ResetNeeded("call reset() before step()")
+            raise InputError("step() before reset(): the cars have no place yet; call reset() first")
         self.sim.step(action)
 
     def _judge(self) -> tuple[bool, dict[str, Any]]:
@@ -86,7 +87,8 @@ class F110Env(gymnasium.Env[Any, Any]):
             count_progress(self.sim.track.arrays, poses, self._places, self._progress, *laps)
         else:
             count_laps(self._starts, self.ego_idx, poses, self.near_starts, *laps)
-        finished = self.toggle_list >= 4.0
+        self.poses_x, self.poses_y, self.poses_theta = poses.T
+        self.collisions, finished = self.sim.collisions, self.toggle_list >= 4.0
         infos: dict[str, Any] = {"checkpoint_done": finished}
         crashed = self.sim.collisions.tolist()
         done = crashed[self.ego_idx] > 0.0
@@ -95,31 +97,11 @@ class F110Env(gymnasium.Env[Any, Any]):
             done, infos["at_fault"] = max(crashed) > 0.0, self.sim.at_fault
         return done or all(finished.tolist()), infos
 
-    @property
-    def collisions(self) -> NDArray[np.float64]:
-        """Which cars are in contact, shape (N,)."""
-        return self.sim.collisions
-
-    @property
-    def poses_x(self) -> NDArray[np.float64]:
-        """Places and headings of the cars, shape (N,), m and rad."""
-        return self.sim.agent_poses[:, 0]
-
-    @property
-    def poses_y(self) -> NDArray[np.float64]:
-        """See ``poses_x``."""
-        return self.sim.agent_poses[:, 1]
-
-    @property
-    def poses_theta(self) -> NDArray[np.float64]:
-        """See ``poses_x``."""
-        return self.sim.agent_poses[:, 2]
-
     def update_params(self, params: Any, index: int = -1) -> None:
         """Change the parameters of all cars, or of the one with an index from 0."""
         self.sim.update_params(params, index)
 
     def _bounded(self, low: tuple[float, float], high: tuple[float, float]) -> gymnasium.spaces.Box:
         """Return the space of the actions of all cars by the bounds for one."""
-        bounds = (np.tile(np.array(ends, np.float32), (self.num_agents, 1)) for ends in (low, high))
-        return gymnasium.spaces.Box(*bounds, dtype=np.float32)
+        ends = [np.tile(np.array(one, np.float32), (self.num_agents, 1)) for one in (low, high)]
+        return gymnasium.spaces.Box(ends[0], ends[1], dtype=np.float32)

@@ -40,7 +40,7 @@ class GenerationA(F110Env):
         ``integrator``, ``lidar_dist`` (m), ``seed``.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata = {  # noqa: RUF012
         "render.modes": ["human", "human_fast"],
         "render_modes": ["human", "human_fast", "rgb_array"],
         "render_fps": 100,
@@ -110,7 +110,7 @@ class GenerationA(F110Env):
         """Call a function with the renderer whenever a frame is drawn."""
         GenerationA.render_callbacks.append(callback_func)
 
-    def render(self, mode: str = "human") -> Any:  # type: ignore[override]
+    def render(self, mode: str = "human") -> Any:
         """Show the cars in a window; where there is none, only the callbacks are called."""
         check_choice("mode", mode, self.metadata["render_modes"])
         if self.render_obs is None:

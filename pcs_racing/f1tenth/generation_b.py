@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Mapping
 from copy import deepcopy
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -67,7 +67,7 @@ class GenerationB(F110Env):
         Whether the gym's faults are kept (docs/coming_from_f1tenth_gym.md).
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "human_fast", "rgb_array"], "render_fps": 100}
+    metadata = {"render_modes": ["human", "human_fast", "rgb_array"], "render_fps": 100}  # noqa: RUF012
 
     def __init__(
         self, config: Any = None, render_mode: str | None = None, *, faithful: bool = True, **named: Any
@@ -169,7 +169,7 @@ class GenerationB(F110Env):
         """Call a function with the renderer whenever a frame is drawn."""
         self._callbacks.append(callback_func)
 
-    def render(self, mode: str = "human") -> Any:  # type: ignore[override]
+    def render(self, mode: str = "human") -> Any:
         """Return a frame in mode "rgb_array"; else show it in a window, if there can be one."""
         if self.render_mode is None:
             return None

@@ -235,8 +235,24 @@ def _touches_wall(grid, body):  # type: ignore[no-untyped-def]
 
 @kernel
 def advance(  # type: ignore[no-untyped-def]
-    grid, track, setup, beams, tables, sides, params, states, actions, waiting, noise, poses, scans, crashed, contact,
-    walls, inverse, work
+    grid,
+    track,
+    setup,
+    beams,
+    tables,
+    sides,
+    params,
+    states,
+    actions,
+    waiting,
+    noise,
+    poses,
+    scans,
+    crashed,
+    contact,
+    walls,
+    inverse,
+    work,
 ):
     """Advance all cars in place by one step, and write what their lidars measure.
 

@@ -167,7 +167,9 @@ class Track:
     @classmethod
     def from_refline(cls, x: ArrayLike, y: ArrayLike, velx: ArrayLike) -> "Track":
         """Make a track without walls of points to follow, shape (N,) each, m and m/s."""
-        xs, ys, speeds = (check_array(name, values, (None,)) for name, values in zip("x y velx".split(), (x, y, velx)))
+        xs, ys, speeds = (
+            check_array(name, values, (None,)) for name, values in zip(("x", "y", "velx"), (x, y, velx), strict=True)
+        )
         if not 4 <= len(xs) <= 100_000 or not len(xs) == len(ys) == len(speeds):
             raise InputError(f"x, y, velx hold {len(xs)}, {len(ys)}, {len(speeds)} numbers; give 4 or more of each")
         line = Raceline.through(xs, ys, speeds)

@@ -64,8 +64,8 @@ def load_map(name: str | os.PathLike[str], ending: str | None = None) -> GymMap:
     file = find_yaml(name)
     if ending is None:
         return _load(file, None, file.stat().st_mtime_ns)
-    picture = file.with_suffix(ending if ending.startswith(".") else f".{ending}")
-    return _load(file, picture if picture.is_file() else None, file.stat().st_mtime_ns)
+    beside = f"{file.with_suffix('')}.{ending.removeprefix('.')}"
+    return _load(file, Path(beside) if os.path.isfile(beside) else None, file.stat().st_mtime_ns)
 
 
 def empty_map(free: NDArray[np.bool_], resolution: float, origin: tuple[float, float]) -> GymMap:

@@ -42,7 +42,7 @@ def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
     else:
         known = ", ".join(["original", "features", *TYPES])
         raise ConfigError(f"observation_config: type is {kind!r:.80}; it must be one of {known}")
-    one = {name: _feature_space(name) for name in features}
+    one: dict[str, spaces.Space[Any]] = {name: _feature_space(name) for name in features}
     space = spaces.Dict({name: spaces.Dict(one) for name in env.agent_ids})
     return space, lambda: _features(env, features)
 

@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.f1tenth.maps import GymMap
+from pcs_racing.f1tenth.old_names import get_vertices
 from pcs_racing.race.painting import FINER, Camera, paint_car, theme_colours
 from pcs_racing.race.rendering import Window
 
@@ -177,10 +178,6 @@ class Batch:
         self.lists[made] = None
         return made
 
-    def add_indexed(self, count: int, mode: int, group: Any, indices: Any, *data: Any) -> VertexList:
-        """Add points as :meth:`add` does."""
-        return self.add(count, mode, group, *data)
-
     def draw(self) -> None:
         """Nothing: the renderer draws."""
 
@@ -218,11 +215,8 @@ class EnvRenderer(_Painter):
         self.poses = np.stack((obs["poses_x"], obs["poses_y"], obs["poses_theta"]), axis=1)
         while len(self.cars) != len(self.poses):
             self.cars = [VertexList(self.batch, 4, 0, ()) for _ in self.poses]
-        corners = np.array([[-1, 1], [-1, -1], [1, -1], [1, 1]]) * HALF_SIZE
-        for car, (x, y, theta) in zip(self.cars, self.poses.tolist(), strict=True):
-            sine, cosine = np.sin(theta), np.cos(theta)
-            turned = corners @ np.array([[cosine, sine], [-sine, cosine]]) + (x, y)
-            car.vertices = (PIXELS * turned).ravel().tolist()
+        for car, pose in zip(self.cars, self.poses, strict=True):
+            car.vertices = (PIXELS * get_vertices(pose, F1TENTH.length, F1TENTH.width)).ravel().tolist()
         count = obs["lap_counts"][self.ego_idx]
         self.score_label.text = f"Lap Time: {obs['lap_times'][0]:.2f}, Ego Lap Count: {count:.0f}"
 
@@ -249,7 +243,9 @@ class EnvRenderer(_Painter):
 
     def _paint(self, pen: ImageDraw.ImageDraw, camera: Camera, drawing: VertexList) -> None:
         points = np.asarray(drawing.vertices, np.float64)
-        points = camera.pixels(points[: points.size // drawing.width * drawing.width].reshape(-1, drawing.width) / PIXELS)
+        points = camera.pixels(
+            points[: points.size // drawing.width * drawing.width].reshape(-1, drawing.width) / PIXELS
+        )
         colour = tuple(int(value) for value in list(drawing.colors)[:3]) or (183, 193, 222)
         flat = points.ravel().tolist()
         if drawing.mode == 0:  # points

@@ -96,7 +96,7 @@ class SameNoise:
     BLOCK, KEPT = 64, 32  # steps drawn at once, and blocks that are kept: 18 MB
 
     def __init__(self, seed: int) -> None:
-        self._rng, self._last = np.random.default_rng(seed), np.empty(0)
+        self._rng, self._last = np.random.default_rng(seed), np.empty((1, 1, 0))
         self._kept: list[Floats] = []
         self._after: Any = None
 
@@ -105,7 +105,7 @@ class SameNoise:
         block, k = divmod(step, self.BLOCK)
         if k == 0:
             self._last = self._block(block)
-        return self._last[k]  # type: ignore[no-any-return]
+        return self._last[k]
 
     def _block(self, block: int) -> Floats:
         if block < len(self._kept):
@@ -217,7 +217,7 @@ class Simulator:
         )  # fmt: skip
         if _advance is None:
             _compile(arguments)
-        _advance(*arguments)  # type: ignore[misc]
+        _advance(*arguments)
         if not self.faithful:
             np.clip(self.agent_scans, 0.0, RANGE, out=self.agent_scans)
             self._find_faults()
@@ -226,7 +226,7 @@ class Simulator:
         """Say who hit a wall, and who is at fault for the contacts of cars."""
         self.at_fault = self.walls.copy()
         bodies = [
-            Rectangle(*pose, 0.5 * row[LENGTH], 0.5 * row[WIDTH])
+            Rectangle(pose[0], pose[1], pose[2], 0.5 * row[LENGTH], 0.5 * row[WIDTH])
             for pose, row in zip(self.agent_poses.tolist(), self._params.tolist(), strict=True)
         ]
         for i, j in enumerate(self.collision_idx.astype(int).tolist()):

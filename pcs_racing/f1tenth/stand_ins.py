@@ -28,6 +28,7 @@ from pcs_racing.f1tenth import (
 )
 from pcs_racing.f1tenth import observations as seen
 from pcs_racing.f1tenth import simulator as cars
+from pcs_racing.f1tenth.maps import find_yaml
 
 
 class NotServedError(InputError, ImportError):
@@ -110,16 +111,18 @@ def _contents() -> dict[str, dict[str, Any]]:
     """What each module holds."""
     a: dict[str, Any] = {"F110Env": generation_a.GenerationA, "Integrator": generation_a.Integrator}
     parts = {"Simulator": cars.Simulator, "RaceCar": cars.RaceCar, "get_vertices": old_names.get_vertices}
-    a |= parts | {"pid": old_names.pid, "gym": gymnasium, "np": np}
+    a |= parts | {"gym": gymnasium, "np": np}
     b: dict[str, Any] = {"F110Env": generation_b.GenerationB, "deep_update": generation_b.deep_update, **parts}
     track = {name: getattr(lines, name) for name in ("Track", "TrackSpec", "Raceline", "CubicSpline2D")}
     track["nearest_point_on_trajectory"] = lines.nearest_point_on_trajectory
-    track["find_track_dir"] = lambda name: generation_b.Track.from_track_name(name).loaded.file.parent
-    enums = {name: value for name, value in vars(old_names).items() if isinstance(value, type)}
+    track["find_track_dir"] = lambda name: find_yaml(name).parent
+    enums = {name: value for name, value in vars(old_names).items() if name[0].isupper()}
     draw = {"EnvRenderer": rendering.EnvRenderer, "RenderSpec": rendering.RenderSpec}
     gl = {name: k for k, name in enumerate((*_GL.split(), *_MORE_GL.split()))} | dict.fromkeys(_CALLS.split(), _ignored)
     wrappers = {cls.__name__: cls for cls in (Wrapper, ObservationWrapper, RewardWrapper, ActionWrapper)}
-    gym = {name: getattr(gymnasium, name) for name in ("Env", "Space", "make", "register", "spaces", "vector", "logger")}
+    gym = {
+        name: getattr(gymnasium, name) for name in ("Env", "Space", "make", "register", "spaces", "vector", "logger")
+    }
     b_parts = "base_classes action integrator dynamic_models collision_models laser_models observation reset utils"
     return {
         "gym": gym | wrappers | {"__version__": "0.21.0"},
@@ -162,7 +165,9 @@ def _refuse(module: str, name: str) -> NotServedError:
 class _Refuser(MetaPathFinder):
     """Refuses modules of the gym that are not here, in one sentence, whatever is installed."""
 
-    def find_spec(self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
         """Raise an error for them; nothing for all other modules."""
         package, _, rest = fullname.partition(".")
         if package == "gym" and rest and find_spec("gymnasium") and not rest.startswith("wrappers."):
