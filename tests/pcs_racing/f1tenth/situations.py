@@ -1,6 +1,7 @@
 """Ten scripted situations on a ring, and what runs them in a checkout of the gym (v1.0.0) by its own Python."""
 
 import json
+import math
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,7 +32,7 @@ def write_ring(folder: Path) -> Path:
 
 def place(angle: float, radius: float = RADIUS, turned: float = 0.0) -> list[float]:
     """Pose at an angle of the ring, heading along it and turned from there."""
-    return [radius * np.cos(angle), radius * np.sin(angle), angle + 0.5 * np.pi + turned]
+    return [radius * math.cos(angle), radius * math.sin(angle), angle + 0.5 * math.pi + turned]
 
 
 def hold(steps: int, *cars: tuple[float, float]) -> np.ndarray:

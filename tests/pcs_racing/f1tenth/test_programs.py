@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from repository import REPOSITORY
 from situations import place, write_ring
 
 A = """
@@ -78,7 +79,7 @@ print('driven', round(env.current_time, 2))
 
 
 def run(program, cwd, *paths, seconds=300):
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (*paths, os.environ.get("PYTHONPATH", ""))))}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (*paths, REPOSITORY)))}
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         environment.pop(name, None)
     command = [sys.executable, "-m", "pcs_racing.f1tenth", str(program)]
