@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcs_racing.base.checks import check_choice
-from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.f1tenth.env import Callback, F110Env
 from pcs_racing.f1tenth.kernel import EULER, KS, RK4, ST
 from pcs_racing.f1tenth.lines import Track
@@ -45,7 +45,8 @@ def control_types(given: Any) -> tuple[str, str]:
         pair = _PARTNERS[given]
         warnings.warn(f"control_input is {given!r}: taken for {list(pair)}", UserWarning, stacklevel=4)
         return pair
-    pair = tuple(given) if isinstance(given, list | tuple) else ()
+    listed = isinstance(given, list | tuple) and all(isinstance(one, str) for one in given)
+    pair = tuple(given) if listed else ()
     if len(pair) != 2 or pair[0] not in ("accl", "speed") or pair[1] not in ("steering_angle", "steering_speed"):
         raise ConfigError(
             f"control_input is {given!r:.200}; it must be a list of 'speed' or 'accl', and 'steering_angle' or "
@@ -143,6 +144,8 @@ class GenerationB(F110Env):
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Put the cars at ``options["poses"]``, shape (N, 3), or as ``reset_config`` says, and step without action."""
         super().reset(seed=seed)
+        if options is not None and not isinstance(options, Mapping):
+            raise InputError(f"options is {options!r:.200}; it must be a dictionary such as {{'poses': ...}}, or None")
         poses = (options or {}).get("poses")
         if poses is None:
             poses = starting_poses(self.track, self.num_agents, self.config["reset_config"], self.np_random)
