@@ -1,15 +1,17 @@
-"""Two cars with 1080-beam lidars on one map, for the same time: here, and in the F1TENTH gym (v1.0.0).
+"""1, 2 and 4 cars with 1080-beam lidars on one map, for the same time: here, and in the F1TENTH gym (v1.0.0).
 
     python benchmarks/beside_f1tenth_gym.py                                  # our half alone
     python benchmarks/beside_f1tenth_gym.py --checkout PATH --python PATH    # both, and the ratio
 
 PATH are a checkout of https://github.com/f1tenth/f1tenth_gym and the Python of an environment in which it is installed
-(``python -m venv ENV && ENV/bin/pip install -e CHECKOUT``); it is not on PyPI and pins other versions than we do.
+(``python -m venv ENV && ENV/bin/pip install -e CHECKOUT "yamldataclassconfig==1.5"``); it is not on PyPI and pins other
+versions than we do.
 
-Both simulators drive the same two cars (the parameters of both are those of the F1TENTH car) along the race line, from
-the same poses, by the same pure pursuit in plain Python, one car 3 m ahead of the other. Only the steps are timed, not
-the pursuit: processor time of the thread, after a run that compiles. A step lasts 0.01 s there and 0.02 s here, inside
-which we integrate at 0.01 s, too: what counts is simulated seconds per second. Each step scans for both cars.
+Both simulators drive the same cars (the parameters of both are those of the F1TENTH car) along the race line, from the
+same poses, by the same pure pursuit in plain Python, each car 3 m ahead of the next. Only the steps are timed, not the
+pursuit: processor time of the thread, after a run that compiles. A step of the gym and of our drop-in for it
+(``pcs_racing:f1tenth-v0``) lasts 0.01 s, one of `Drive` 0.02 s, inside which we integrate at 0.01 s, too: what counts
+is simulated seconds per second. Each step scans for every car. `Drive` and its batch race two cars.
 """
 
 import argparse
@@ -45,19 +47,29 @@ def steer(line, x, y, heading):
     return max(-0.4, min(0.4, math.atan(0.33 * 2.0 * across / (dx * dx + dy * dy))))
 '''
 
-# Run by the other environment's Python: reads the task as JSON, answers with one line of JSON.
-THEIRS = (
+# Run by the other environment's Python and by ours: reads the task as JSON, answers with one line of JSON.
+STEPPING = (
     PURSUIT
     + """
 import json, pathlib, sys, time
 import gymnasium, numpy as np
-import f1tenth_gym
-from f1tenth_gym.envs.track import Track
 
 task = json.load(sys.stdin)
-line, ahead = task["line"], task["ahead"]
-env = gymnasium.make("f1tenth_gym:f1tenth-v0", config={
-    "map": Track.from_track_path(pathlib.Path(task["map"])), "num_agents": 2, "timestep": 0.01, "integrator": "rk4",
+line, ahead, cars = task["line"], task["ahead"], len(task["poses"])
+made, chosen = task["id"], task["map"]
+if made.startswith("f1tenth_gym"):
+    import yaml
+    from PIL import Image
+    from f1tenth_gym.envs.track import Raceline, Track, TrackSpec
+
+    file = pathlib.Path(chosen)
+    spec = TrackSpec(name="track", **yaml.safe_load(file.read_text()))
+    pixels = np.array(Image.open(file.parent / spec.image).convert("L").transpose(Image.FLIP_TOP_BOTTOM))
+    xs, ys = np.array(line, np.float32).T
+    race = Raceline(xs, ys, np.ones_like(xs))
+    chosen = Track(spec, np.where(pixels > 128, 255.0, 0.0).astype(np.float32), centerline=race, raceline=race)
+env = gymnasium.make(made, config={
+    "map": chosen, "num_agents": cars, "timestep": 0.01, "integrator": "rk4",
     "model": "st", "control_input": ["speed", "steering_angle"], "observation_config": {"type": "original"},
 }).unwrapped
 
@@ -67,7 +79,7 @@ def run(seconds):
     while steps < round(100 * seconds) and not crashed:
         x, y, heading = env.sim.agent_poses.T
         if steps % 2 == 0:
-            action = np.array([[steer(line, x[i], y[i], heading[i]), task["speed"]] for i in range(2)])
+            action = np.array([[steer(line, x[i], y[i], heading[i]), task["speed"]] for i in range(cars)])
         start = time.thread_time()
         env.step(action)
         spent += time.thread_time() - start
@@ -82,12 +94,12 @@ print(json.dumps({"spent": spent, "driven": driven, "crashed": crashed}))
 )
 
 
-def the_task(track: Track, seconds: float) -> dict[str, Any]:
+def the_task(track: Track, seconds: float, cars: int) -> dict[str, Any]:
     """What both halves are told: map, line, poses and time."""
     assert track.folder is not None
     # Every second point: their half searches the nearest one in plain Python in each step.
     line = track.line[::2, :2]
-    poses = track.to_cartesian(np.array([[GAP, 0.0], [0.0, 0.0]]))
+    poses = track.to_cartesian(np.array([[GAP * (cars - 1 - i), 0.0] for i in range(cars)]))
     return {
         "map": str(track.folder / f"{track.name}_map.yaml"),
         "line": line.tolist(),
@@ -135,14 +147,19 @@ def ours(track: Track, task: dict[str, Any], races: int) -> tuple[float, float, 
     return spent, driven, crashed
 
 
-def theirs(task: dict[str, Any], checkout: Path, python: Path) -> tuple[float, float, bool]:
-    """The same in the gym, run by the Python of its own environment."""
+def stepped(task: dict[str, Any], made: str, python: Path, folder: Path | None) -> tuple[float, float, bool]:
+    """The same in an environment with the gym's interface, run by a Python in a folder."""
     done = subprocess.run(
-        [str(python), "-c", THEIRS], cwd=checkout, input=json.dumps(task), capture_output=True, text=True, check=False
+        [str(python), "-c", STEPPING],
+        cwd=folder,
+        input=json.dumps({**task, "id": made}),
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if done.returncode:
         last = done.stderr.strip().splitlines()[-1:] or ["no message"]
-        raise InputError(f"the gym in {checkout} could not be driven by {python}: {last[0]}")
+        raise InputError(f"{made} could not be driven by {python}: {last[0]}")
     answer = json.loads(done.stdout.splitlines()[-1])
     return answer["spent"], answer["driven"], answer["crashed"]
 
@@ -167,27 +184,34 @@ def main(given: list[str] | None = None) -> int:
     parser.add_argument("--track", default="Tarnfjord", help="name or folder of a circuit (default: Tarnfjord)")
     parser.add_argument("--seconds", type=float, default=10.0, help="to drive (default: 10)")
     parser.add_argument("--races", type=int, default=64, help="races in our batch (default: 64)")
+    parser.add_argument("--cars", type=int, nargs="+", default=[1, 2, 4], metavar="N", help="(default: 1 2 4)")
     arguments = parser.parse_args(given)
     try:
         check_gym(arguments.checkout, arguments.python)
-        if not (arguments.seconds >= 1.0 and arguments.races >= 1):
+        if not (arguments.seconds >= 1.0 and arguments.races >= 1 and min(arguments.cars) >= 1):
             raise InputError(f"{arguments.seconds:g} s and {arguments.races} races: drive at least 1 s in 1 race")
         track = load_track(arguments.track)
-        task = the_task(track, arguments.seconds)
         rows = []
-        if arguments.checkout is not None:
-            rows.append(("F1TENTH gym, one race", 1, *theirs(task, arguments.checkout, arguments.python)))
-        for races in dict.fromkeys((1, arguments.races)):
-            rows.append((f"here, {'one race' if races == 1 else f'{races} at once'}", races, *ours(track, task, races)))
+        for cars in arguments.cars:
+            task = the_task(track, arguments.seconds, cars)
+            if arguments.checkout is not None:
+                gym = stepped(task, "f1tenth_gym:f1tenth-v0", arguments.python, arguments.checkout)
+                rows.append((cars, "F1TENTH gym", 1, *gym))
+            here = stepped(task, "pcs_racing:f1tenth-v0", Path(sys.executable), None)
+            rows.append((cars, "here, drop-in", 1, *here))
+            for races in dict.fromkeys((1, arguments.races)) if cars == 2 else ():
+                name = "here, Drive" if races == 1 else f"here, Drive, {races} at once"
+                rows.append((cars, name, races, *ours(track, task, races)))
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    print(f"{track.name}: two cars, {BEAMS} beams each, {arguments.seconds:g} s, one thread\n")
-    first = rows[0][1] * rows[0][3] / rows[0][2]
-    print("| simulator | driven, s | simulated seconds per second | ratio | |\n|---|---|---|---|---|")
-    for name, races, spent, driven, crashed in rows:
+    print(f"{track.name}: {BEAMS} beams for each car, {arguments.seconds:g} s, one thread\n")
+    print("| cars | simulator | driven, s | simulated seconds per second | ratio | |\n|---|---|---|---|---|---|")
+    first: dict[int, float] = {}
+    for cars, name, races, spent, driven, crashed in rows:
         rate = races * driven / spent
-        print(f"| {name} | {driven:g} | {rate:,.0f} | {rate / first:.1f} | {'crashed' if crashed else ''} |")
+        ratio = rate / first.setdefault(cars, rate)
+        print(f"| {cars} | {name} | {driven:g} | {rate:,.1f} | {ratio:.1f} | {'crashed' if crashed else ''} |")
     if arguments.checkout is None:
         print("\nFor the other simulator give --checkout and --python (see --help).")
     return 0

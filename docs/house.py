@@ -22,6 +22,7 @@ FLOORS = [
     ("agents", "payoffs/", "all pairs of a pool race; headroom"),
     ("agents", "jobs/  results/  pictures/", "long work that resumes; tables; style"),
     ("environment", "testing/", "checks for your own planners, archives, axes"),
+    ("environment", "f1tenth/", "the F1TENTH gym's interface, for its programs"),
     ("environment", "envs/", "PettingZoo, Gymnasium, Stable-Baselines3"),
     ("environment", "game/", "rules, characteristics, archive, moves in the PCS"),
     ("environment", "race/", "two cars: start, kernel, state, recording, replay"),

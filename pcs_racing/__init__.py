@@ -16,6 +16,7 @@ from pcs_racing.base.errors import ConfigError, InputError, MapError, UnknownNam
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams, simulate
 from pcs_racing.envs import register_environments
+from pcs_racing.f1tenth import register_environments as register_old_environments
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import list_archives, load_archive, save_archive
 from pcs_racing.game.config import GameConfig, load_game_config
@@ -88,6 +89,7 @@ __all__ = [
 ]
 
 register_environments()
+register_old_environments()
 
 
 def __getattr__(name: str) -> Any:

@@ -17,9 +17,9 @@ def beside():
 
 
 def test_our_half_drives_both_cars_to_the_end(beside, capsys):
-    assert beside.main(["--seconds", "2", "--races", "2"]) == 0
-    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| here")]
-    assert [row.split("|")[2].strip() for row in rows] == ["2", "2"]
+    assert beside.main(["--seconds", "2", "--races", "2", "--cars", "2"]) == 0
+    rows = [line for line in capsys.readouterr().out.splitlines() if "| here" in line]
+    assert [row.split("|")[3].strip() for row in rows] == ["2", "2", "2"]
     assert not any("crashed" in row for row in rows)
 
 
@@ -48,7 +48,16 @@ def test_the_gym_is_run_by_its_own_python(beside, tmp_path, capsys):
         f"#!{sys.executable}\nimport json, sys\ntask = json.load(sys.stdin)\nprint(json.dumps({answer}))\n"
     )
     python.chmod(python.stat().st_mode | stat.S_IXUSR)
-    given = ["--checkout", str(tmp_path), "--python", str(python), "--seconds", "2", "--races", "1"]
+    given = ["--checkout", str(tmp_path), "--python", str(python), "--seconds", "2", "--races", "1", "--cars", "2"]
     assert beside.main(given) == 0
-    row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("| F1TENTH gym"))
-    assert [cell.strip() for cell in row.split("|")[2:5]] == ["2", "0", "1.0"]
+    row = next(line for line in capsys.readouterr().out.splitlines() if "| F1TENTH gym" in line)
+    assert [cell.strip() for cell in row.split("|")[3:6]] == ["2", "0.5", "1.0"]
+
+
+def test_a_gym_that_fails_is_named(beside, tmp_path, capsys):
+    (tmp_path / "f1tenth_gym" / "envs").mkdir(parents=True)
+    python = tmp_path / "python"
+    python.write_text(f"#!{sys.executable}\nraise SystemExit('no gym here')\n")
+    python.chmod(python.stat().st_mode | stat.S_IXUSR)
+    assert beside.main(["--checkout", str(tmp_path), "--python", str(python), "--seconds", "2"]) == 2
+    assert "no gym here" in capsys.readouterr().err

@@ -8,6 +8,7 @@ settings and environments are found by what they declare: a new one is fuzzed wi
 import hashlib
 import io
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, dataclass, fields
 from functools import cache, partial
@@ -27,6 +28,8 @@ from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing.envs.opponents import parse_opponents
+from pcs_racing.f1tenth.generation_a import GenerationA
+from pcs_racing.f1tenth.generation_b import GenerationB
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.game.state import load_game, save_game
 from pcs_racing.planners.trained import DRIVER_FORMAT, read_driver
@@ -428,6 +431,45 @@ def made(name: str, data: bytes) -> object:
     return result
 
 
+OLD_ARGUMENTS: dict[str, tuple[Any, ...]] = {
+    "seed": (1,), "num_agents": (1, 2, 3), "timestep": (0.01, 0.02), "ego_idx": (0, 1), "params": ({"mu": 0.8}, {}),
+}  # fmt: skip
+OLD_CONFIG: dict[str, tuple[Any, ...]] = {
+    "integrator": ("rk4", "euler"), "model": ("st", "ks", "mb"), "control_input": ("speed", ["accl", "steering_speed"]),
+    "observation_config": ({"type": "original"}, {"type": "features", "features": ["scan", "collision"]}),
+    "reset_config": ({"type": "cl_random_random"}, {"type": "rl_grid_static", "min_dist": 2.0}),
+}  # fmt: skip
+
+
+def old_program(generation: str, data: bytes) -> object:
+    """A program of the F1TENTH gym: an environment of odd arguments, and odd calls of it."""
+    draw, env = Draw(data), None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # what is not known is named in a warning
+        if generation == "a":
+            arguments = draw.keywords({**OLD_ARGUMENTS, "map_ext": (".png",), "lidar_dist": (0.2,)})
+            env = GenerationA(**{"map": "Pipkin", "faithful": draw.byte() % 2 > 0, **arguments})
+        else:
+            config = {"map": "Pipkin", **draw.keywords({**OLD_ARGUMENTS, **OLD_CONFIG})}
+            env = GenerationB(draw.value(config, config), faithful=draw.byte() % 2 > 0, render_mode="rgb_array")
+        poses = np.array([[0.5 * i, 0.0, 1.0] for i in range(env.num_agents)])
+        for _ in range(1 + draw.byte() % 6):
+            what = draw.byte() % 8
+            if what < 2 or not env._started:
+                odd = draw.value(poses, poses, poses.tolist())
+                env.reset(odd) if generation == "a" else env.reset(seed=1, options=draw.value(None, {"poses": odd}))
+            elif what < 5:
+                with np.errstate(all="ignore"):
+                    env.step(draw.value(env.action_space.sample(), env.action_space.sample()))
+            elif what == 5:
+                env.update_params(draw.value({"mu": 1.0}, {"width": draw.number()}), draw.value(0, -1))
+            elif what == 6:
+                env.add_render_callback(lambda renderer: renderer.cars)
+            else:
+                env.render("rgb_array")
+    return env
+
+
 def opponents(data: bytes) -> object:
     draw = Draw(data)
     names = ("never-switch", "random-moves", "always-restraint+", "lattice:pace=0.9", "lane-switcher:3")
@@ -470,6 +512,8 @@ TARGETS: dict[str, Target] = {
     "policy text": Target(as_text(parse_policy), texts(*POLICIES), "text"),
     "agent text": Target(as_text(lambda text: parse_agent(text, setting())), texts(*AGENTS), "text"),
     "opponents": Target(opponents, values(40), "values"),
+    "f110 program": Target(partial(old_program, "a"), values(120), "values"),
+    "f1tenth program": Target(partial(old_program, "b"), values(120), "values"),
     "yaml": Target(plain_yaml, files("*.yaml", shipped_fits()), "yaml"),
     "arrays": Target(unpack_arrays, lambda: [chunk_seed()], "npz"),
     "chunk": Target(

@@ -177,7 +177,7 @@ def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-
 
 
 @inner_kernel
-def _draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):  # type: ignore[no-untyped-def]
+def draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):  # type: ignore[no-untyped-def]
     """Draw a rectangle, centred at (x, y) relative to the lidar, into a buffer of inverse ranges."""
     s, c = sine_cosine(psi)
     px, py = work[2, :_RECTANGLE], work[3, :_RECTANGLE]
@@ -305,7 +305,7 @@ def scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out)
     dx, dy, reach = ox - x, oy - y, beams.max_range + half_length + half_width
     if dx * dx + dy * dy < reach * reach:
         sin, cos = sine_cosine(psi)
-        _draw_rectangle(beams, dx, dy, opsi, half_length, half_width, cos, sin, work, out)
+        draw_rectangle(beams, dx, dy, opsi, half_length, half_width, cos, sin, work, out)
 
 
 @kernel

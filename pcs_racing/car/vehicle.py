@@ -216,7 +216,7 @@ def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):  # type:
 
 
 @inner_kernel(forceinline=True)
-def _derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  # type: ignore[no-untyped-def]
+def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  # type: ignore[no-untyped-def]
     """Right-hand side of the model for (x, y, delta, v, psi, psi_dot, beta)."""
     rate = _limited_rate(delta, rate, car)
     a = _limited_acceleration(v, acceleration, car)
@@ -248,14 +248,14 @@ def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow)
     branch, so that loops over many cars use vector instructions.
     """
     h = 0.5 * dt
-    a0, a1, a2, a3, a4, a5, a6 = _derivative(delta, v, psi, r, beta, rate, acceleration, car, slow)
-    b0, b1, b2, b3, b4, b5, b6 = _derivative(
+    a0, a1, a2, a3, a4, a5, a6 = derivative(delta, v, psi, r, beta, rate, acceleration, car, slow)
+    b0, b1, b2, b3, b4, b5, b6 = derivative(
         delta + h * a2, v + h * a3, psi + h * a4, r + h * a5, beta + h * a6, rate, acceleration, car, slow
     )
-    c0, c1, c2, c3, c4, c5, c6 = _derivative(
+    c0, c1, c2, c3, c4, c5, c6 = derivative(
         delta + h * b2, v + h * b3, psi + h * b4, r + h * b5, beta + h * b6, rate, acceleration, car, slow
     )
-    d0, d1, d2, d3, d4, d5, d6 = _derivative(
+    d0, d1, d2, d3, d4, d5, d6 = derivative(
         delta + dt * c2, v + dt * c3, psi + dt * c4, r + dt * c5, beta + dt * c6, rate, acceleration, car, slow
     )
     w = dt / 6.0

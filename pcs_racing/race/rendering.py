@@ -92,8 +92,7 @@ class Renderer:
         self._shown: Track | Replay | None = None
         self.show(scene, half_sizes)
         self._font = ImageFont.load_default(16)
-        self._window: Any = None
-        self._pygame = _import_pygame() if mode == "human" else None
+        self._window = Window(width, height, fps) if mode == "human" else None
 
     def show(self, scene: Union["Track", Replay], half_sizes: np.ndarray | None = None) -> None:
         """Draw another track or replay from now on, and cars of other half sizes if they are given."""
@@ -165,16 +164,15 @@ class Renderer:
         if text:
             ImageDraw.Draw(image).text((14, 10), text, fill=self._colours["ink"], font=self._font)
         frame = np.array(image)
-        if self.mode == "human":
-            self._show(frame)
-            return None
-        return frame
+        if self._window is None:
+            return frame
+        self._window.show(frame)
+        return None
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        if self._window is not None and self._pygame is not None:
-            self._pygame.display.quit()
-            self._window = None
+        if self._window is not None:
+            self._window.close()
 
     def _aim(self, cars: np.ndarray) -> Camera:
         """The camera of this moment, in whole fine pixels, so that the background needs no resampling."""
@@ -213,23 +211,35 @@ class Renderer:
         left, top = column - place[0] * step_x + step_x // 2, place[1] * step_y - row + step_y // 2
         return self._ground[1].crop((left, top, left + width, top + height))
 
-    def _show(self, frame: np.ndarray) -> None:
+
+class Window:
+    """A window that shows frames of one size."""
+
+    def __init__(self, width: int, height: int, fps: float) -> None:
+        self._pygame, self._size, self.fps = _import_pygame(), (width, height), fps
+        self._surface: Any = None
+
+    def show(self, frame: np.ndarray) -> None:
         """Put a frame into the window, opening it first; closing it by hand ends nothing but the showing."""
         pygame = self._pygame
-        if pygame is None:
-            return
-        if self._window is None:
+        if self._surface is None:
             try:
                 pygame.display.init()
-                self._window = pygame.display.set_mode((self.width, self.height))
+                self._surface = pygame.display.set_mode(self._size)
             except pygame.error as error:
                 raise RuntimeError(f"can't open a window ({error}); mode='rgb_array' needs no display") from None
             pygame.display.set_caption("pcs-racing")
             self._clock = pygame.time.Clock()
         pygame.event.pump()
-        self._window.blit(pygame.image.frombuffer(frame.tobytes(), (self.width, self.height), "RGB"), (0, 0))
+        self._surface.blit(pygame.image.frombuffer(frame.tobytes(), self._size, "RGB"), (0, 0))
         pygame.display.flip()
         self._clock.tick(self.fps)
+
+    def close(self) -> None:
+        """Close it, if it has been opened."""
+        if self._surface is not None:
+            self._pygame.display.quit()
+            self._surface = None
 
 
 def half_sizes(vehicles: np.ndarray) -> np.ndarray:

@@ -74,6 +74,20 @@ def load_track(name_or_path: str | os.PathLike[str]) -> Track:
         return kept.track
 
 
+def with_walls(track: Track, occupied: NDArray[np.bool_], resolution: float, origin: tuple[float, float]) -> Track:
+    """Return a circuit with the walls of another grid (see `build_track`) around its lines; cached on disk."""
+    grid = np.packbits(occupied).tobytes()
+    facts = repr((track.content_hash, occupied.shape, resolution, origin)).encode()
+    key = cache_key({"walls": grid, "facts": facts}, TRACK)
+    arrays = load_cached(TRACK, key)
+    restored = None if arrays is None else _restore(track.name, track.folder, arrays)
+    if restored is not None:
+        return restored[0]
+    made = build_track(track.name, occupied, resolution, origin, track.centerline, track.line[:, :2])
+    store(TRACK, key, _flatten(made, ""))
+    return made
+
+
 class _Loaded(NamedTuple):
     files: MapFiles
     paths: tuple[Path, ...]
@@ -111,7 +125,7 @@ def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
     """Return a track from the cache on disk, or build and cache it."""
     key = cache_key(contents, TRACK)
     arrays = load_cached(TRACK, key)
-    restored = None if arrays is None else _restore(files, arrays)
+    restored = None if arrays is None else _restore(files.name, files.folder, arrays)
     if restored is not None:
         track, note = restored
     else:
@@ -187,7 +201,7 @@ def _flatten(track: Track, note: str) -> dict[str, Any]:
     }
 
 
-def _restore(files: MapFiles, stored: dict[str, NDArray[Any]]) -> tuple[Track, str] | None:
+def _restore(name: str, folder: Path | None, stored: dict[str, NDArray[Any]]) -> tuple[Track, str] | None:
     """Return the track of arrays from `_flatten`; None if an array is missing."""
     try:
         drivable = np.unpackbits(stored["drivable"], axis=1, count=int(stored["columns"])).view(np.bool_)
@@ -198,9 +212,9 @@ def _restore(files: MapFiles, stored: dict[str, NDArray[Any]]) -> tuple[Track, s
     except (KeyError, ValueError):
         return None
     # An array without axes is of another type than a number: kernels would be compiled once more for it.
-    for name, value in values.items():
+    for field, value in values.items():
         if value.ndim == 0:
-            values[name] = float(value)
+            values[field] = float(value)
     arrays = TrackArrays(distance=distance_to_walls(drivable, values["cell"]), **values)
     calibration = {preset: calibration_from_values(values) for preset, values in own.items()}
-    return Track(files.name, arrays, center, calibration, files.folder, content_hash), note
+    return Track(name, arrays, center, calibration, folder, content_hash), note

@@ -498,7 +498,7 @@ def test_a_window_follows_the_race(kind, in_a_step, monkeypatch):
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     shown = []
-    monkeypatch.setattr("pcs_racing.race.rendering.Renderer._show", lambda self, frame: shown.append(frame))
+    monkeypatch.setattr("pcs_racing.race.rendering.Window.show", lambda self, frame: shown.append(frame))
     for env in (make(kind, render_mode="human"), make_many(kind, 1, render_mode="human")):
         shown.clear()
         env.reset(seed=0)

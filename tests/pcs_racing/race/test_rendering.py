@@ -126,7 +126,7 @@ def test_a_window_shows_frames(race, monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     renderer = Renderer(race, 200, 120, mode="human", fps=1000.0)
     assert renderer.render(race.cars[0]) is None
-    shown = renderer._pygame.surfarray.array3d(renderer._window).swapaxes(0, 1)
+    shown = renderer._window._pygame.surfarray.array3d(renderer._window._surface).swapaxes(0, 1)
     assert np.array_equal(shown, Renderer(race, 200, 120).render(race.cars[0]))
     assert renderer.render(race.cars[1]) is None
     renderer.close()

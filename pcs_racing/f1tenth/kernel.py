@@ -1,0 +1,368 @@
+"""One step of the F1TENTH gym in compiled code: any number of cars, with its order of operations and its limits.
+
+Vehicle, lidar and contacts are those of :mod:`pcs_racing.car`. What is here is the gym's own: its controllers, its test
+for walls by the scan, its finish line, and a lidar for maps that are no circuit.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.elementary import sine_cosine, tangent
+from pcs_racing.car.collision import Rectangle, inside_wall, rectangles_overlap
+from pcs_racing.car.lidar_kernel import draw_rectangle, scan_into
+from pcs_racing.car.vehicle import BETA, DELTA, GRAVITY, PSI, PSI_DOT, STATE_SIZE, Handling, V, X, Y, derivative
+from pcs_racing.track.frenet import locate
+from pcs_racing.track.grid import cast
+
+# Columns of a car's parameters, which are those of the gym in its order.
+(MU, C_SF, C_SR, LF, LR, H, M, INERTIA, S_MIN, S_MAX, SV_MIN, SV_MAX, V_SWITCH, A_MAX, V_MIN, V_MAX, WIDTH, LENGTH) = (
+    range(18)
+)
+
+KS, ST, OLD_ST = range(3)  # vehicle models; OLD_ST is that of generation A, which differs below 0.5 m/s
+RK4, EULER = range(2)
+DELAY = 2  # steps by which steering is late
+STOP_TIME = 0.005  # s to a collision, below which a wall counts as hit
+NEAR = 0.15  # m: a wall this far from a car's side is looked at with the gym's own march
+EPSILON = 1e-4  # m, at which that march ends
+DIRECTIONS = 2000  # of that march, all around
+BESIDE, AROUND = 2.0, 0.1  # of the start: m to both sides of it, and the square of m beyond them
+
+
+class MapGrid(NamedTuple):
+    """A map as the gym reads it: every grey level above 128 is free. Framed by one ring of wall cells."""
+
+    free: np.ndarray  #: shape (H + 2, W + 2), bool; row 0 is the bottom.
+    distance: np.ndarray  #: of that shape, m: From each cell's centre to that of the nearest wall cell.
+    origin_x: float  #: Lower left corner of the map itself, m.
+    origin_y: float
+    cell: float  #: m
+    open_outside: bool  #: Whether beams that leave the map meet no wall.
+
+
+class Setup(NamedTuple):
+    """What does not change from step to step."""
+
+    model: int
+    integrator: int
+    acceleration: bool  #: Whether the second column of actions is an acceleration, m/s^2, and not a speed.
+    steering_rate: bool  #: Whether the first is a steering rate, rad/s, and not an angle.
+    dt: float  #: s
+    lidar_dist: float  #: m from the centre of gravity to the lidar.
+    faithful: bool
+    on_circuit: bool  #: Whether the track belongs to the map.
+
+
+@inner_kernel
+def _write_rates(state, rate, acceleration, p, car, model, out):  # type: ignore[no-untyped-def]
+    """Write the time derivative of a car's state."""
+    delta, v, psi = state[DELTA], state[V], state[PSI]
+    least = p[SV_MIN] if delta > p[S_MIN] else 0.0
+    rate = min(max(rate, least), p[SV_MAX] if delta < p[S_MAX] else 0.0)
+    if model == ST or (model == OLD_ST and abs(v) >= 0.5):
+        out[0], out[1], out[2], out[3], out[4], out[5], out[6] = derivative(
+            delta, v, psi, state[PSI_DOT], state[BETA], rate, acceleration, car, model == ST
+        )
+        return
+    least = -car.a_max if v > car.v_min else 0.0
+    most = car.a_max * (car.v_switch / v if v > car.v_switch else 1.0) if v < car.v_max else 0.0
+    a = min(max(acceleration, least), most)
+    wheelbase = p[LF] + p[LR]
+    slope = tangent(delta)
+    sine, cosine = sine_cosine(psi)
+    out[X], out[Y], out[DELTA], out[V], out[PSI] = v * cosine, v * sine, rate, a, v / wheelbase * slope
+    out[PSI_DOT] = (a * slope + v * (1.0 + slope * slope) * rate) / wheelbase if model == OLD_ST else 0.0
+    out[BETA] = 0.0
+
+
+@inner_kernel
+def _drive(state, steer, longitudinal, p, setup, work):  # type: ignore[no-untyped-def]
+    """Advance one car in place by the gym's controllers and one step of its integrator."""
+    error = steer - state[DELTA]
+    v = state[V]
+    rate = steer
+    if not setup.steering_rate:
+        rate = np.sign(error) * p[SV_MAX] if abs(error) > 1e-4 else 0.0
+        if not setup.faithful:  # arrives, without chatter and not beyond the limit
+            error = min(max(steer, p[S_MIN]), p[S_MAX]) - state[DELTA]
+            rate = min(max(error / setup.dt, p[SV_MIN]), p[SV_MAX])
+    a = longitudinal
+    if not setup.acceleration:
+        difference = longitudinal - v
+        a = (10.0 if v > 0.0 else 2.0) * p[A_MAX] / (p[V_MAX] if difference > 0.0 else -p[V_MIN]) * difference
+    slip_gain = p[MU] / (p[LF] + p[LR])
+    # The steering is limited here, for its limits may differ from side to side.
+    car = Handling(
+        np.inf, np.inf, p[V_MIN], p[V_MAX], p[A_MAX], p[V_SWITCH], p[LF], p[LR],
+        p[C_SF] * GRAVITY * p[LR], p[C_SF] * p[H], p[C_SR] * GRAVITY * p[LF], p[C_SR] * p[H],
+        slip_gain * p[M] / p[INERTIA], slip_gain,
+    )  # fmt: skip
+    k, total, probe = work[0], work[1], work[2]
+    _write_rates(state, rate, a, p, car, setup.model, k)
+    last = 0 if setup.integrator == EULER else 3
+    for j in range(STATE_SIZE):
+        total[j] = k[j] / (6.0 if last else 1.0)
+    for stage in range(1, last + 1):
+        for j in range(STATE_SIZE):
+            probe[j] = state[j] + setup.dt * (0.5 if stage < last else 1.0) * k[j]
+        _write_rates(probe, rate, a, p, car, setup.model, k)
+        for j in range(STATE_SIZE):
+            total[j] += k[j] / (3.0 if stage < last else 6.0)
+    for j in range(STATE_SIZE):
+        state[j] += setup.dt * total[j]
+    turn = 2.0 * np.pi
+    if setup.model != OLD_ST:
+        state[PSI] -= turn * np.floor(state[PSI] / turn)
+    elif state[PSI] > turn:
+        state[PSI] -= turn
+    elif state[PSI] < 0.0:
+        state[PSI] += turn
+
+
+@inner_kernel
+def _look_up(grid, x, y):  # type: ignore[no-untyped-def]
+    """Distance to the nearest wall in the gym's table, m; outside the map it is that of the last cell."""
+    rows, columns = grid.distance.shape
+    u, v = x - grid.origin_x, y - grid.origin_y
+    if u < 0.0 or u >= (columns - 2) * grid.cell or v < 0.0 or v >= (rows - 2) * grid.cell:
+        return grid.distance[rows - 2, columns - 2]
+    return grid.distance[min(int(v / grid.cell), rows - 3) + 1, min(int(u / grid.cell), columns - 3) + 1]
+
+
+@inner_kernel
+def _march(grid, x, y, sine, cosine, reach):  # type: ignore[no-untyped-def]
+    """Range of a beam as the gym's ray march finds it, m."""
+    near = _look_up(grid, x, y)
+    total = near
+    while near > EPSILON and total <= reach:
+        x += near * cosine
+        y += near * sine
+        near = _look_up(grid, x, y)
+        total += near
+    return min(total, reach)
+
+
+@inner_kernel
+def _exact_range(grid, x, y, sine, cosine, reach):  # type: ignore[no-untyped-def]
+    """Distance along a beam to the first face of a wall cell, m: leaps over open ground, cell by cell near walls."""
+    rows, columns = grid.free.shape
+    gone = 0.0
+    while gone < reach:
+        u = (x + gone * cosine - grid.origin_x) / grid.cell + 1.0
+        v = (y + gone * sine - grid.origin_y) / grid.cell + 1.0
+        if not (1.0 <= u < columns - 1.0 and 1.0 <= v < rows - 1.0):
+            return reach if grid.open_outside else gone
+        leap = grid.distance[int(v), int(u)] - 1.5 * grid.cell
+        if leap > grid.cell:
+            gone += leap
+            continue
+        cells, i, j, side = cast(grid.free, u, v, cosine, sine, min(8.0, (reach - gone) / grid.cell))
+        gone += cells * grid.cell
+        if side >= 0:
+            i += (side == 2) - (side == 0)
+            j += (side == 1) - (side == 3)
+            framed = i == 0 or j == 0 or i == rows - 1 or j == columns - 1
+            return reach if framed and grid.open_outside else min(gone, reach)
+        if cells == 0.0:
+            return gone
+        gone += 1e-9  # off the line between two cells
+    return reach
+
+
+@inner_kernel
+def _scan(grid, track, on_circuit, beams, x, y, psi, work, out):  # type: ignore[no-untyped-def]
+    """Write the exact ranges to the walls, m, shape (beams,)."""
+    if on_circuit and not inside_wall(track, x, y):
+        s, _ = locate(track, x, y)
+        scan_into(track, beams, x, y, psi, s, False, 0.0, 0.0, 0.0, 0.1, 0.1, work, out)
+        return
+    sine, cosine = sine_cosine(psi)
+    for k in range(out.shape[0]):
+        c, s = beams.cos[k], beams.sin[k]
+        out[k] = _exact_range(grid, x, y, sine * c + cosine * s, cosine * c - sine * s, beams.max_range)
+
+
+@inner_kernel
+def _stops(grid, beams, tables, sides, x, y, psi, v, noise, scan):  # type: ignore[no-untyped-def]
+    """Whether the gym sees a car hit a wall: a beam's range beyond the car's side is below the way of STOP_TIME.
+
+    Only walls near the car can be meant, so only their beams are marched as the gym does, to decide as it decides.
+    """
+    if v == 0.0:
+        return False
+    near = 0
+    for k in range(np.uint64(scan.shape[0])):
+        near += abs(scan[k] - sides[k]) < STOP_TIME * abs(v) + NEAR
+    if near == 0:
+        return False
+    index = np.fmod(DIRECTIONS * (psi + beams.first) / (2.0 * np.pi), DIRECTIONS)
+    while index < 0.0:
+        index += DIRECTIONS
+    for k in range(scan.shape[0]):
+        if abs(scan[k] - sides[k]) < STOP_TIME * abs(v) + NEAR:
+            i = int(index)
+            found = _march(grid, x, y, tables[0, i], tables[1, i], beams.max_range) + noise[k]
+            time = (found - sides[k]) / (v * beams.cos[k])
+            if 0.0 <= time < STOP_TIME:
+                return True
+        index += DIRECTIONS * beams.step / (2.0 * np.pi)
+        while index >= DIRECTIONS:
+            index -= DIRECTIONS
+    return False
+
+
+@inner_kernel
+def _touches_wall(grid, body):  # type: ignore[no-untyped-def]
+    """Whether a rectangle covers a part of a wall cell, or of what is outside the map."""
+    rows, columns = grid.free.shape
+    reach = body.half_length + body.half_width
+    u, v = (body.x - grid.origin_x) / grid.cell + 1.0, (body.y - grid.origin_y) / grid.cell + 1.0
+    if not (0.0 <= u < columns and 0.0 <= v < rows):
+        return True
+    if grid.distance[int(v), int(u)] > reach + 2.0 * grid.cell:
+        return False
+    span = int(reach / grid.cell) + 1
+    for i in range(max(int(v) - span, 0), min(int(v) + span + 1, rows)):
+        for j in range(max(int(u) - span, 0), min(int(u) + span + 1, columns)):
+            if not grid.free[i, j]:
+                x, y = grid.origin_x + (j - 0.5) * grid.cell, grid.origin_y + (i - 0.5) * grid.cell
+                if rectangles_overlap(body, Rectangle(x, y, 0.0, 0.5 * grid.cell, 0.5 * grid.cell)):
+                    return True
+    return False
+
+
+@kernel
+def advance(  # type: ignore[no-untyped-def]
+    grid,
+    track,
+    setup,
+    beams,
+    tables,
+    sides,
+    params,
+    states,
+    actions,
+    waiting,
+    noise,
+    poses,
+    scans,
+    crashed,
+    contact,
+    walls,
+    inverse,
+    work,
+):
+    """Advance all cars in place by one step, and write what their lidars measure.
+
+    Parameters
+    ----------
+    tables : ndarray, shape (2, 2000)
+        Sine and cosine of the directions of the gym's march.
+    sides : ndarray, shape (beams,)
+        Distance from the lidar to the car's side along each beam, m, as the gym takes it.
+    params : ndarray, shape (N, 18)
+    states : ndarray, shape (N, 7)
+    actions : ndarray, shape (N, 2)
+        Steering, then speed or acceleration.
+    waiting : ndarray, shape (N, 2)
+        Steering commands that have not come into effect, the older first; shifted in place.
+    noise : ndarray, shape (1 or N, beams)
+        What is added to the ranges, m: the same for all cars, or to each its own.
+    poses : ndarray, shape (N, 3)
+        Where the cars are, before a wall stops them; written.
+    scans : ndarray, shape (N, beams)
+        Written, m.
+    crashed : ndarray, shape (N,)
+        Written: 1 for cars in contact with a wall or a car.
+    contact : ndarray, shape (N,)
+        Written: with which car each is in contact, -1 for none.
+    walls : ndarray of bool, shape (N,)
+        Written: which cars hit a wall.
+    inverse, work : ndarray, shapes (beams,) and WORK_SHAPE
+        Room to work in.
+    """
+    count = states.shape[0]
+    for i in range(count):
+        steer = waiting[i, 0]
+        waiting[i, 0], waiting[i, 1] = waiting[i, 1], actions[i, 0]
+        _drive(states[i], steer, actions[i, 1], params[i], setup, work)
+        poses[i, 0], poses[i, 1], poses[i, 2] = states[i, X], states[i, Y], states[i, PSI]
+        contact[i] = -1.0
+    for i in range(count):
+        a = Rectangle(poses[i, 0], poses[i, 1], poses[i, 2], 0.5 * params[i, LENGTH], 0.5 * params[i, WIDTH])
+        for j in range(i + 1, count):
+            b = Rectangle(poses[j, 0], poses[j, 1], poses[j, 2], 0.5 * params[j, LENGTH], 0.5 * params[j, WIDTH])
+            if rectangles_overlap(a, b):
+                contact[i] = j
+                contact[j] = i
+        row = min(i, noise.shape[0] - 1)
+        sine, cosine = sine_cosine(a.psi)
+        x, y = a.x + setup.lidar_dist * cosine, a.y + setup.lidar_dist * sine
+        _scan(grid, track, setup.on_circuit, beams, x, y, a.psi, work, scans[i])
+        if setup.faithful:
+            walls[i] = _stops(grid, beams, tables, sides, x, y, a.psi, states[i, V], noise[row], scans[i])
+        else:
+            walls[i] = _touches_wall(grid, a)
+        if walls[i]:
+            states[i, V] = 0.0
+            states[i, PSI_DOT] = 0.0
+            states[i, BETA] = 0.0
+            if setup.faithful:
+                states[i, PSI] = 0.0
+        for k in range(np.uint64(scans.shape[1])):
+            scans[i, k] += noise[row, k]
+        crashed[i] = 1.0 if walls[i] or contact[i] >= 0.0 else 0.0
+        # The gym looks for other cars from the centre of gravity, and with the heading that a wall has left.
+        sine, cosine = sine_cosine(states[i, PSI])
+        if not setup.faithful:
+            a = Rectangle(x, y, a.psi, a.half_length, a.half_width)
+        _narrow(beams, a, sine, cosine, i, params, poses, inverse, work, scans)
+
+
+@inner_kernel
+def _narrow(beams, at, sine, cosine, i, params, poses, inverse, work, scans):  # type: ignore[no-untyped-def]
+    """Shorten the ranges of car i to the other cars, as they are seen from a place."""
+    inverse[:] = 0.0
+    for j in range(poses.shape[0]):
+        if j != i:
+            x, y = poses[j, 0] - at.x, poses[j, 1] - at.y
+            half_length, half_width = 0.5 * params[j, LENGTH], 0.5 * params[j, WIDTH]
+            draw_rectangle(beams, x, y, poses[j, 2], half_length, half_width, cosine, sine, work, inverse)
+    for k in range(np.uint64(inverse.shape[0])):
+        scans[i, k] = 1.0 / inverse[k] if inverse[k] * scans[i, k] > 1.0 else scans[i, k]
+
+
+@kernel
+def count_laps(starts, ego, poses, near, toggles, times, counts, now):  # type: ignore[no-untyped-def]
+    """Count laps as the gym does, in place: every second time that a car enters or leaves the box around its start.
+
+    The box lies across the heading of the ego's start. Times stop when a car has two laps.
+    """
+    sine, cosine = sine_cosine(-starts[ego, 2])
+    for i in range(poses.shape[0]):
+        dx, dy = poses[i, 0] - starts[i, 0], poses[i, 1] - starts[i, 1]
+        along, across = cosine * dx - sine * dy, abs(sine * dx + cosine * dy)
+        beyond = max(across - BESIDE, 0.0)
+        close = along * along + beyond * beyond <= AROUND
+        if close != near[i]:
+            near[i] = close
+            toggles[i] += 1.0
+        counts[i] = toggles[i] // 2.0
+        if toggles[i] < 4.0:
+            times[i] = now
+
+
+@kernel
+def count_progress(track, poses, places, progress, toggles, times, counts, now):  # type: ignore[no-untyped-def]
+    """Count laps by the way driven along the race line, in place; the way back is taken off."""
+    for i in range(poses.shape[0]):
+        s, _ = locate(track, poses[i, 0], poses[i, 1])
+        step = s - places[i]
+        progress[i] += step - track.length * np.floor(step / track.length + 0.5)
+        places[i] = s
+        counts[i] = max(counts[i], np.floor(progress[i] / track.length))
+        toggles[i] = 2.0 * counts[i]
+        if toggles[i] < 4.0:
+            times[i] = now

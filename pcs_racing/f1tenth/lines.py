@@ -1,0 +1,213 @@
+"""Tracks and lines as programs of generation B look at them."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.checks import check_array
+from pcs_racing.base.errors import InputError, MapError
+from pcs_racing.f1tenth.maps import GymMap, empty_map, load_map
+from pcs_racing.track.frenet import KAPPA, PSI, SPEED
+from pcs_racing.track.map_files import CENTERLINE_COLUMNS, RACELINE_COLUMNS, parse_csv
+from pcs_racing.track.maps import MAX_LINE, find_map
+
+Floats = NDArray[Any]
+
+SPACING = 0.1  # of the points of a line that is not given by a file, m
+
+
+def nearest_point_on_trajectory(point: ArrayLike, trajectory: ArrayLike) -> tuple[Floats, float, float, int]:
+    """Return the point of a polyline, shape (N, 2), nearest to a point, its distance (m), share and segment."""
+    corners = np.asarray(trajectory)
+    ways = np.diff(corners, axis=0)
+    from_corners = np.asarray(point) - corners[:-1]
+    shares = np.clip((from_corners * ways).sum(axis=1) / (ways * ways).sum(axis=1), 0.0, 1.0)
+    feet = corners[:-1] + shares[:, None] * ways
+    distances = np.linalg.norm(np.asarray(point) - feet, axis=1)
+    i = int(np.argmin(distances))
+    return feet[i], distances[i], shares[i], i
+
+
+class CubicSpline2D:
+    """The closed cubic spline through points."""
+
+    def __init__(self, x: ArrayLike, y: ArrayLike) -> None:
+        from scipy.interpolate import CubicSpline
+
+        points = np.stack([np.asarray(x, np.float64), np.asarray(y, np.float64)], axis=1)
+        self.points = points if np.array_equal(points[0], points[-1]) else np.vstack([points, points[:1]])
+        #: Length along the chords at each point, m.
+        self.s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
+        if not (np.diff(self.s) > 0.0).all():
+            raise InputError("a line repeats a point; its points must differ from one to the next")
+        self.spline = CubicSpline(self.s, self.points, bc_type="periodic")
+
+    def calc_position(self, s: float) -> Floats:
+        """Return the point at a length, shape (2,), m."""
+        return np.asarray(self.spline(s))
+
+    def calc_yaw(self, s: float) -> float:
+        """Return the heading there, in [0, 2 pi)."""
+        dx, dy = self.spline(s, 1)
+        return math.atan2(dy, dx) % (2.0 * math.pi)
+
+    def calc_curvature(self, s: float) -> float:
+        """Return the curvature there, 1/m."""
+        (dx, dy), (ddx, ddy) = self.spline(s, 1), self.spline(s, 2)
+        return float((ddy * dx - ddx * dy) / (dx * dx + dy * dy) ** 1.5)
+
+    def calc_arclength(self, x: float, y: float, s_guess: float = 0.0) -> tuple[float, float]:
+        """Return the length at the nearest point of the polyline, and the distance from it, m."""
+        _, distance, share, i = nearest_point_on_trajectory((x, y), self.points)
+        return float(self.s[i] + share * (self.s[i + 1] - self.s[i])), float(distance)
+
+    calc_arclength_inaccurate = calc_arclength
+
+
+class Raceline:
+    """A line to follow: ``xs``, ``ys``, ``yaws``, ``ks``, ``vxs``, ``axs``, ``ss`` (float32), ``n``, ``length`` (m)."""
+
+    def __init__(
+        self,
+        xs: Floats,
+        ys: Floats,
+        velxs: Floats,
+        ss: Floats | None = None,
+        psis: Floats | None = None,
+        kappas: Floats | None = None,
+        accxs: Floats | None = None,
+        spline: CubicSpline2D | None = None,
+    ) -> None:
+        if not xs.shape == ys.shape == velxs.shape:
+            raise InputError(f"xs, ys and velxs have shapes {xs.shape}, {ys.shape}, {velxs.shape}; they must be equal")
+        self.n, self.xs, self.ys, self.vxs = len(xs), xs, ys, velxs
+        self.ss, self.yaws, self.ks, self.axs = ss, psis, kappas, accxs
+        self.length = float(np.sqrt(np.diff(xs) ** 2 + np.diff(ys) ** 2).sum())
+        self.spline = spline or CubicSpline2D(xs, ys)
+
+    @classmethod
+    def from_columns(cls, columns: ArrayLike) -> "Raceline":
+        """Make a line of s, x, y, heading, curvature, speed and acceleration, shape (N, 7)."""
+        s, x, y, psi, kappa, speed, acceleration = np.asarray(columns).astype(np.float32).T
+        return cls(x, y, speed, s, psi, kappa, acceleration)
+
+    @classmethod
+    def through(cls, x: ArrayLike, y: ArrayLike, speeds: ArrayLike) -> "Raceline":
+        """Make a line of a point every 0.1 m along the spline through points, with the speed of the nearest one."""
+        spline = CubicSpline2D(x, y)
+        s = np.arange(0.0, spline.s[-1], SPACING)
+        at = spline.spline(s)
+        nearest = [int(np.argmin(np.hypot(np.asarray(x) - px, np.asarray(y) - py))) for px, py in at]
+        rows = [s, at[:, 0], at[:, 1], [spline.calc_yaw(k) for k in s], [spline.calc_curvature(k) for k in s]]
+        line = cls.from_columns(np.stack([*rows, np.asarray(speeds)[nearest], 0.0 * s], axis=1))
+        line.spline = spline
+        return line
+
+    def render_waypoints(self, e: Any) -> None:
+        """Draw the line: a render callback."""
+        e.render_closed_lines(np.stack([self.xs, self.ys], axis=1), color=(0, 128, 0), size=1)
+
+
+class TrackSpec(NamedTuple):
+    """What the yaml file of a map says."""
+
+    name: str | None
+    image: str | None
+    resolution: float
+    origin: tuple[float, float, float]
+    negate: int = 0
+    occupied_thresh: float = 0.65
+    free_thresh: float = 0.196
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """A map with its lines; ``None`` where it has none."""
+
+    spec: TrackSpec
+    filepath: str | None
+    ext: str | None
+    occupancy_map: Floats  #: 255 where a cell is free, else 0; float32, row 0 at the bottom.
+    centerline: Raceline | None
+    raceline: Raceline | None
+    loaded: GymMap
+
+    @classmethod
+    def from_track_name(cls, track: Any) -> "Track":
+        """Load a track by name (see :func:`pcs_racing.f1tenth.maps.find_yaml`) or path."""
+        if not isinstance(track, str | Path):
+            raise MapError(f"map is {track!r:.200}; it must be the name or the path of a map, or a Track")
+        loaded = load_map(track)
+        assert loaded.file is not None
+        assert loaded.picture is not None
+        spec = TrackSpec(loaded.name, loaded.picture.name, loaded.resolution, (*loaded.origin, 0.0))
+        files = find_map(loaded.file)
+        center = race = None
+        if files.centerline is not None:
+            x, y = _rows(files.centerline, CENTERLINE_COLUMNS, ",")[:, :2].T
+            center = Raceline.through(x, y, np.ones_like(x))
+        if files.raceline is not None:
+            race = Raceline.from_columns(_rows(files.raceline, RACELINE_COLUMNS, ";"))
+        elif loaded.circuit is not None and center is None:
+            own = loaded.circuit.line
+            s = np.arange(len(own)) * loaded.circuit.arrays.ds
+            speed = own[:, SPEED]
+            race = Raceline.from_columns(
+                np.stack([s, own[:, 0], own[:, 1], own[:, PSI], own[:, KAPPA], speed, 0.0 * s], axis=1)
+            )
+        path, ending = loaded.picture.with_suffix(""), loaded.picture.suffix
+        return cls(spec, str(path), ending, _levels(loaded.free), center or race, race or center, loaded)
+
+    from_track_path = from_track_name
+
+    @classmethod
+    def from_refline(cls, x: ArrayLike, y: ArrayLike, velx: ArrayLike) -> "Track":
+        """Make a track without walls of points to follow, shape (N,) each, m and m/s."""
+        xs, ys, speeds = (
+            check_array(name, values, (None,)) for name, values in zip(("x", "y", "velx"), (x, y, velx), strict=True)
+        )
+        if not 4 <= len(xs) <= 100_000 or not len(xs) == len(ys) == len(speeds):
+            raise InputError(f"x, y, velx hold {len(xs)}, {len(ys)}, {len(speeds)} numbers; give 4 or more of each")
+        line = Raceline.through(xs, ys, speeds)
+        low = np.array([line.xs.min(), line.ys.min()], np.float64)
+        size = np.array([line.xs.max(), line.ys.max()]) - low
+        if float(size.max()) > 500.0:
+            raise InputError(f"the line is {size.max():g} m across; it must be at most 500")
+        origin, cell = low - 0.1 * size, 0.05
+        free = np.ones(np.maximum(1.2 * size[::-1] / cell, 1.0).astype(int), np.bool_)
+        spec = TrackSpec(None, None, cell, (float(origin[0]), float(origin[1]), 0.0))
+        loaded = empty_map(free, cell, (float(origin[0]), float(origin[1])))
+        return cls(spec, None, None, _levels(free), line, line, loaded)
+
+    def frenet_to_cartesian(self, s: float, ey: float, ephi: float) -> tuple[float, float, float]:
+        """Return x, y (m) and heading (rad) at a length along the centre line, beside it and turned from it."""
+        line = self._line()
+        (x, y), psi = line.calc_position(s), line.calc_yaw(s)
+        return float(x - ey * math.sin(psi)), float(y + ey * math.cos(psi)), psi + ephi
+
+    def cartesian_to_frenet(self, x: float, y: float, phi: float, s_guess: float = 0.0) -> tuple[float, float, float]:
+        """Return the length along the centre line (m), the distance to its left (m) and the turn from it (rad)."""
+        line = self._line()
+        s, _ = line.calc_arclength(x, y)
+        (px, py), psi = line.calc_position(s), line.calc_yaw(s)
+        across = (y - py) * math.cos(psi) - (x - px) * math.sin(psi)
+        return s, math.copysign(math.hypot(x - px, y - py), across), phi - psi
+
+    def _line(self) -> CubicSpline2D:
+        if self.centerline is None:
+            raise InputError("this map has no centre line and no race line beside it: it has no Frenet coordinates")
+        return self.centerline.spline
+
+
+def _rows(file: Path, columns: tuple[str, ...], separator: str) -> Floats:
+    if file.stat().st_size > MAX_LINE:
+        raise MapError(f"{file} has {file.stat().st_size} bytes; a line has at most {MAX_LINE}")
+    return parse_csv(file, file.read_bytes(), columns, separator)
+
+
+def _levels(free: NDArray[np.bool_]) -> Floats:
+    return np.where(free, np.float32(255.0), np.float32(0.0))

@@ -1,0 +1,110 @@
+"""Maps as the F1TENTH gym reads them, found by name or by path."""
+
+import os
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import MapError, UnknownNameError
+from pcs_racing.base.files import MAX_YAML, read_limited
+from pcs_racing.f1tenth.kernel import MapGrid
+from pcs_racing.track.loading import load_track, with_walls
+from pcs_racing.track.map_files import ROS_KEYS, parse_grid, parse_ros_yaml, parse_yaml
+from pcs_racing.track.maps import MAX_BYTES, find_map, find_shipped, list_tracks
+from pcs_racing.track.track import Track
+
+FREE_ABOVE = 128  # grey level
+
+
+class GymMap(NamedTuple):
+    """A map, and the circuit that it is, if it is one."""
+
+    name: str
+    file: Path | None  #: The yaml file.
+    picture: Path | None
+    resolution: float  #: m
+    origin: tuple[float, float]  #: m
+    free: NDArray[np.bool_]  #: shape (H, W), row 0 at the bottom.
+    grid: MapGrid
+    circuit: Track | None
+
+
+def find_yaml(name: str | os.PathLike[str]) -> Path:
+    """Return a map's yaml file: by its path with or without the ending, by its folder, or by the name of a circuit.
+
+    Names are those of the folders in ``$PCS_RACING_MAPS`` and of the shipped circuits; case does not matter.
+    """
+    text = os.fspath(name)
+    for path in (Path(text), Path(f"{text}.yaml"), Path(f"{text}_map.yaml")):
+        if path.suffix in (".yaml", ".yml") and os.path.isfile(path):
+            return path
+    if os.path.isdir(text):
+        return find_map(text).yaml
+    folder = os.environ.get("PCS_RACING_MAPS", "")
+    wanted = text.replace(" ", "").lower()
+    for entry in sorted(Path(folder).iterdir()) if os.path.isdir(folder) else ():
+        if entry.is_dir() and entry.name.replace(" ", "").lower() == wanted:
+            return find_map(entry).yaml
+    try:
+        return find_map(find_shipped(text)).yaml
+    except UnknownNameError:
+        raise MapError(
+            f"map {text!r:.200}: there is no file {text:.200}.yaml, and no circuit of that name here "
+            f"({', '.join(list_tracks())}) or in $PCS_RACING_MAPS; the gym's own maps (vegas, berlin, skirk, levine, "
+            "Spielberg) are not shipped: give the path of the map's yaml file without its ending"
+        ) from None
+
+
+def load_map(name: str | os.PathLike[str], ending: str | None = None) -> GymMap:
+    """Load a map; ``ending`` is that of the picture beside the yaml file, which else names its picture itself."""
+    file = find_yaml(name)
+    if ending is None:
+        return _load(file, None, file.stat().st_mtime_ns)
+    beside = f"{file.with_suffix('')}.{ending.removeprefix('.')}"
+    return _load(file, Path(beside) if os.path.isfile(beside) else None, file.stat().st_mtime_ns)
+
+
+def empty_map(free: NDArray[np.bool_], resolution: float, origin: tuple[float, float]) -> GymMap:
+    """Return the map of a grid that belongs to no file."""
+    return GymMap("empty", None, None, resolution, origin, free, framed(free, resolution, origin), None)
+
+
+def framed(free: NDArray[np.bool_], resolution: float, origin: tuple[float, float]) -> MapGrid:
+    """Return a grid in the form that compiled code reads."""
+    from scipy import ndimage
+
+    walls = not free.all()
+    # Without a wall every distance is infinite: more than any range will do.
+    distance = resolution * ndimage.distance_transform_edt(free) if walls else np.full(free.shape, 1e3)
+    return MapGrid(
+        np.pad(free, 1), np.pad(distance, 1), float(origin[0]), float(origin[1]), resolution, bool(free[-1, -1])
+    )
+
+
+@lru_cache(maxsize=8)
+def _load(file: Path, picture: Path | None, stamp: int) -> GymMap:
+    values: dict[Any, Any] = parse_yaml(file, read_limited(file, MAX_YAML, "the file of a map", MapError))
+    # Some files hold more than a map's keys, and some name another picture than the one beside them.
+    kept = {"image": "-"} | {key: values[key] for key in ROS_KEYS if key in values}
+    ros = parse_ros_yaml(file, yaml.safe_dump(kept).encode())
+    picture = picture or file.parent / ros["image"]
+    if not os.path.isfile(picture):
+        raise MapError(f"{file}: the picture {picture.name!r:.200} is not beside it; map_ext must be its ending")
+    level = (255 - FREE_ABOVE - 0.5) / 255.0
+    rule = ros | {"negate": False, "occupied_thresh": level, "free_thresh": level}
+    free = ~parse_grid(picture, read_limited(picture, MAX_BYTES, "the picture of a map", MapError), rule)
+    grid = framed(free, ros["resolution"], ros["origin"])
+    name = file.stem.removesuffix("_map")
+    return GymMap(name, file, picture, ros["resolution"], ros["origin"], free, grid, _circuit(file, free, ros))
+
+
+def _circuit(file: Path, free: NDArray[np.bool_], ros: dict[str, Any]) -> Track | None:
+    """Return the circuit of a map, with the walls that the gym sees: its lidar is many times as fast."""
+    try:
+        return with_walls(load_track(file), ~free, ros["resolution"], ros["origin"])
+    except (MapError, ModuleNotFoundError):
+        return None

@@ -1,0 +1,105 @@
+"""What an environment of generation B observes, and the spaces of it."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from pcs_racing.base.checks import check_names
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.f1tenth.simulator import BEAMS, RANGE
+
+FEATURES = (
+    "scan", "pose_x", "pose_y", "pose_theta", "linear_vel_x", "linear_vel_y", "ang_vel_z", "delta", "beta", "collision",
+    "lap_time", "lap_count",
+)  # fmt: skip
+_KINEMATIC = ("pose_x", "pose_y", "delta", "linear_vel_x", "pose_theta")
+TYPES: dict[str, tuple[str, ...]] = {
+    "kinematic_state": _KINEMATIC,
+    "dynamic_state": (*_KINEMATIC, "ang_vel_z", "beta"),
+    "frenet_dynamic_state": (*_KINEMATIC[:4], "linear_vel_y", "pose_theta", "ang_vel_z", "beta"),
+}
+_LARGE = 1e30
+
+Observe = Callable[[], dict[str, Any]]
+
+
+def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
+    """Return the space of an ``observation_config``, and the function that observes."""
+    if not isinstance(config, Mapping) or "type" not in config:
+        raise ConfigError(f"observation_config is {config!r:.200}; it must be a dictionary with a 'type'")
+    kind = config["type"] or "original"
+    if kind == "original":
+        return _original_space(env.num_agents), lambda: _original(env)
+    if kind == "features":
+        features = check_names("observation_config: features", config.get("features"), error=ConfigError)
+        for name in features:
+            if name not in FEATURES:
+                raise ConfigError(f"observation_config: features holds {name!r:.80}; there are {', '.join(FEATURES)}")
+    elif isinstance(kind, str) and kind in TYPES:
+        features = TYPES[kind]
+    else:
+        known = ", ".join(["original", "features", *TYPES])
+        raise ConfigError(f"observation_config: type is {kind!r:.80}; it must be one of {known}")
+    one: dict[str, spaces.Space[Any]] = {name: _feature_space(name) for name in features}
+    space = spaces.Dict({name: spaces.Dict(one) for name in env.agent_ids})
+    return space, lambda: _features(env, features)
+
+
+def _box(low: float, high: float, shape: tuple[int, ...]) -> spaces.Box:
+    return spaces.Box(low, high, shape, np.float32)
+
+
+def _feature_space(name: str) -> spaces.Box:
+    if name == "scan":
+        return _box(0.0, RANGE, (BEAMS,))
+    low, high = {"collision": (0.0, 1.0), "lap_time": (0.0, _LARGE), "lap_count": (0.0, _LARGE)}.get(
+        name, (-_LARGE, _LARGE)
+    )
+    return _box(low, high, ())
+
+
+def _original_space(cars: int) -> spaces.Dict:
+    names = ("poses_x", "poses_y", "poses_theta", "linear_vels_x", "linear_vels_y", "ang_vels_z")
+    return spaces.Dict(
+        {"ego_idx": spaces.Discrete(cars), "scans": _box(0.0, RANGE + 0.5, (cars, BEAMS))}
+        | {name: _box(-_LARGE, _LARGE, (cars,)) for name in names}
+        | {"collisions": _box(0.0, 1.0, (cars,))}
+        | {name: _box(0.0, _LARGE, (cars,)) for name in ("lap_times", "lap_counts")}
+    )
+
+
+def _original(env: Any) -> dict[str, Any]:
+    sim = env.sim
+    columns = sim.states.T.astype(np.float32)
+    return {
+        "ego_idx": env.ego_idx,
+        "scans": sim.agent_scans.astype(np.float32),
+        "poses_x": columns[0],
+        "poses_y": columns[1],
+        "poses_theta": columns[4],
+        "linear_vels_x": columns[3],
+        "linear_vels_y": np.zeros(env.num_agents, np.float32),
+        "ang_vels_z": columns[5],
+        "collisions": sim.collisions.astype(np.float32),
+        "lap_times": env.lap_times.astype(np.float32),
+        "lap_counts": env.lap_counts.astype(np.float32),
+    }
+
+
+def _features(env: Any, features: tuple[str, ...]) -> dict[str, Any]:
+    sim = env.sim
+    out = {}
+    for i, name in enumerate(env.agent_ids):
+        x, y, delta, v, theta, rate, beta = sim.states[i].astype(np.float32)
+        values = {
+            "scan": sim.agent_scans[i].astype(np.float32) if "scan" in features else None,
+            "pose_x": x, "pose_y": y, "pose_theta": theta, "ang_vel_z": rate, "delta": delta, "beta": beta,
+            "linear_vel_x": v * np.cos(beta), "linear_vel_y": v * np.sin(beta),
+            # The gym forgets the contacts of cars here.
+            "collision": int(sim.walls[i] if env.faithful else sim.collisions[i]),
+            "lap_time": np.float32(env.lap_times[i]), "lap_count": np.float32(env.lap_counts[i]),
+        }  # fmt: skip
+        out[name] = {feature: values[feature] for feature in features}
+    return out

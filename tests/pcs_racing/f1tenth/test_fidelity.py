@@ -1,0 +1,203 @@
+"""The same actions give what the gym gives: recorded facts, and beside a checkout of v1.0.0 where there is one.
+
+The checkout is that of ``PCS_RACING_GYM``, its Python that of ``PCS_RACING_GYM_PYTHON``.
+"""
+
+import os
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from situations import CELL, RADIUS, place, run_theirs, situations, steer_round, write_ring
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.f1tenth.generation_a import GenerationA
+from pcs_racing.f1tenth.generation_b import GenerationB
+from pcs_racing.f1tenth.lines import Track
+
+STEPS = 1000
+
+
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory):
+    return write_ring(tmp_path_factory.mktemp("ring"))
+
+
+def drive(ring, config, poses, plan):
+    """Make 1,000 steps; return the actions, and states, facts, ends and scans, those after the reset first."""
+    env = gymnasium.make("pcs_racing:f1tenth-v0", config={**config, "map": str(ring), "num_agents": len(poses)})
+    obs, info = env.reset(options={"poses": np.array(poses)})
+    actions, rows, done = [], [], False
+    for k in range(STEPS + 1):
+        facts = (env.sim.collisions, env.lap_counts, env.lap_times, obs["lap_times"], info["checkpoint_done"])
+        rows.append((env.sim.states, np.stack(facts), done, env.sim.agent_scans.astype(np.float32)))
+        if k < STEPS:
+            action = plan[k] if plan.ndim == 3 else np.stack([steer_round(env.sim.agent_poses), plan], axis=1)
+            actions.append(action.tolist())
+            obs, _, done, _, info = env.step(action)
+    return actions, {
+        name: np.array([row[i] for row in rows]) for i, name in enumerate(("states", "facts", "done", "scans"))
+    }
+
+
+def test_states_and_scans_beside_the_gym(ring, tmp_path):
+    checkout, python = (os.environ.get(f"PCS_RACING_GYM{end}") for end in ("", "_PYTHON"))
+    if not checkout or not python:
+        pytest.skip("PCS_RACING_GYM and PCS_RACING_GYM_PYTHON name no checkout of the gym and its Python")
+    ours, runs = {}, []
+    for name, config, poses, plan in situations():
+        actions, ours[name] = drive(ring, config, poses, plan)
+        runs.append([name, config, poses, actions])
+    theirs = run_theirs(Path(checkout), Path(python), ring, runs, tmp_path / "theirs.npz")
+    assert len(ours) == 10
+    for name, own in ours.items():
+        np.testing.assert_array_equal(own["facts"], theirs[f"{name}/facts"], err_msg=name)
+        np.testing.assert_array_equal(own["done"], theirs[f"{name}/done"], err_msg=name)
+        np.testing.assert_allclose(own["states"], theirs[f"{name}/states"], rtol=0.0, atol=1e-9, err_msg=name)
+        apart = np.abs(own["scans"] - theirs[f"{name}/scans"])
+        # Theirs end inside the wall, up to a cell behind its face; ours at the face (below).
+        assert np.median(apart) < CELL, name
+
+
+def test_states_are_those_that_the_gym_recorded(reference):
+    """Ten trajectories from states of their own, by the gym's controllers, steering late by two steps."""
+    recorded = np.load(reference / "st_dynamics.npz")
+    angle = np.linspace(0.0, 6.0, 60)
+    empty = Track.from_refline(100.0 * np.cos(angle), 100.0 * np.sin(angle), np.ones(60))
+    env = gymnasium.make("pcs_racing:f1tenth-v0", config={"map": empty, "num_agents": 1})
+    for states, controls in zip(recorded["cmd_states"], recorded["cmd_controls"], strict=True):
+        env.sim.reset([[0.0, 0.0, 0.0]])
+        env.sim.agents[0].state = states[0]
+        for k in range(len(controls)):
+            env.sim.step(controls[k : k + 1])
+            np.testing.assert_allclose(env.sim.agents[0].state, states[k + 1], rtol=0.0, atol=1e-9)
+
+
+def test_scans_are_exact_to_half_a_cell(ring):
+    """The fast lidar of circuits beside exact rays through the cells, from anywhere on the ring."""
+    env = gymnasium.make("pcs_racing:f1tenth-v0", config={"map": str(ring), "num_agents": 1})
+    assert env.sim.on_circuit
+    for k in range(8):
+        poses = np.array([place(0.8 * k, RADIUS + 0.1 * k - 0.4, 0.5 * k)])
+        env.reset(options={"poses": poses})
+        fast = env.sim.agent_scans[0]
+        env.sim._setup = env.sim._setup._replace(on_circuit=False)
+        env.reset(options={"poses": poses})
+        env.sim._setup = env.sim._setup._replace(on_circuit=True)
+        # Of beams along a wall the range changes faster than the place of the wall.
+        assert np.median(np.abs(fast - env.sim.agent_scans[0])) < 0.5 * CELL
+
+
+def made(ring, cars, **named):
+    return gymnasium.make("pcs_racing:f1tenth-v0", config={"map": str(ring), "num_agents": cars}, **named)
+
+
+def until_the_end(env, poses, actions, steps=300):
+    """Step until the episode ends; return the infos and how many steps it took."""
+    env.reset(seed=1, options={"poses": np.array(poses)})
+    for k in range(steps):
+        _, _, done, _, infos = env.step(np.array(actions))
+        if done:
+            return infos, k
+    return infos, steps
+
+
+def test_a_wall_keeps_the_heading_and_the_flag_without_the_faults(ring):
+    headings = {}
+    for faithful in (True, False):
+        env = made(ring, 2, faithful=faithful)
+        infos, _ = until_the_end(env, [place(0.0, turned=-0.8), place(3.0)], [[0.0, 4.0], [0.0, 0.0]])
+        headings[faithful] = env.sim.agents[0].state[4]
+        env.step(np.zeros((2, 2)))
+        assert env.sim.collisions[0] == (0.0 if faithful else 1.0)
+        assert ("at_fault" in infos) is not faithful
+    assert headings[True] == 0.0
+    assert headings[False] != 0.0
+    assert infos["at_fault"].tolist() == [True, False]
+
+
+def test_a_crash_of_others_ends_the_race_without_the_faults(ring):
+    poses, actions = [place(0.0), place(3.0, turned=-0.8)], [[0.0, 0.0], [0.0, 4.0]]
+    assert until_the_end(made(ring, 2), poses, actions)[1] == 300
+    infos, steps = until_the_end(made(ring, 2, faithful=False), poses, actions)
+    assert steps < 300
+    assert infos["at_fault"].tolist() == [False, True]
+
+
+def test_cars_have_noise_of_their_own_without_the_faults(ring):
+    for faithful in (True, False):
+        env = made(ring, 2, faithful=faithful)
+        seen = []
+        for seed in (1, 1, 2):
+            env.reset(seed=seed, options={"poses": np.array([place(0.0), place(3.0)])})
+            seen.append(env.sim.agent_scans)
+        assert np.array_equal(seen[0], seen[1])
+        assert np.array_equal(seen[1], seen[2]) is faithful
+        # What a seed changes is not the same for both cars.
+        assert np.allclose(*(seen[2] - seen[1]), rtol=0.0, atol=1e-3) is faithful
+
+
+def test_laps_are_counted_by_the_way_without_the_faults(ring):
+    """To and fro over the line twice: two laps in the gym, none here."""
+    for faithful, laps in ((True, 2.0), (False, 0.0)):
+        env = made(ring, 1, faithful=faithful)
+        env.reset(options={"poses": np.array([place(0.0)])})
+        for speed in (2.0, -2.0, 2.0, -2.0, 2.0):
+            for _ in range(180):
+                env.step(np.array([[0.07, speed]]))
+        assert (env.lap_counts[0] >= laps) if laps else env.lap_counts[0] == 0.0
+
+
+def test_steering_arrives_without_the_faults(ring):
+    for faithful in (True, False):
+        env = made(ring, 1, faithful=faithful)
+        env.reset(options={"poses": np.array([place(0.0)])})
+        for _ in range(40):
+            env.step(np.array([[0.5, 0.0]]))
+        delta = env.sim.agent_steerings[0]
+        assert (delta > 0.4189) if faithful else delta == pytest.approx(0.4189, abs=1e-12)
+
+
+def test_observations_fit_their_space_and_types_of_reset(ring):
+    features = {"type": "features", "features": ["scan", "beta", "lap_time"]}
+    for config in ({}, features, {"type": "dynamic_state"}, {"type": "kinematic_state"}):
+        env = gymnasium.make(
+            "pcs_racing:f1tenth-v0",
+            config={"map": str(ring), "num_agents": 3, "observation_config": config or {"type": None},
+                    "reset_config": {"type": "cl_grid_random"}, "control_input": ["accl", "steering_speed"]},
+        )  # fmt: skip
+        obs, _ = env.reset(seed=3)
+        # Single numbers are of numpy's types, as in the gym, and no arrays: Gymnasium would warn.
+        assert env.observation_space.contains(obs) if not config else obs.keys() == env.observation_space.keys()
+        gaps = np.linalg.norm(env.sim.agent_poses[:, None, :2] - env.sim.agent_poses[None, :, :2], axis=2)
+        assert gaps[~np.eye(3, dtype=bool)].min() > 1.0
+        assert env.action_space.high[0].tolist() == pytest.approx([3.2, 9.51], abs=1e-5)
+
+
+def test_wrong_arguments_are_one_line(ring):
+    wrong = [{"model": "mb"}, {"control_input": ["speed"]}, {"num_agents": 0}, {"observation_config": {"type": "x"}}]
+    for config in [*wrong, {"params": {"mu": "x"}}, {"map": "Atlantis"}, {"integrator": 3}, {"ego_idx": 9}]:
+        with pytest.raises(InputError, match=str(next(iter(config)))) as caught:
+            GenerationB({"map": str(ring), **config})
+        assert "\n" not in str(caught.value)
+    with pytest.warns(UserWarning, match="lidar_angle"):
+        GenerationA(map=str(ring), lidar_angle=3.0)
+    env = GenerationA(map=str(ring), num_agents=1)
+    with pytest.raises(InputError, match="reset"):
+        env.step([[0.0, 0.0]])
+    env.reset(np.array([place(0.0)]))
+    for action in ([[0.0]], [[np.nan, 0.0]], "x"):
+        with pytest.raises(InputError, match="action"):
+            env.step(action)
+
+
+def test_callbacks_draw_into_frames(ring):
+    env = made(ring, 1, render_mode="rgb_array")
+    env.add_render_callback(
+        lambda e: e.render_lines(np.array([place(0.1)[:2], place(0.6)[:2]]), color=(255, 0, 9), size=4)
+    )
+    env.reset(options={"poses": np.array([place(0.0)])})
+    frame = env.render()
+    assert frame.shape == (800, 800, 3)
+    assert (frame == (255, 0, 9)).all(axis=2).sum() > 100
