@@ -28,6 +28,7 @@ from pcs_racing.game.state import GameState, empty_game, load_game, put_games, s
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.races import TIE_WITHIN
 from pcs_racing.race.races import start_lines
 
 STARTS = Starts(np.array([20.0, 20.0, 21.0]), np.array([0, 1, 0]))
@@ -277,8 +278,10 @@ def test_who_leads_at_the_end_wins(track):
     game = make_game(track, step_seconds=2.0, moves=1, utility="win")
     end = game.step(game.reset(games=6, seed=2), np.zeros((6, 2), np.int64))
     over = game.done(end) & ~end.race.crashed
-    np.testing.assert_array_equal(game.winner(end)[over], np.where(end.race.lead > 0, 0, 1)[over])
-    np.testing.assert_array_equal(game.reward(end)[over, 0], np.sign(end.race.lead)[over])
+    ahead = np.where(np.abs(end.race.lead) > TIE_WITHIN, np.sign(end.race.lead), 0)
+    assert (ahead[over] != 0).any()
+    np.testing.assert_array_equal(game.winner(end)[over], np.select([ahead > 0, ahead < 0], [0, 1], -1)[over])
+    np.testing.assert_array_equal(game.reward(end)[over, 0], ahead[over])
     assert (game.winner(game.reset(games=2)) == -1).all()
 
 
