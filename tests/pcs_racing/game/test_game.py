@@ -28,8 +28,7 @@ from pcs_racing.game.state import GameState, empty_game, load_game, put_games, s
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import TIE_WITHIN
-from pcs_racing.race.races import start_lines
+from pcs_racing.race.races import TIE_WITHIN, start_lines
 
 STARTS = Starts(np.array([20.0, 20.0, 21.0]), np.array([0, 1, 0]))
 
