@@ -25,6 +25,7 @@ SHIPPED = {
     "lattice": "pcs_racing.planners.lattice:LATTICE",
     "ppo-drive": "pcs_racing.planners.trained:PPO_DRIVE",
     "pure-pursuit": "pcs_racing.planners.pure_pursuit:PURE_PURSUIT",
+    "spliner": "pcs_racing.planners.spliner:SPLINER",
 }
 """The planners of this package: name and place. A new one is a file and a line here."""
 
