@@ -20,10 +20,13 @@ ENTRY_POINTS = "pcs_racing.planners"
 """Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
 
 SHIPPED = {
+    "disparity-extender": "pcs_racing.planners.disparity_extender:DISPARITY_EXTENDER",
+    "follow-the-gap": "pcs_racing.planners.follow_the_gap:FOLLOW_THE_GAP",
     "gap-follower": "pcs_racing.planners.gap_follower:GAP_FOLLOWER",
     "lane-switcher": "pcs_racing.planners.lane_switcher:LANE_SWITCHER",
     "lattice": "pcs_racing.planners.lattice:LATTICE",
     "ppo-drive": "pcs_racing.planners.trained:PPO_DRIVE",
+    "predictive-spliner": "pcs_racing.planners.predictive_spliner:PREDICTIVE_SPLINER",
     "pure-pursuit": "pcs_racing.planners.pure_pursuit:PURE_PURSUIT",
     "spliner": "pcs_racing.planners.spliner:SPLINER",
 }

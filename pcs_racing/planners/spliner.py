@@ -29,6 +29,7 @@ from pcs_racing.planners.line_following import (
     lane_step,
     sharpest_bend,
     speed_scale,
+    trailing_speed,
 )
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
@@ -129,6 +130,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     passing = memory[_SIDE] != 0.0 and gap > -scratch[_AT + KNOTS - 1]
     lane = scratch[_LANE:SCRATCH]
     side = 0.0
+    cap = np.inf
     if blocks and (
         passing or (0.0 < now < theta[LOOKAHEAD] and sharpest_bend(track, s0, SECTOR_REACH) < theta[SECTOR])
     ):
@@ -148,8 +150,8 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
                 side = 0.0
             else:
                 hold_off(track, view, keep, lane)
+                cap = trailing_speed(theta, view, now) if now > 0.0 else np.inf
     memory[_SIDE] = side
-    cap = np.inf
     if side == 0.0:
         cap = follow_line(track, theta, view, now, theta[LOOKAHEAD], lane)
     ease_onto(track, view, speed_scale(view, theta[0]), cap, lane, path)
