@@ -18,7 +18,7 @@ import numpy as np
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arctangent
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, scan, steer_for
 
 __all__ = ["DISPARITY_EXTENDER", "extend_disparities"]
@@ -77,5 +77,19 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     steer_for(view, steering, speed, theta[LATERAL], path)
 
 
-DISPARITY_EXTENDER = Planner(name="disparity-extender", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH)
+VARIANTS = named_variants(
+    PARAMETERS,
+    {
+        "calm": {"top_speed": 5.0, "lateral": 4.0},
+        "fast": {"top_speed": 9.0, "full_distance": 10.0},
+    },
+)
+
+DISPARITY_EXTENDER = Planner(
+    name="disparity-extender",
+    parameters=PARAMETERS,
+    plan=plan,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
+)
 """Drives straight for the farthest point."""

@@ -18,15 +18,22 @@ from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, offset
 
 __all__ = [
+    "KEPT_LANE",
     "LANE_POINTS",
     "LANE_SIZE",
+    "ON_LINE",
     "PACE",
     "TRAILING",
     "bodies_across",
     "ease_onto",
     "follow_line",
+    "hold_off",
+    "keep_lane",
+    "kept_lane",
     "lane_fits",
     "lane_step",
+    "lay_lane",
+    "sharpest_bend",
     "speed_scale",
     "trailing_speed",
 ]
@@ -50,6 +57,9 @@ LANE_POINTS = 20
 ANCHORS = 8  # of a curve that keeps the lane off the walls
 LANE_SIZE = LANE_POINTS + ANCHORS
 """Numbers of an array that holds a lane, with working memory for `ease_onto`."""
+
+KEPT_LANE = 3 + LANE_POINTS
+"""Numbers of memory that a lane takes: whether there is one, where it begins, its step, and its points."""
 
 ANCHOR_STEP = 2.0  # m
 WALL_NEAR, WALL_PUSH = 0.60, 0.30  # m: a lane nearer to a wall is pushed off it, by 0.145 m where it is at 0.305 m
@@ -139,6 +149,53 @@ def hold_off(track, view, keep, lane):  # type: ignore[no-untyped-def]
     for j in range(LANE_POINTS):
         sample = track.line[line_index(track, view[_view.OWN_S] + j * step)]
         lane[j] = min(max(lane[j], min(keep - sample[_frenet.RIGHT], 0.0)), max(sample[_frenet.LEFT] - keep, 0.0))
+
+
+@kernel
+def lay_lane(view, d, along, across, lane):  # type: ignore[no-untyped-def]
+    """Lay a lane through places: cubics from the distance ``d`` (m) on, through all of a plan.
+
+    ``along`` and ``across`` are the places' distances along the race line from the car on, rising, and from it, m.
+    """
+    last = along.shape[0] - 1
+    k = 0
+    before_s, before_d = 0.0, d
+    slope = (across[0] - d) / max(along[0], 0.1)
+    for j in range(LANE_POINTS):
+        x = j * lane_step(view)
+        while k < last and x > along[k]:
+            slope = (across[k + 1] - before_d) / max(along[k + 1] - before_s, 0.1)
+            before_s, before_d = along[k], across[k]
+            k += 1
+        width = max(along[k] - before_s, 0.1)
+        after = min(k + 1, last)
+        next_slope = (across[after] - before_d) / max(along[after] - before_s, 0.1)
+        u = min((x - before_s) / width, 1.0)
+        rise = across[k] - before_d
+        lane[j] = (
+            before_d + u * rise + u * (1.0 - u) * ((slope * width - rise) * (1.0 - u) + (rise - next_slope * width) * u)
+        )
+
+
+@kernel
+def keep_lane(view, lane, memory):  # type: ignore[no-untyped-def]
+    """Remember a lane in the first `KEPT_LANE` numbers of the memory."""
+    memory[0], memory[1], memory[2] = 1.0, view[_view.OWN_S], lane_step(view)
+    for j in range(LANE_POINTS):
+        memory[3 + j] = lane[j]
+
+
+@kernel
+def kept_lane(track, memory, s):  # type: ignore[no-untyped-def]
+    """Distance from the race line (m) and slope of the remembered lane at an arc length; 0 where there is none."""
+    if memory[0] == 0.0:
+        return 0.0, 0.0
+    driven = s - memory[1]
+    driven = driven + track.length if driven < -0.5 * track.length else driven
+    u = min(max(driven / memory[2], 0.0), LANE_POINTS - 1.001)
+    j = int(u)
+    slope = (memory[4 + j] - memory[3 + j]) / memory[2]
+    return memory[3 + j] + (u - j) * memory[2] * slope, slope
 
 
 @kernel(forceinline=True)

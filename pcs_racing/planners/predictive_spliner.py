@@ -33,7 +33,7 @@ from pcs_racing.planners.line_following import (
     speed_scale,
     trailing_speed,
 )
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.track import frenet as _frenet
@@ -219,7 +219,20 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     ease_onto(track, view, scale, cap, lane, path)
 
 
+VARIANTS = named_variants(
+    PARAMETERS,
+    {
+        "early": {"begin": 2.0, "ramp": 8.0},
+        "wide": {"evasion_dist": 0.8},
+    },
+)
+
 PREDICTIVE_SPLINER = Planner(
-    name="predictive-spliner", parameters=PARAMETERS, plan=plan, memory_size=MEMORY, scratch_size=SCRATCH
+    name="predictive-spliner",
+    parameters=PARAMETERS,
+    plan=plan,
+    memory_size=MEMORY,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
 )
 """The predictive spliner: learns where the opponent drives, and passes where both will meet."""

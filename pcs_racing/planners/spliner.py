@@ -31,7 +31,7 @@ from pcs_racing.planners.line_following import (
     speed_scale,
     trailing_speed,
 )
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.track import frenet as _frenet
@@ -157,5 +157,21 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     ease_onto(track, view, speed_scale(view, theta[0]), cap, lane, path)
 
 
-SPLINER = Planner(name="spliner", parameters=PARAMETERS, plan=plan, memory_size=1, scratch_size=SCRATCH)
+VARIANTS = named_variants(
+    PARAMETERS,
+    {
+        "published": {"obs_traj_thresh": 1.0, "evasion_dist": 0.6, "spline_bound_mindist": 0.3, "pre_apex_2": 2.0},
+        "close": {"evasion_dist": 0.5},
+        "wide": {"evasion_dist": 0.8},
+    },
+)
+
+SPLINER = Planner(
+    name="spliner",
+    parameters=PARAMETERS,
+    plan=plan,
+    memory_size=1,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
+)
 """The spliner: evasion by a spline, or trailing."""
