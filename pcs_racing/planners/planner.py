@@ -19,7 +19,7 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.planners.calling import control_address, plan_address
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, hold_command, leave_path
 
-__all__ = ["Parameter", "Planner", "Policy"]
+__all__ = ["Parameter", "Planner", "Policy", "named_variants"]
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,16 @@ class Parameter:
             raise InputError(f"parameter {self.name!r} has bounds [{self.low}, {self.high}]; low must be below high")
         if not self.low <= self.default <= self.high:
             raise InputError(f"parameter {self.name!r} has default {self.default}, outside [{self.low}, {self.high}]")
+
+
+def named_variants(
+    parameters: Sequence[Parameter], changes: Mapping[str, Mapping[str, float]]
+) -> dict[str, tuple[float, ...]]:
+    """Parameter vectors for a planner's ``variants``, from the values in which each differs from the defaults."""
+    return {
+        name: tuple(values.get(parameter.name, parameter.default) for parameter in parameters)
+        for name, values in changes.items()
+    }
 
 
 @dataclass(frozen=True)

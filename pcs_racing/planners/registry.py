@@ -20,11 +20,19 @@ ENTRY_POINTS = "pcs_racing.planners"
 """Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
 
 SHIPPED = {
+    "disparity-extender": "pcs_racing.planners.disparity_extender:DISPARITY_EXTENDER",
+    "follow-the-gap": "pcs_racing.planners.follow_the_gap:FOLLOW_THE_GAP",
+    "frenet-sampling": "pcs_racing.planners.frenet_sampling:FRENET_SAMPLING",
     "gap-follower": "pcs_racing.planners.gap_follower:GAP_FOLLOWER",
+    "iterated-best-response": "pcs_racing.planners.best_response:BEST_RESPONSE",
     "lane-switcher": "pcs_racing.planners.lane_switcher:LANE_SWITCHER",
     "lattice": "pcs_racing.planners.lattice:LATTICE",
+    "mppi": "pcs_racing.planners.mppi:MPPI",
     "ppo-drive": "pcs_racing.planners.trained:PPO_DRIVE",
+    "predictive-spliner": "pcs_racing.planners.predictive_spliner:PREDICTIVE_SPLINER",
     "pure-pursuit": "pcs_racing.planners.pure_pursuit:PURE_PURSUIT",
+    "spliner": "pcs_racing.planners.spliner:SPLINER",
+    "stanley": "pcs_racing.planners.stanley:STANLEY",
 }
 """The planners of this package: name and place. A new one is a file and a line here."""
 

@@ -1,0 +1,95 @@
+"""The disparity extender of UNC Chapel Hill [1]_: drive straight for the farthest point that the car fits through to.
+
+Where the ranges of two neighbouring beams differ by much there is an edge, and beside it the car needs half of its
+width. So the nearer range is extended over as many beams of the farther side as half a car covers at that distance. The
+car steers for the longest range that is left in front of it, and goes straight on if something is beside it on the side
+to which it would turn. Its speed grows with the distance straight ahead.
+
+What differs: the speed is also limited by the lateral acceleration of the bend, and the steering angle is a share of
+the direction, as the car is faster here.
+
+References
+----------
+.. [1] N. Otterness, "The 'Disparity Extender' Algorithm, and F1/Tenth", 2019.
+"""
+
+import numpy as np
+
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.elementary import arctangent
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, scan, steer_for
+
+__all__ = ["DISPARITY_EXTENDER", "extend_disparities"]
+
+PARAMETERS = (
+    Parameter("disparity", 0.05, 1.0, 0.3, "difference of the ranges of two neighbouring beams that is an edge, m"),
+    Parameter("tolerance", 0.0, 0.4, 0.15, "what is added to half of the car's width, m"),
+    Parameter("steering_gain", 0.1, 1.0, 0.4, "steering angle per angle of the chosen direction"),
+    Parameter("side_distance", 0.1, 0.6, 0.3, "distance to something beside the car below which it does not turn, m"),
+    Parameter("safe_distance", 0.2, 3.0, 0.8, "distance straight ahead at which the car creeps, m"),
+    Parameter("full_distance", 4.0, 15.0, 8.0, "distance straight ahead from which it drives at its top speed, m"),
+    Parameter("top_speed", 2.0, 12.0, 7.0, "top speed, m/s"),
+    Parameter("lateral", 1.0, 8.0, 5.0, "lateral acceleration that limits the speed in a bend, m/s^2"),
+)
+DISPARITY, TOLERANCE, GAIN, SIDE, SAFE, FULL, TOP_SPEED, LATERAL = range(len(PARAMETERS))
+
+SLOWEST = 1.0  # m/s
+SCRATCH = SCAN_SIZE + BEAMS
+
+
+@compiled
+def extend_disparities(ranges, disparity, half_width, extended):  # type: ignore[no-untyped-def]
+    """Write the ranges (m) that are left where every edge is extended by half a car, into ``extended``."""
+    for k in range(BEAMS):
+        extended[k] = ranges[k]
+    for k in range(BEAMS - 1):
+        right, left = ranges[k], ranges[k + 1]
+        if abs(left - right) < disparity:
+            continue
+        near = min(left, right)
+        beams = min(int(np.ceil(arctangent(half_width / max(near, 1e-3)) / STEP)), BEAMS)
+        first, last = (k + 1, min(k + 1 + beams, BEAMS)) if right < left else (max(k - beams, 0), k + 1)
+        for i in range(first, last):
+            extended[i] = min(extended[i], near)
+
+
+@compiled
+def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Scan, extend, steer for the farthest."""
+    scan(track, view, scratch)
+    ranges, extended = scratch[SCAN_SIZE - BEAMS : SCAN_SIZE], scratch[SCAN_SIZE:SCRATCH]
+    extend_disparities(ranges, theta[DISPARITY], 0.5 * view[_view.OWN_WIDTH] + theta[TOLERANCE], extended)
+    first, last = beam_at(-0.5 * np.pi), beam_at(0.5 * np.pi)
+    best = BEAMS // 2
+    for k in range(first, last + 1):
+        if extended[k] > extended[best] or (extended[k] == extended[best] and abs(ANGLES[k]) < abs(ANGLES[best])):
+            best = k
+    steering = theta[GAIN] * ANGLES[best]
+    # What is beside or behind the car on the side to which it turns.
+    begin, end = (last, BEAMS) if steering > 0.0 else (0, first + 1)
+    for k in range(begin, end):
+        if ranges[k] < theta[SIDE]:
+            steering = 0.0
+    share = (extended[BEAMS // 2] - theta[SAFE]) / (theta[FULL] - theta[SAFE])
+    speed = SLOWEST + (theta[TOP_SPEED] - SLOWEST) * min(max(share, 0.0), 1.0)
+    steer_for(view, steering, speed, theta[LATERAL], path)
+
+
+VARIANTS = named_variants(
+    PARAMETERS,
+    {
+        "calm": {"top_speed": 5.0, "lateral": 4.0},
+        "fast": {"top_speed": 9.0, "full_distance": 10.0},
+    },
+)
+
+DISPARITY_EXTENDER = Planner(
+    name="disparity-extender",
+    parameters=PARAMETERS,
+    plan=plan,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
+)
+"""Drives straight for the farthest point."""

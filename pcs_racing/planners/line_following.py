@@ -1,0 +1,275 @@
+"""What drivers with a map share: a lane along the race line, the path that eases the car onto it, and trailing.
+
+A *lane* is where a driver wants to be: distances from the race line (m, positive to the left), ``lane_step`` apart from
+the car on. `ease_onto` turns it into the path of the protocol, with speeds of the circuit's profile that the lane's
+bends allow. So drivers of different papers differ in where they want to be, and not in how well they follow a path.
+"""
+
+import numpy as np
+
+from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.elementary import tangent
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.planner import Parameter
+from pcs_racing.planners.pure_pursuit import IN_THE_WAY, line_index, side_air, within_walls
+from pcs_racing.planners.pursuit import BRAKING, steady_course
+from pcs_racing.planners.view import PATH_POINTS
+from pcs_racing.track import frenet as _frenet
+from pcs_racing.track.frenet import angle_between, offset
+
+__all__ = [
+    "KEPT_LANE",
+    "LANE_POINTS",
+    "LANE_SIZE",
+    "ON_LINE",
+    "PACE",
+    "TRAILING",
+    "bodies_across",
+    "ease_onto",
+    "follow_line",
+    "hold_off",
+    "keep_lane",
+    "kept_lane",
+    "lane_fits",
+    "lane_step",
+    "lay_lane",
+    "sharpest_bend",
+    "speed_scale",
+    "trailing_speed",
+]
+
+PACE = Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range")
+TRAILING = (
+    PACE,
+    Parameter("trailing_gap", 0.8, 4.0, 1.5, "distance between the cars' middles to keep while trailing, m"),
+    Parameter("trailing_p", 0.1, 3.0, 0.5, "closing speed per metre beyond that distance, 1/s"),
+    Parameter("trailing_d", 0.0, 1.0, 0.2, "how much of the difference of speeds is taken off while trailing"),
+)
+"""Parameters with which planners begin that use `trailing_speed`; the values are those of [1]_.
+
+.. [1] N. Baumann et al., "ForzaETH Race Stack: Scaled autonomous head-to-head racing on fully commercial off-the-shelf
+   hardware", Journal of Field Robotics, 2024, and its published configuration.
+"""
+_PACE, _GAP, _P, _D = range(len(TRAILING))
+
+LANE_POINTS = 20
+"""Points of a lane: those of the path, and as many more as it takes to brake for what comes."""
+ANCHORS = 8  # of a curve that keeps the lane off the walls
+LANE_SIZE = LANE_POINTS + ANCHORS
+"""Numbers of an array that holds a lane, with working memory for `ease_onto`."""
+
+KEPT_LANE = 3 + LANE_POINTS
+"""Numbers of memory that a lane takes: whether there is one, where it begins, its step, and its points."""
+
+ANCHOR_STEP = 2.0  # m
+WALL_NEAR, WALL_PUSH = 0.60, 0.30  # m: a lane nearer to a wall is pushed off it, by 0.145 m where it is at 0.305 m
+
+FORGIVEN, MOST_FORGIVEN = 0.5, 0.1  # share of a stray (m, or slope) where the path does not begin: all would weave
+OFF_LINE = 0.30  # m from the race line, where a lane is a driver's own business
+ON_LINE = 0.15  # m from the race line within which a lane is as good as the line itself
+BEND = 3  # points of the lane to either side of one by which it bends there
+EASE_LATERAL = 6.0  # m/s^2 that a car may ask for on its way to the lane
+GRIP = 5.3  # m/s^2 that the lane's bends may ask for at speed scales up to 1, and with the square of the scale above
+COMFORT = 4.5  # m/s^2 with which a car comes down to the speed of a bend
+
+
+@kernel(forceinline=True)
+def speed_scale(view, pace):  # type: ignore[no-untyped-def]
+    """Factor of the circuit's speed profile at a pace."""
+    return view[_view.SPEED_LOW] + pace * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
+
+
+@kernel(forceinline=True)
+def bodies_across(view):  # type: ignore[no-untyped-def]
+    """Distance across the track in m at which the sides of the two cars touch."""
+    return 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
+
+
+@kernel(forceinline=True)
+def trailing_speed(theta, view, gap):  # type: ignore[no-untyped-def]
+    """Speed in m/s that keeps the distance to a car ahead; ``theta`` begins with the parameters `TRAILING`."""
+    closing = view[_view.OWN_V] - view[_view.OPP_V]
+    return max(view[_view.OPP_V] + theta[_P] * (gap - theta[_GAP]) - theta[_D] * closing, 0.0)
+
+
+@kernel(forceinline=True)
+def _reach(view):  # type: ignore[no-untyped-def]
+    """Distance in m within which the car eases onto the lane, and how much of it is written."""
+    return 1.5 + 0.2 * view[_view.OWN_V]
+
+
+@kernel(forceinline=True)
+def lane_step(view):  # type: ignore[no-untyped-def]
+    """Distance in m along the race line between two points of a lane."""
+    return _reach(view) / (PATH_POINTS - 1)
+
+
+@kernel
+def follow_line(track, theta, view, gap, sight, lane):  # type: ignore[no-untyped-def]
+    """Lay the lane of a driver that does not pass: the race line; returns the speed to trail a car ahead at, m/s.
+
+    Beside a car that is nearer to the race line, and close behind it, it is the own place across the track.
+    ``gap`` is the distance to the other car (m), which is trailed within ``sight`` if the car would run into it.
+    """
+    beside = -0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) < gap < theta[_GAP]
+    waits = beside and side_air(view) > 0.0 and abs(view[_view.OPP_D]) < abs(view[_view.OWN_D])
+    d = within_walls(track, view[_view.OWN_S], view[_view.OWN_D]) if waits else 0.0
+    for j in range(LANE_POINTS):
+        lane[j] = d
+    ahead = 0.0 < gap < sight and min(side_air(view), abs(view[_view.OPP_D]) - bodies_across(view)) < IN_THE_WAY
+    return trailing_speed(theta, view, gap) if waits or ahead else np.inf
+
+
+@kernel
+def sharpest_bend(track, s, reach):  # type: ignore[no-untyped-def]
+    """Largest curvature of the race line within so many metres after an arc length, 1/m."""
+    sharpest = 0.0
+    for k in range(int(2.0 * reach)):
+        sharpest = max(sharpest, abs(track.line[line_index(track, s + 0.5 * k), _frenet.KAPPA]))
+    return sharpest
+
+
+@kernel
+def lane_fits(track, view, keep, lane):  # type: ignore[no-untyped-def]
+    """Whether a lane leaves ``keep`` (m) to the walls wherever it has left the race line."""
+    step = lane_step(view)
+    for j in range(LANE_POINTS):
+        sample = track.line[line_index(track, view[_view.OWN_S] + j * step)]
+        if abs(lane[j]) > ON_LINE and (
+            lane[j] > sample[_frenet.LEFT] - keep or -lane[j] > sample[_frenet.RIGHT] - keep
+        ):
+            return False
+    return True
+
+
+@kernel
+def hold_off(track, view, keep, lane):  # type: ignore[no-untyped-def]
+    """Move a lane to where it leaves ``keep`` (m) to the walls, or as much as the race line does."""
+    step = lane_step(view)
+    for j in range(LANE_POINTS):
+        sample = track.line[line_index(track, view[_view.OWN_S] + j * step)]
+        lane[j] = min(max(lane[j], min(keep - sample[_frenet.RIGHT], 0.0)), max(sample[_frenet.LEFT] - keep, 0.0))
+
+
+@kernel
+def lay_lane(view, d, along, across, lane):  # type: ignore[no-untyped-def]
+    """Lay a lane through places: cubics from the distance ``d`` (m) on, through all of a plan.
+
+    ``along`` and ``across`` are the places' distances along the race line from the car on, rising, and from it, m.
+    """
+    last = along.shape[0] - 1
+    k = 0
+    before_s, before_d = 0.0, d
+    slope = (across[0] - d) / max(along[0], 0.1)
+    for j in range(LANE_POINTS):
+        x = j * lane_step(view)
+        while k < last and x > along[k]:
+            slope = (across[k + 1] - before_d) / max(along[k + 1] - before_s, 0.1)
+            before_s, before_d = along[k], across[k]
+            k += 1
+        width = max(along[k] - before_s, 0.1)
+        after = min(k + 1, last)
+        next_slope = (across[after] - before_d) / max(along[after] - before_s, 0.1)
+        u = min((x - before_s) / width, 1.0)
+        rise = across[k] - before_d
+        lane[j] = (
+            before_d + u * rise + u * (1.0 - u) * ((slope * width - rise) * (1.0 - u) + (rise - next_slope * width) * u)
+        )
+
+
+@kernel
+def keep_lane(view, lane, memory):  # type: ignore[no-untyped-def]
+    """Remember a lane in the first `KEPT_LANE` numbers of the memory."""
+    memory[0], memory[1], memory[2] = 1.0, view[_view.OWN_S], lane_step(view)
+    for j in range(LANE_POINTS):
+        memory[3 + j] = lane[j]
+
+
+@kernel
+def kept_lane(track, memory, s):  # type: ignore[no-untyped-def]
+    """Distance from the race line (m) and slope of the remembered lane at an arc length; 0 where there is none."""
+    if memory[0] == 0.0:
+        return 0.0, 0.0
+    driven = s - memory[1]
+    driven = driven + track.length if driven < -0.5 * track.length else driven
+    u = min(max(driven / memory[2], 0.0), LANE_POINTS - 1.001)
+    j = int(u)
+    slope = (memory[4 + j] - memory[3 + j]) / memory[2]
+    return memory[3 + j] + (u - j) * memory[2] * slope, slope
+
+
+@kernel(forceinline=True)
+def _stray(x):  # type: ignore[no-untyped-def]
+    """What is left of a stray from the lane, after what the path forgives."""
+    return x - min(max(FORGIVEN * x, -MOST_FORGIVEN), MOST_FORGIVEN)
+
+
+@inner_kernel
+def _keep_off_walls(track, s0, step, lane):  # type: ignore[no-untyped-def]
+    """Move a lane off walls that the race line comes near to, by a quadratic B-spline along the track."""
+    first = np.floor(s0 / ANCHOR_STEP - 1.0)
+    for k in range(ANCHORS):
+        left = right = 0.0
+        for i in range(4):
+            sample = track.line[line_index(track, (first + k + 0.25 * i) * ANCHOR_STEP)]
+            right += max(WALL_NEAR - sample[_frenet.RIGHT], 0.0) ** 2
+            left += max(WALL_NEAR - sample[_frenet.LEFT], 0.0) ** 2
+        lane[LANE_POINTS + k] = (right - left) / (4.0 * 2.0 * WALL_PUSH)
+    for j in range(LANE_POINTS):
+        u = (s0 + j * step) / ANCHOR_STEP - first
+        k = min(max(int(u), 1), ANCHORS - 2)
+        u -= k
+        before, here, after = lane[LANE_POINTS + k - 1], lane[LANE_POINTS + k], lane[LANE_POINTS + k + 1]
+        push = 0.5 * ((1.0 - u) * (1.0 - u) * before + (1.0 + 2.0 * u * (1.0 - u)) * here + u * u * after)
+        lane[j] += push * max(1.0 - abs(lane[j]) / OFF_LINE, 0.0)
+
+
+@kernel
+def ease_onto(track, view, scale, cap, lane, path):  # type: ignore[no-untyped-def]
+    """Write a path that eases from the car onto a lane.
+
+    Parameters
+    ----------
+    track, view, path
+        As a planner gets them.
+    scale : float
+        Factor of the speed profile.
+    cap : float
+        Speed not to exceed, m/s.
+    lane : ndarray, shape (LANE_SIZE,)
+        Distances from the race line, m, `lane_step` apart, the first one beside the car. They are moved off walls.
+    """
+    line, ds, length = track.line, track.ds, track.length
+    s0 = view[_view.OWN_S]
+    d0 = view[_view.OWN_D]
+    reach = _reach(view)
+    step = lane_step(view)
+    _keep_off_walls(track, s0, step, lane)
+    here = line[line_index(track, s0)]
+    course = steady_course(view, here[_frenet.KAPPA])
+    slope = tangent(min(max(angle_between(course, here[_frenet.PSI]), -1.2), 1.2))
+    slope *= max(1.0 - here[_frenet.KAPPA] * d0, 0.25)
+    aside = _stray(d0 - lane[0])
+    ease = max(reach, view[_view.OWN_V] * np.sqrt(6.0 * abs(aside) / EASE_LATERAL))
+    rise = ease * _stray(slope - (lane[1] - lane[0]) / step)
+    # What the line asks for at this scale the car can do, and at slow ones more than that.
+    grip = GRIP * max(scale * scale, 1.0)
+    braking = 2.0 * step * min(COMFORT * grip / GRIP, BRAKING)
+    square = 1e9
+    for i in range(LANE_POINTS):
+        j = LANE_POINTS - 1 - i
+        sample = line[line_index(track, s0 + j * step)]
+        inner = min(max(j, BEND), LANE_POINTS - 1 - BEND)
+        d_bend = (lane[inner + BEND] - 2.0 * lane[inner] + lane[inner - BEND]) / (BEND * BEND * step * step)
+        kappa = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * lane[j], 0.25) + d_bend
+        square = min(square + braking, grip / max(abs(kappa), 1e-6))
+        if j < PATH_POINTS:
+            u = j * step / ease
+            q = 1.0 - u
+            d = lane[j] + q * q * ((1.0 + 2.0 * u) * aside + u * rise)
+            back = ((12.0 * u - 6.0) * aside + (6.0 * u - 4.0) * rise) / (ease * ease)
+            x, y, _ = offset(line, ds, length, s0 + j * step, d)
+            path[j, _view.PATH_X] = x
+            path[j, _view.PATH_Y] = y
+            path[j, _view.PATH_SPEED] = min(scale * sample[_frenet.SPEED], np.sqrt(square), cap)
+            path[j, _view.PATH_KAPPA] = kappa + back

@@ -1,0 +1,69 @@
+"""What drivers with nothing but a lidar share: the scan, and the arc that a direction in it stands for."""
+
+import numpy as np
+
+from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.elementary import sine_cosine, tangent
+from pcs_racing.car.lidar import WORK_SHAPE, Beams, scan_into
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.view import PATH_POINTS
+
+__all__ = ["ANGLES", "BEAMS", "SCAN_SIZE", "STEP", "beam_at", "scan", "steer_for"]
+
+BEAMS = 271
+FIELD_OF_VIEW = 4.7  # rad, that of the lidar of most cars; they have 1080 beams, of which every fourth is taken here
+MAX_RANGE = 15.0  # m
+STEP = FIELD_OF_VIEW / (BEAMS - 1)
+ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
+"""Directions of the beams in rad, from right to left; 0 is straight ahead."""
+_plain = getattr(sine_cosine, "py_func", sine_cosine)  # calling compiled code would slow down every import
+_SIN, _COS = (np.array(values) for values in zip(*map(_plain, ANGLES), strict=True))
+_WORK = WORK_SHAPE[0] * WORK_SHAPE[1]
+SCAN_SIZE = _WORK + BEAMS
+"""Numbers of scratch that a scan takes: the lidar's own working memory, and the ranges at the end."""
+
+
+@compiled
+def scan(track, view, scratch):  # type: ignore[no-untyped-def]
+    """Scan from the own car along its heading; the ranges (m) are ``scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]``."""
+    scan_into(
+        track,
+        Beams(ANGLES[0], STEP, MAX_RANGE, _COS, _SIN),
+        view[_view.OWN_X],
+        view[_view.OWN_Y],
+        view[_view.OWN_PSI],
+        view[_view.OWN_S],
+        True,
+        view[_view.OPP_X],
+        view[_view.OPP_Y],
+        view[_view.OPP_PSI],
+        0.5 * view[_view.OPP_LENGTH],
+        0.5 * view[_view.OPP_WIDTH],
+        scratch[:_WORK].reshape(WORK_SHAPE),
+        scratch[_WORK:SCAN_SIZE],
+    )
+
+
+@kernel(forceinline=True)
+def beam_at(angle):  # type: ignore[no-untyped-def]
+    """Index of the beam nearest to a direction in rad."""
+    return min(max(int((angle + 0.5 * FIELD_OF_VIEW) / STEP + 0.5), 0), BEAMS - 1)
+
+
+@kernel
+def steer_for(view, steering, speed, lateral, path):  # type: ignore[no-untyped-def]
+    """Write the arc of a steering angle (rad), at a speed (m/s) that keeps to a lateral acceleration (m/s^2)."""
+    limit = view[_view.STEER_MAX]
+    kappa = tangent(min(max(steering, -limit), limit)) / view[_view.WHEELBASE]
+    speed = min(speed, np.sqrt(lateral / max(abs(kappa), 1e-6)))
+    length = 0.5 + 0.25 * view[_view.OWN_V]
+    for j in range(PATH_POINTS):
+        s = length * j / (PATH_POINTS - 1)
+        bend = 0.5 * kappa * s
+        sine, _ = sine_cosine(bend)
+        chord = s * sine / bend if bend != 0.0 else s
+        sine, cosine = sine_cosine(view[_view.OWN_PSI] + bend)
+        path[j, _view.PATH_X] = view[_view.OWN_X] + chord * cosine
+        path[j, _view.PATH_Y] = view[_view.OWN_Y] + chord * sine
+        path[j, _view.PATH_SPEED] = speed
+        path[j, _view.PATH_KAPPA] = kappa
