@@ -16,27 +16,16 @@ IDS = {
 }
 """Where the environment is, by its name in Gymnasium."""
 
-_WHERE = {
-    "F110Env": "env",
-    "GenerationA": "generation_a",
-    "GenerationB": "generation_b",
-    "Integrator": "generation_a",
-    "Simulator": "simulator",
-    "RaceCar": "simulator",
-    "Track": "lines",
-    "TrackSpec": "lines",
-    "Raceline": "lines",
-    "CubicSpline2D": "lines",
-    "nearest_point_on_trajectory": "lines",
-    "EnvRenderer": "rendering",
-    "RenderSpec": "rendering",
-    "DynamicModel": "old_names",
-    "IntegratorType": "old_names",
-    "LongitudinalActionEnum": "old_names",
-    "SteerActionEnum": "old_names",
-    "deep_update": "generation_b",
-    "get_vertices": "old_names",
+_NAMES = {
+    "env": "F110Env",
+    "generation_a": "GenerationA Integrator",
+    "generation_b": "GenerationB deep_update",
+    "simulator": "Simulator RaceCar",
+    "lines": "Track TrackSpec Raceline CubicSpline2D nearest_point_on_trajectory",
+    "rendering": "EnvRenderer RenderSpec",
+    "old_names": "DynamicModel IntegratorType LongitudinalActionEnum SteerActionEnum get_vertices",
 }
+_WHERE = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 
 def register_environments() -> None:

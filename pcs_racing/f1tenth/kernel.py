@@ -25,7 +25,7 @@ KS, ST, OLD_ST = range(3)  # vehicle models; OLD_ST is that of generation A, whi
 RK4, EULER = range(2)
 DELAY = 2  # steps by which steering is late
 STOP_TIME = 0.005  # s to a collision, below which a wall counts as hit
-NEAR = 0.15  # m: a wall this far from a car's side is looked at with the gym's own march
+NEAR = 3.0  # cells: a wall this far from a car's side is looked at with the gym's own march
 EPSILON = 1e-4  # m, at which that march ends
 DIRECTIONS = 2000  # of that march, all around
 BESIDE, AROUND = 2.0, 0.1  # of the start: m to both sides of it, and the square of m beyond them
@@ -192,16 +192,17 @@ def _stops(grid, beams, tables, sides, x, y, psi, v, noise, scan):  # type: igno
     """
     if v == 0.0:
         return False
-    near = 0
+    near = STOP_TIME * abs(v) + NEAR * grid.cell
+    count = 0
     for k in range(np.uint64(scan.shape[0])):
-        near += abs(scan[k] - sides[k]) < STOP_TIME * abs(v) + NEAR
-    if near == 0:
+        count += abs(scan[k] + noise[k] - sides[k]) < near
+    if count == 0:
         return False
     index = np.fmod(DIRECTIONS * (psi + beams.first) / (2.0 * np.pi), DIRECTIONS)
     while index < 0.0:
         index += DIRECTIONS
     for k in range(scan.shape[0]):
-        if abs(scan[k] - sides[k]) < STOP_TIME * abs(v) + NEAR:
+        if abs(scan[k] + noise[k] - sides[k]) < near:
             i = int(index)
             found = _march(grid, x, y, tables[0, i], tables[1, i], beams.max_range) + noise[k]
             time = (found - sides[k]) / (v * beams.cos[k])
