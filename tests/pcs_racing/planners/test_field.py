@@ -1,0 +1,229 @@
+"""The drivers of the field: each follows the race line or the gap alone, and passes or follows as its paper says."""
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.interpolate import CubicSpline
+
+from pcs_racing import InputError, RaceConfig, Starts, get_planner, load_track, parse_policy, run_races
+from pcs_racing.planners.disparity_extender import extend_disparities
+from pcs_racing.planners.follow_the_gap import longest_gap, smooth
+from pcs_racing.planners.frenet_sampling import quintic
+from pcs_racing.planners.line_following import (
+    ANCHOR_STEP,
+    LANE_POINTS,
+    LANE_SIZE,
+    ease_onto,
+    keep_lane,
+    kept_lane,
+    lane_step,
+    lay_lane,
+    trailing_speed,
+)
+from pcs_racing.planners.mppi import NOISE
+from pcs_racing.planners.predictive_spliner import _D, _SEEN, AHEAD, BINS, MEMORY, remember, smooth_ahead
+from pcs_racing.planners.scanning import BEAMS, STEP
+from pcs_racing.planners.spliner import SCRATCH, SPLINER, lay_spline, spline_at
+from pcs_racing.planners.view import OWN_D, OWN_S, PATH_POINTS
+from pcs_racing.testing import check_planner
+
+PASSING = ("frenet-sampling", "iterated-best-response", "mppi", "predictive-spliner", "spliner")
+MAPPED = (*PASSING, "stanley")
+LIDAR = ("disparity-extender", "follow-the-gap")
+
+
+def python(function):
+    """The Python function of a compiled one."""
+    return getattr(function, "py_func", function)
+
+
+@pytest.mark.parametrize("name", MAPPED)
+def test_it_follows_the_race_line_alone(name, drive_alone):
+    for circuit in ("Kestrelheim", "Quillburg"):
+        track = load_track(circuit)
+        result = drive_alone(track, [parse_policy(name)], speed_range=(0.7, 1.2))
+        assert not result.crashed.any()
+        # As fast as the profile of its scale, but for the start in the middle of the track.
+        scale = 0.95 * len(track.line) / (1.0 / track.line[:, 6]).sum()
+        assert (result.state.progress[0] - [0.0, -50.0] > 0.8 * scale * 40.0 - 50.0).all()
+
+
+@pytest.mark.parametrize("name", LIDAR)
+def test_it_drives_by_its_lidar_alone(name, drive_alone):
+    for circuit in ("Kestrelheim", "Pipkin"):
+        result = drive_alone(load_track(circuit), [parse_policy(name)])
+        assert not result.crashed.any()
+        assert (result.state.progress[0] > 2.5 * 40.0 - 50.0).all()
+
+
+def behind_a_slow_car(name, share=0.6, races=10):
+    """Races of a driver behind one on the race line with a share of its speed."""
+    track = load_track("Tarnfjord")
+    config = RaceConfig(start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(1.1 * share, 1.1))
+    starts = Starts(np.arange(races) / races * track.length, np.ones(races, np.int64))
+    ego = get_planner(name).policy({"pace": 1.0})
+    return run_races(track, [ego] * races, parse_policy("pure-pursuit:pace=0,follow_distance=0"), config, starts=starts)
+
+
+@pytest.mark.parametrize("name", PASSING)
+def test_it_passes_a_slow_car(name):
+    result = behind_a_slow_car(name)
+    assert np.mean(result.state.overtakes[:, 0] > 0) >= 0.7
+    assert np.mean(result.own_crash[:, 0]) <= 0.3
+
+
+def test_stanley_follows_a_slow_car_like_pure_pursuit():
+    for name in ("stanley", "pure-pursuit"):
+        result = behind_a_slow_car(name)
+        assert (result.state.overtakes[:, 0] == 0).all()
+        assert np.mean(result.own_crash[:, 0]) <= 0.2
+
+
+@pytest.mark.parametrize("name", [*MAPPED, *LIDAR])
+def test_it_keeps_the_protocol(name):
+    """It depends on nothing but its arguments: one seed, one result, in any pieces and any company."""
+    check_planner(get_planner(name), load_track("Pipkin"), seconds=2.0)
+
+
+@pytest.mark.parametrize("name", [*MAPPED, *LIDAR])
+def test_its_variants_are_between_its_bounds_and_what_is_not_is_refused(name):
+    planner = get_planner(name)
+    assert 2 <= len(planner.variants) <= 20
+    for variant in planner.variants:
+        assert (parse_policy(f"{name}:{variant}").parameters != planner.default).any()
+    for parameter in planner.parameters:
+        with pytest.raises(InputError, match=rf"parameter '{parameter.name}' is .*; it must lie in"):
+            planner.policy({parameter.name: parameter.high + 1.0})
+
+
+def test_a_path_eases_from_the_car_onto_its_lane(oval, view_at):
+    view = view_at(oval, 3.0, 0.5)
+    lane = np.zeros(LANE_SIZE)
+    lane[:LANE_POINTS] = 0.3
+    path = np.full((PATH_POINTS, 4), np.nan)
+    ease_onto(oval.arrays, view, 1.0, 3.0, lane, path)
+    sd = oval.to_frenet(path[:, :2])
+    np.testing.assert_allclose(sd[:, 0], 3.0 + lane_step(view) * np.arange(PATH_POINTS), atol=1e-6)
+    assert 0.3 < sd[0, 1] <= 0.5
+    assert sd[-1, 1] == pytest.approx(0.3, abs=0.02)
+    assert (path[:, 2] == 3.0).all()
+    steps = np.diff(path[:, :2], axis=0)
+    headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    bends = np.diff(headings) / np.hypot(*(0.5 * (steps[1:] + steps[:-1])).T)
+    np.testing.assert_allclose(path[1:-1, 3], bends, atol=0.06)
+
+
+def test_a_lane_is_moved_off_a_wall_that_the_race_line_touches(view_at):
+    track = load_track("Saltmere")
+    near = int(np.argmin(track.line[:, 8]))  # free width to the left
+    view = view_at(track, near * track.arrays.ds - ANCHOR_STEP)
+    lane = np.zeros(LANE_SIZE)
+    ease_onto(track.arrays, view, 1.0, 5.0, lane, np.zeros((PATH_POINTS, 4)))
+    assert -0.2 < lane[:LANE_POINTS].min() < -0.05
+
+
+def test_a_lane_through_places_is_remembered(oval, view_at):
+    view = view_at(oval, 3.0)
+    along, lane, memory = np.linspace(0.5, 6.0, 12), np.zeros(LANE_SIZE), np.zeros(LANE_SIZE)
+    lay_lane(view, 0.1, along, 0.1 + 0.05 * along, lane)
+    np.testing.assert_allclose(lane[:LANE_POINTS], 0.1 + 0.05 * lane_step(view) * np.arange(LANE_POINTS), atol=1e-9)
+    assert kept_lane(oval.arrays, memory, 3.5) == (0.0, 0.0)
+    keep_lane(view, lane, memory)
+    assert kept_lane(oval.arrays, memory, view[OWN_S] + 1.0) == pytest.approx((0.15, 0.05))
+
+
+def test_trailing_keeps_the_gap(oval, view_at):
+    theta = SPLINER.policy({"trailing_gap": 1.5, "trailing_p": 0.5, "trailing_d": 0.2}).parameters
+    speeds = [
+        trailing_speed(theta, view_at(oval, 3.0, gap=gap, opp_speed=3.0, speed=v), gap)
+        for gap, v in ((1.5, 3.0), (3.5, 3.0), (1.5, 4.0))
+    ]
+    assert speeds == pytest.approx([3.0, 4.0, 2.8])
+
+
+def test_the_spline_is_the_natural_cubic_one_without_its_undershoots():
+    scratch = np.zeros(SCRATCH)
+    first = SPLINER.parameter_names.index("pre_apex_0")
+    python(lay_spline)(SPLINER.default, first, 1.2, scratch)
+    knots = 1.2 * np.array([-4.0, -3.0, -1.5, 0.0, 2.0, 3.0, 4.0])
+    expected = CubicSpline(knots, [0, 0, 0, 1, 0, 0, 0], bc_type="natural")
+    for x in np.linspace(-5.5, 5.5, 111):
+        inside = knots[0] < x < knots[-1]
+        wanted = min(max(float(expected(x)), 0.0), 1.0) if inside else 0.0
+        assert python(spline_at)(x, scratch) == pytest.approx(wanted, abs=1e-9)
+
+
+def test_the_spliner_passes_on_the_side_with_more_room(oval, view_at):
+    theta = SPLINER.policy({"sector_kappa": 0.5}).parameters  # of this circuit the bends are near
+    for opp_d in (-0.25, 0.25):
+        memory, path = np.zeros(1), np.zeros((PATH_POINTS, 4))
+        view = view_at(oval, 3.0, gap=1.5, opp_d=opp_d, opp_speed=2.0)
+        SPLINER.plan(oval.arrays, theta, view, memory, np.zeros(SPLINER.scratch_size), path)
+        assert memory[0] == -np.sign(opp_d)
+        assert np.sign(oval.to_frenet(path[-1, :2])[1]) == -np.sign(opp_d)
+
+
+def test_the_process_of_the_predictive_spliner_is_that_of_its_kernel():
+    """Against the textbook's formula with dense matrices."""
+    memory, mean, work = np.zeros(MEMORY), np.zeros(AHEAD), np.zeros(AHEAD)
+    rng = np.random.default_rng(0)
+    seen = np.sort(rng.choice(np.arange(1, AHEAD), 20, replace=False))
+    first = BINS - 10  # the bins go on beyond the end of the lap
+    for k in seen:
+        python(remember)(memory, (first + k) % BINS, rng.normal(), 1.0)
+    assert memory[_SEEN:].sum() == 20
+    keep, noise, now, prior = 0.8, 0.1, 0.4, 0.2
+    python(smooth_ahead)(memory, first, _D, keep, noise, now, prior, mean, work)
+    at = np.concatenate([[0], seen])
+    values = np.concatenate([[now], memory[_D + (first + seen) % BINS]])
+    kernel = keep ** np.abs(np.subtract.outer(np.arange(AHEAD), at)).astype(float)
+    covariance = kernel[at] + np.diag([0.0] + [noise] * 20)
+    np.testing.assert_allclose(mean, prior + kernel @ np.linalg.solve(covariance, values - prior), atol=1e-9)
+
+
+def test_the_quintic_joins_two_states():
+    c = np.zeros(6)
+    cost = python(quintic)(0.3, -0.5, 0.8, 1.0, 0.4, 1.5, c)
+    polynomial = np.polynomial.Polynomial(c)
+    rate, bend, jerk = polynomial.deriv(), polynomial.deriv(2), polynomial.deriv(3)
+    found = [polynomial(0.0), rate(0.0), bend(0.0), polynomial(1.5), rate(1.5), bend(1.5)]
+    np.testing.assert_allclose(found, [0.3, -0.5, 0.8, 1.0, 0.4, 0.0], atol=1e-9)
+    assert cost == pytest.approx(quad(lambda t: jerk(t) ** 2, 0.0, 1.5)[0])
+
+
+def test_the_noise_of_mppi_is_normal_enough():
+    assert NOISE.mean() == pytest.approx(0.0, abs=1e-12)
+    assert NOISE.std() == pytest.approx(1.0, abs=0.05)
+    assert abs(np.corrcoef(NOISE[:-1], NOISE[1:])[0, 1]) < 0.05
+
+
+def test_a_disparity_is_extended_by_half_a_car_to_its_far_side():
+    ranges, extended = np.full(BEAMS, 8.0), np.zeros(BEAMS)
+    ranges[:100] = 2.0
+    extend_disparities(ranges, 0.3, 0.3, extended)
+    covered = int(np.ceil(np.arctan(0.3 / 2.0) / STEP))
+    assert (extended[: 100 + covered] == 2.0).all()
+    assert (extended[100 + covered :] == 8.0).all()
+    extend_disparities(ranges, 7.0, 0.3, extended)
+    np.testing.assert_array_equal(extended, ranges)
+
+
+def test_ranges_are_cut_off_and_averaged_and_the_longest_gap_is_found():
+    ranges, out = np.random.default_rng(1).uniform(0.5, 12.0, BEAMS), np.zeros(BEAMS)
+    smooth(ranges, 10.0, 2.5 * STEP, out)
+    cut = np.minimum(ranges, 10.0)
+    expected = [cut[max(k - 2, 0) : k + 3].mean() for k in range(BEAMS)]
+    np.testing.assert_allclose(out, expected)
+    out[:] = 1.0
+    out[[40, 41, 200]] = 0.0
+    assert longest_gap(out) == (42, 200)
+
+
+@pytest.mark.parametrize("opp_d", [-0.2, 0.2])
+@pytest.mark.parametrize("name", LIDAR)
+def test_a_lidar_driver_steers_away_from_a_car(name, opp_d, oval, view_at):
+    planner, path = get_planner(name), np.zeros((PATH_POINTS, 4))
+    view = view_at(oval, 3.0, gap=2.0, opp_d=opp_d)
+    planner.plan(oval.arrays, planner.default, view, np.zeros(0), np.zeros(planner.scratch_size), path)
+    assert np.sign(path[0, 3]) == -np.sign(opp_d)
+    assert view[OWN_D] == pytest.approx(0.0, abs=1e-6)
