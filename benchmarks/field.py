@@ -25,7 +25,7 @@ from pcs_racing_agents.tournament.statistics import clustered_mean
 
 LIDAR = ("gap-follower", "follow-the-gap", "disparity-extender")
 CARS = 100
-FACTORS = np.round(np.arange(0.50, 0.96, 0.05), 2)
+SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)
 
 
 def alone(track: Track, policy: Policy) -> tuple[float, float]:
@@ -51,7 +51,7 @@ def cost(policy: Policy) -> float:
 
 
 def _passes(track: Track, ego: Policy, slower: Policy, share: float, races: int) -> np.ndarray:
-    """Whether a car passes one that starts 4 m ahead, without an own crash, in 40 s.
+    """Whether a car passes one that starts 4 m ahead, without an own crash, in 40 s; and whether it crashes itself.
 
     The car ahead drives the race line at a share of the speed scale of the one behind.
     """
@@ -65,36 +65,43 @@ def _passes(track: Track, ego: Policy, slower: Policy, share: float, races: int)
     starts = Starts(np.arange(races) / races * track.length, np.ones(races, np.int64))
     fast = ego.planner.policy({"pace": 1.0})
     result = run_races(track, [fast] * races, slower, config, starts=starts, seed=7)
-    return (result.state.overtakes[:, 0] > 0) & (result.state.fault[:, 0] == 0)
+    own = result.state.fault[:, 0] == 1
+    return np.stack([(result.state.overtakes[:, 0] > 0) & ~own, own])
 
 
-def _share(values: list[np.ndarray]) -> str:
-    """A share with its interval, clustered by start on its circuit."""
-    found = clustered_mean(np.concatenate(values).astype(float), np.arange(sum(map(len, values))))
+def _share(values: list[np.ndarray], starts: list[np.ndarray]) -> str:
+    """A share with its interval, clustered by start: one array of races for each circuit."""
+    labels = np.concatenate([np.char.add(f"{i} ", start.astype(str)) for i, start in enumerate(starts)])
+    found = clustered_mean(np.concatenate(values).astype(float), labels)
     return f"{found.mean:.3f} [{max(found.low, 0.0):.3f}, {min(found.high, 1.0):.3f}]"
 
 
 def passing(tracks: list[Track], names: list[str], races: int) -> None:
     """Passes of a car on the race line, by its share of the ego's speed."""
     ahead = parse_policy("pure-pursuit:pace=0,follow_distance=0")
-    print("\npasses in 40 s of a car on the race line, without own crash, by its share of the ego's speed")
+    print("\na car on the race line, by its share of the ego's speed: passed in 40 s without own crash, own crashes")
     for name in names:
-        for share in FACTORS:
-            found = [_passes(track, parse_policy(name), ahead, float(share), races) for track in tracks]
-            print(f"{name:24}{share:5.2f}  {_share(found)}", flush=True)
+        for share in SHARES:
+            found = [_passes(track, parse_policy(name), ahead, share, races) for track in tracks]
+            passed, own = ([one[k] for one in found] for k in range(2))
+            starts = [np.arange(races)] * len(tracks)
+            print(f"{name:24}{share:5.2f}  {_share(passed, starts)}  {_share(own, starts)}", flush=True)
 
 
 def beats(tracks: list[Track], first: str, second: str, races: int) -> None:
     """Share of races that one driver wins against another in `contest`, slots and car numbers in balance."""
-    won, own = [], []
+    won, own, starts = [], [], []
     for track in tracks:
-        for k, (ego, rival) in enumerate(((first, second), (second, first))):
-            result = run_races(track, [parse_policy(ego)] * races, parse_policy(rival), CONTEST, seed=20)
-            score = np.where(result.winner < 0, 0.5, result.winner == k)
-            won.append(score)
-            own.append((result.state.fault == 1)[:, [k, 1 - k]])
+        # Starts alternate between the slots of a line: each driver has all of them as either car.
+        both = [
+            run_races(track, [parse_policy(a)] * races, parse_policy(b), CONTEST, seed=20)
+            for a, b in ((first, second), (second, first))
+        ]
+        won.append(np.concatenate([np.where(r.winner < 0, 0.5, r.winner == k) for k, r in enumerate(both)]))
+        own.append(np.concatenate([r.state.fault[:, [k, 1 - k]] == 1 for k, r in enumerate(both)]))
+        starts.append(np.tile(np.arange(races) // 2 % CONTEST.start_lines, 2))
     faults = np.concatenate(own).mean(axis=0)
-    print(f"{first} against {second}: {_share(won)}; own crashes {faults[0]:.3f}, {faults[1]:.3f}", flush=True)
+    print(f"{first} against {second}: {_share(won, starts)}; own crashes {faults[0]:.3f}, {faults[1]:.3f}", flush=True)
 
 
 def main() -> None:

@@ -24,18 +24,8 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
+from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line_following import (
-    KEPT_LANE,
-    LANE_SIZE,
-    PACE,
-    ease_onto,
-    keep_lane,
-    kept_lane,
-    lane_step,
-    lay_lane,
-    speed_scale,
-)
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import steady_course
@@ -43,10 +33,8 @@ from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between
 
-__all__ = ["BEST_RESPONSE"]
-
 PARAMETERS = (
-    PACE,
+    _line.PACE,
     Parameter("rounds", 1.0, 8.0, 3.0, "times that both cars improve their plans"),
     Parameter("sensitivity", 0.0, 2.0, 0.3, "weight of what the opponent's constraint pushes it by"),
     Parameter("line_weight", 0.02, 5.0, 0.3, "cost of a squared distance from the race line, 1/m^2"),
@@ -68,15 +56,15 @@ IMPOSSIBLE = 1e3
 LOST = 0.4  # m from the last plan, beyond which a new one begins where the car is
 
 # Memory: the last plan as a lane, and the side on which it passes the opponent.
-_PASSED = KEPT_LANE
-MEMORY = KEPT_LANE + 1
+_PASSED = _line.KEPT_LANE
+MEMORY = _line.KEPT_LANE + 1
 # Scratch: plans of both cars, each of arc length from the own car on, distance from the line and multiplier; a reply
 # under study; widths to either side, the band matrix and its right side; the lane.
 _PLAN = 3 * STEPS
 _TRIAL = 2 * _PLAN
 _RIGHT, _LEFT, _MAIN, _NEXT, _AFTER, _SIDE_OF = (_TRIAL + _PLAN + STEPS * k for k in range(6))
 _LANE = _SIDE_OF + STEPS
-SCRATCH = _LANE + LANE_SIZE
+SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
@@ -225,11 +213,11 @@ def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, o
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
     """Improve both plans in turn, and drive the own one."""
     s0 = view[_view.OWN_S]
-    scale = speed_scale(view, theta[_PACE])
+    scale = _line.speed_scale(view, theta[_PACE])
     gap = gap_ahead(track, view)
     own, opponent = scratch[:_PLAN], scratch[_PLAN:_TRIAL]
     lane = scratch[_LANE:SCRATCH]
-    d0, slope = kept_lane(track, memory, s0)
+    d0, slope = _line.kept_lane(track, memory, s0)
     rate = view[_view.OWN_V] * slope
     here = track.line[line_index(track, s0)]
     course = angle_between(steady_course(view, here[_frenet.KAPPA]), here[_frenet.PSI])
@@ -273,33 +261,26 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
             scratch,
         )
     memory[_PASSED] = side
-    lay_lane(view, d0, own[:STEPS], own[STEPS : 2 * STEPS], lane)
-    keep_lane(view, lane, memory)
-    ease_onto(track, view, scale, np.inf, lane, path)
+    _line.lay_lane(view, d0, own[:STEPS], own[STEPS : 2 * STEPS], lane)
+    _line.keep_lane(view, lane, memory)
+    _line.ease_onto(track, view, scale, np.inf, lane, path)
     # The speeds of the plan, where it is held up.
     k = 0
     for j in range(PATH_POINTS):
-        while k < STEPS - 1 and own[k] < j * lane_step(view):
+        while k < STEPS - 1 and own[k] < j * _line.lane_step(view):
             k += 1
         v = (own[k] - (own[k - 1] if k > 0 else 0.0)) / STEP
         held = v < 0.97 * scale * track.line[line_index(track, s0 + own[k]), _frenet.SPEED] and v < view[_view.OWN_V]
         path[j, _view.PATH_SPEED] = min(path[j, _view.PATH_SPEED], v if held else np.inf)
 
 
-VARIANTS = named_variants(
-    PARAMETERS,
-    {
-        "plain": {"sensitivity": 0.0},
-        "defends": {"sensitivity": 1.0},
-    },
-)
-
+VARIANTS = {"plain": {"sensitivity": 0.0}, "defends": {"sensitivity": 1.0}}
 BEST_RESPONSE = Planner(
     name="iterated-best-response",
     parameters=PARAMETERS,
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants=named_variants(PARAMETERS, VARIANTS),
 )
 """Iterated best response of two cars."""

@@ -21,8 +21,6 @@ from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, scan, steer_for
 
-__all__ = ["DISPARITY_EXTENDER", "extend_disparities"]
-
 PARAMETERS = (
     Parameter("disparity", 0.05, 1.0, 0.3, "difference of the ranges of two neighbouring beams that is an edge, m"),
     Parameter("tolerance", 0.0, 0.4, 0.15, "what is added to half of the car's width, m"),
@@ -77,19 +75,12 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     steer_for(view, steering, speed, theta[LATERAL], path)
 
 
-VARIANTS = named_variants(
-    PARAMETERS,
-    {
-        "calm": {"top_speed": 5.0, "lateral": 4.0},
-        "fast": {"top_speed": 9.0, "full_distance": 10.0},
-    },
-)
-
+VARIANTS = {"calm": {"top_speed": 5.0, "lateral": 4.0}, "fast": {"top_speed": 9.0, "full_distance": 10.0}}
 DISPARITY_EXTENDER = Planner(
     name="disparity-extender",
     parameters=PARAMETERS,
     plan=plan,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants=named_variants(PARAMETERS, VARIANTS),
 )
 """Drives straight for the farthest point."""

@@ -22,8 +22,6 @@ from pcs_racing.base.elementary import arctangent
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, scan, steer_for
 
-__all__ = ["FOLLOW_THE_GAP", "longest_gap", "smooth"]
-
 PARAMETERS = (
     Parameter("bubble", 0.15, 0.8, 0.3, "radius of the bubble around the nearest point, m"),
     Parameter("longest", 2.0, 15.0, 10.0, "range at which longer ones are cut off, m"),
@@ -105,19 +103,12 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     steer_for(view, steering, speed, NO_LIMIT, path)
 
 
-VARIANTS = named_variants(
-    PARAMETERS,
-    {
-        "calm": {"straight_speed": 3.5, "bend_speed": 2.5, "corner_speed": 1.5},
-        "nearest": {"longest": 4.0},
-    },
-)
-
+VARIANTS = {"calm": {"straight_speed": 3.5, "bend_speed": 2.5, "corner_speed": 1.5}, "nearest": {"longest": 4.0}}
 FOLLOW_THE_GAP = Planner(
     name="follow-the-gap",
     parameters=PARAMETERS,
     plan=plan,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants=named_variants(PARAMETERS, VARIANTS),
 )
 """The course's version of follow the gap."""

@@ -20,17 +20,8 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
+from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line_following import (
-    GRIP,
-    LANE_POINTS,
-    LANE_SIZE,
-    TRAILING,
-    ease_onto,
-    follow_line,
-    lane_step,
-    speed_scale,
-)
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import steady_course
@@ -38,10 +29,8 @@ from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between
 
-__all__ = ["FRENET_SAMPLING", "quintic"]
-
 PARAMETERS = (
-    *TRAILING,
+    *_line.TRAILING,
     Parameter("k_jerk", 0.0, 0.1, 0.002, "weight of the integral of the squared jerk across the track, s^5/m^2"),
     Parameter("k_time", 0.0, 5.0, 0.3, "weight of the duration, 1/s"),
     Parameter("k_deviation", 0.1, 20.0, 2.0, "weight of the squared distance from the race line at the end, 1/m^2"),
@@ -52,9 +41,11 @@ PARAMETERS = (
     Parameter("bumper_air", 0.05, 1.5, 0.3, "least air before and behind the opponent, m"),
 )
 TRAILING_GAP = 1
-(JERK, TIME, DEVIATION, SPEED, LON_JERK, WALL_AIR, OPPONENT_AIR, BUMPER_AIR) = range(len(TRAILING), len(PARAMETERS))
+(JERK, TIME, DEVIATION, SPEED, LON_JERK, WALL_AIR, OPPONENT_AIR, BUMPER_AIR) = range(
+    len(_line.TRAILING), len(PARAMETERS)
+)
 
-OFFSETS, OFFSET_STEP = 13, 0.2  # end states across the track, m apart
+OFFSETS, OFFSET_STEP = 9, 0.3  # end states across the track, m apart
 DURATIONS, SHORTEST, DURATION_STEP = 3, 1.0, 0.5  # s
 SPEEDS = 4  # the profile's, shares of it, and the opponent's
 SHARES = (1.0, 0.85, 0.65, 0.4)  # the last one where there is nobody to follow
@@ -73,7 +64,7 @@ MEMORY = _QUARTIC + 6
 _COST, _D, _S, _OPP = 0, SETS, SETS + 6, SETS + 12
 _OPP_V = _OPP + CHECKS * DURATIONS
 _LANE = _OPP_V + DURATIONS
-SCRATCH = _LANE + LANE_SIZE
+SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
@@ -153,8 +144,8 @@ def _possible(track, theta, view, duration, number, seen, scratch):  # type: ign
     keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
     side = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
     reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + theta[BUMPER_AIR]
-    scale = speed_scale(view, theta[0])
-    grip = 1.3 * GRIP * max(scale * scale, 1.0)
+    scale = _line.speed_scale(view, theta[0])
+    grip = 1.3 * _line.GRIP * max(scale * scale, 1.0)
     for k in range(1, CHECKS + 1):
         t = duration * k / CHECKS
         d = _at(c, t)
@@ -179,7 +170,7 @@ def _possible(track, theta, view, duration, number, seen, scratch):  # type: ign
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
     """Make the set, and drive the cheapest trajectory that is possible."""
     s0, v0 = view[_view.OWN_S], max(view[_view.OWN_V], 1.0)
-    scale = speed_scale(view, theta[0])
+    scale = _line.speed_scale(view, theta[0])
     gap = gap_ahead(track, view)
     seen = -0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) < gap < SIGHT
     d0, rate0, bend0 = _present(track, view, memory)
@@ -227,40 +218,33 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
             break
     memory[_VALID] = 1.0 if found else 0.0
     if not found:
-        cap = follow_line(track, theta, view, gap, SIGHT, lane)
-        ease_onto(track, view, scale, cap, lane, path)
+        cap = _line.follow_line(track, theta, view, gap, SIGHT, lane)
+        _line.ease_onto(track, view, scale, cap, lane, path)
         return
     memory[_BEGUN], memory[_DURATION] = view[_view.TIME], duration
     for k in range(12):
         memory[_QUINTIC + k] = scratch[_D + k]
     # Along the lane by arc length: the time of each point follows from the one before.
     t = 0.0
-    for j in range(LANE_POINTS):
+    for j in range(_line.LANE_POINTS):
         lane[j] = _at(c, min(t, duration))
-        t += lane_step(view) / max(_rate(along, min(t, duration)), 0.5)
-    ease_onto(track, view, scale, np.inf, lane, path)
+        t += _line.lane_step(view) / max(_rate(along, min(t, duration)), 0.5)
+    _line.ease_onto(track, view, scale, np.inf, lane, path)
     if kind > 0 or seen:
         t = 0.0
         for j in range(PATH_POINTS):
             v = max(_rate(along, t), 0.0)
             path[j, _view.PATH_SPEED] = min(path[j, _view.PATH_SPEED], v)
-            t = min(t + lane_step(view) / max(v, 0.5), duration)
+            t = min(t + _line.lane_step(view) / max(v, 0.5), duration)
 
 
-VARIANTS = named_variants(
-    PARAMETERS,
-    {
-        "calm": {"k_jerk": 0.01, "opponent_air": 0.4},
-        "close": {"opponent_air": 0.15, "trailing_gap": 1.1},
-    },
-)
-
+VARIANTS = {"calm": {"k_jerk": 0.01, "opponent_air": 0.4}, "close": {"opponent_air": 0.15, "trailing_gap": 1.1}}
 FRENET_SAMPLING = Planner(
     name="frenet-sampling",
     parameters=PARAMETERS,
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants=named_variants(PARAMETERS, VARIANTS),
 )
 """Sampled polynomials in Frenet coordinates."""

@@ -17,27 +17,6 @@ from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, offset
 
-__all__ = [
-    "KEPT_LANE",
-    "LANE_POINTS",
-    "LANE_SIZE",
-    "ON_LINE",
-    "PACE",
-    "TRAILING",
-    "bodies_across",
-    "ease_onto",
-    "follow_line",
-    "hold_off",
-    "keep_lane",
-    "kept_lane",
-    "lane_fits",
-    "lane_step",
-    "lay_lane",
-    "sharpest_bend",
-    "speed_scale",
-    "trailing_speed",
-]
-
 PACE = Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range")
 TRAILING = (
     PACE,
@@ -80,12 +59,6 @@ def speed_scale(view, pace):  # type: ignore[no-untyped-def]
 
 
 @kernel(forceinline=True)
-def bodies_across(view):  # type: ignore[no-untyped-def]
-    """Distance across the track in m at which the sides of the two cars touch."""
-    return 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
-
-
-@kernel(forceinline=True)
 def trailing_speed(theta, view, gap):  # type: ignore[no-untyped-def]
     """Speed in m/s that keeps the distance to a car ahead; ``theta`` begins with the parameters `TRAILING`."""
     closing = view[_view.OWN_V] - view[_view.OPP_V]
@@ -116,7 +89,9 @@ def follow_line(track, theta, view, gap, sight, lane):  # type: ignore[no-untype
     d = within_walls(track, view[_view.OWN_S], view[_view.OWN_D]) if waits else 0.0
     for j in range(LANE_POINTS):
         lane[j] = d
-    ahead = 0.0 < gap < sight and min(side_air(view), abs(view[_view.OPP_D]) - bodies_across(view)) < IN_THE_WAY
+    # Of the car where it is, and of the race line.
+    air = min(side_air(view), abs(view[_view.OPP_D]) - 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]))
+    ahead = 0.0 < gap < sight and air < IN_THE_WAY
     return trailing_speed(theta, view, gap) if waits or ahead else np.inf
 
 

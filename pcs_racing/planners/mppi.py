@@ -21,18 +21,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import exponential
+from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line_following import (
-    KEPT_LANE,
-    LANE_SIZE,
-    PACE,
-    ease_onto,
-    keep_lane,
-    kept_lane,
-    lane_step,
-    lay_lane,
-    speed_scale,
-)
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import steady_course
@@ -40,10 +30,8 @@ from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, wrap_s
 
-__all__ = ["MPPI", "NOISE", "SAMPLES", "STEPS", "normal_table"]
-
 PARAMETERS = (
-    PACE,
+    _line.PACE,
     Parameter("temperature", 0.1, 50.0, 5.0, "cost by which a copy counts for less by a factor of e"),
     Parameter("lateral_noise", 0.2, 6.0, 2.0, "standard deviation of the disturbance of the curvature, in m/s^2"),
     Parameter("acceleration_noise", 0.2, 6.0, 1.0, "standard deviation of the disturbance of the acceleration, m/s^2"),
@@ -91,14 +79,14 @@ NOISE = normal_table(_TABLE)
 # and its way as a lane.
 _KAPPAS, _ACCELERATIONS = 0, STEPS
 _KEPT = 2 * STEPS
-MEMORY = _KEPT + KEPT_LANE
+MEMORY = _KEPT + _line.KEPT_LANE
 # Scratch: the copies' arc length from the car on, distance from the line, course relative to it, speed, curvature
 # beyond the line's and cost; the race line ahead: curvature, speed, free widths.
 _S, _D, _E, _V, _K, _COST = (SAMPLES * k for k in range(6))
 _LINE_KAPPA, _LINE_SPEED, _LINE_RIGHT, _LINE_LEFT = (6 * SAMPLES + CELLS * k for k in range(4))
 # The plan's way, and the lane.
 _ALONG, _ACROSS, _SPEEDS, _LANE = (6 * SAMPLES + 4 * CELLS + STEPS * k for k in range(4))
-SCRATCH = _LANE + LANE_SIZE
+SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel(forceinline=True)
@@ -200,11 +188,11 @@ def _drive_plan(track, view, d, e, memory, along, across, speeds):  # type: igno
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
     """Move the plan on, disturb it, average."""
     s0, v0 = view[_view.OWN_S], max(view[_view.OWN_V], 0.1)
-    scale = speed_scale(view, theta[_PACE])
+    scale = _line.speed_scale(view, theta[_PACE])
     grip = GRIP * max(scale * scale, 1.0)
     here = track.line[line_index(track, s0)]
     # From where the last plan is by now: what the car strays from it, `ease_onto` leads back.
-    d0, slope = kept_lane(track, memory[_KEPT:], s0)
+    d0, slope = _line.kept_lane(track, memory[_KEPT:], s0)
     e0 = slope
     if memory[_KEPT] == 0.0 or abs(d0 - view[_view.OWN_D]) > LOST:
         d0 = view[_view.OWN_D]
@@ -237,32 +225,25 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     along, across, speeds = scratch[_ALONG:_ACROSS], scratch[_ACROSS:_SPEEDS], scratch[_SPEEDS:_LANE]
     lane = scratch[_LANE:SCRATCH]
     _drive_plan(track, view, d0, e0, memory, along, across, speeds)
-    lay_lane(view, d0, along, across, lane)
-    keep_lane(view, lane, memory[_KEPT:])
-    ease_onto(track, view, scale, np.inf, lane, path)
+    _line.lay_lane(view, d0, along, across, lane)
+    _line.keep_lane(view, lane, memory[_KEPT:])
+    _line.ease_onto(track, view, scale, np.inf, lane, path)
     k = 0
     for j in range(PATH_POINTS):
-        while k < STEPS - 1 and along[k] < j * lane_step(view):
+        while k < STEPS - 1 and along[k] < j * _line.lane_step(view):
             k += 1
         before_s, before_v = (along[k - 1], speeds[k - 1]) if k > 0 else (0.0, v0)
-        share = min((j * lane_step(view) - before_s) / max(along[k] - before_s, 1e-3), 1.0)
+        share = min((j * _line.lane_step(view) - before_s) / max(along[k] - before_s, 1e-3), 1.0)
         path[j, _view.PATH_SPEED] = min(path[j, _view.PATH_SPEED], before_v + share * (speeds[k] - before_v))
 
 
-VARIANTS = named_variants(
-    PARAMETERS,
-    {
-        "sharp": {"temperature": 2.0},
-        "close": {"opponent_width": 0.45, "opponent_length": 1.0},
-    },
-)
-
+VARIANTS = {"sharp": {"temperature": 2.0}, "close": {"opponent_width": 0.45, "opponent_length": 1.0}}
 MPPI = Planner(
     name="mppi",
     parameters=PARAMETERS,
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants=named_variants(PARAMETERS, VARIANTS),
 )
 """Model predictive path integral control."""

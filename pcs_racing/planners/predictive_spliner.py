@@ -20,29 +20,16 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import exponential
+from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line_following import (
-    LANE_POINTS,
-    LANE_SIZE,
-    ON_LINE,
-    TRAILING,
-    ease_onto,
-    follow_line,
-    hold_off,
-    lane_step,
-    speed_scale,
-    trailing_speed,
-)
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import wrap_s
 
-__all__ = ["BINS", "PREDICTIVE_SPLINER", "remember", "smooth_ahead"]
-
 PARAMETERS = (
-    *TRAILING,
+    *_line.TRAILING,
     Parameter("evasion_dist", 0.4, 1.25, 0.65, "distance across the track from the opponent to keep, m"),
     Parameter("spline_bound_mindist", 0.05, 0.6, 0.2, "least distance from the side of the car to a wall, m"),
     Parameter("ramp", 1.0, 10.0, 5.0, "distance in which the spline leaves the race line and returns to it, m"),
@@ -53,7 +40,7 @@ PARAMETERS = (
     Parameter("observation_noise", 0.02, 1.0, 0.1, "variance of an observation, as a share of the process's"),
 )
 TRAILING_GAP = 1
-EVASION, BOUND, RAMP, HORIZON, BEGIN, END, LENGTH_SCALE, NOISE = range(len(TRAILING), len(PARAMETERS))
+EVASION, BOUND, RAMP, HORIZON, BEGIN, END, LENGTH_SCALE, NOISE = range(len(_line.TRAILING), len(PARAMETERS))
 
 BINS = 160  # of the lap
 AHEAD = 48  # bins from the opponent on in which it is predicted
@@ -71,7 +58,7 @@ _SEEN = _V + BINS
 MEMORY = _SEEN + BINS
 # Scratch: means ahead of distance and speed, work, the lane.
 _MEAN_D, _MEAN_V, _WORK, _LANE = (AHEAD * k for k in range(4))
-SCRATCH = _LANE + LANE_SIZE
+SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
@@ -173,7 +160,7 @@ def _least_room(track, theta, view, gap, per_bin, offsets, side, begins, ends): 
     while x <= ends + theta[RAMP]:
         sample = track.line[line_index(track, view[_view.OWN_S] + x)]
         d = _evasion(theta, offsets, per_bin, gap, side, begins, ends, x)
-        if abs(d) > ON_LINE:
+        if abs(d) > _line.ON_LINE:
             least = min(least, (sample[_frenet.LEFT] - d if side > 0.0 else sample[_frenet.RIGHT] + d) - keep)
         x += 0.8
     return least
@@ -183,7 +170,7 @@ def _least_room(track, theta, view, gap, per_bin, offsets, side, begins, ends): 
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
     """Remember, predict, and pass or trail."""
     gap = gap_ahead(track, view)
-    scale = speed_scale(view, theta[0])
+    scale = _line.speed_scale(view, theta[0])
     per_bin = BINS / track.length
     opp_s = wrap_s(track, view[_view.OPP_S])
     first = min(int(opp_s * per_bin), BINS - 1)
@@ -209,30 +196,23 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         if passes or committed:
             memory[_SIDE] = side
             ends = ends if ends > 0.0 else NEVER
-            for j in range(LANE_POINTS):
-                lane[j] = _evasion(theta, offsets, per_bin, gap, side, begins, ends, j * lane_step(view))
+            for j in range(_line.LANE_POINTS):
+                lane[j] = _evasion(theta, offsets, per_bin, gap, side, begins, ends, j * _line.lane_step(view))
             if not passes and gap > 0.0:
-                cap = trailing_speed(theta, view, gap)
-            hold_off(track, view, theta[BOUND] + 0.5 * view[_view.OWN_WIDTH], lane)
+                cap = _line.trailing_speed(theta, view, gap)
+            _line.hold_off(track, view, theta[BOUND] + 0.5 * view[_view.OWN_WIDTH], lane)
     if memory[_SIDE] == 0.0:
-        cap = follow_line(track, theta, view, gap, SIGHT, lane)
-    ease_onto(track, view, scale, cap, lane, path)
+        cap = _line.follow_line(track, theta, view, gap, SIGHT, lane)
+    _line.ease_onto(track, view, scale, cap, lane, path)
 
 
-VARIANTS = named_variants(
-    PARAMETERS,
-    {
-        "early": {"begin": 2.0, "ramp": 8.0},
-        "wide": {"evasion_dist": 0.8},
-    },
-)
-
+VARIANTS = {"early": {"begin": 2.0, "ramp": 8.0}, "wide": {"evasion_dist": 0.8}}
 PREDICTIVE_SPLINER = Planner(
     name="predictive-spliner",
     parameters=PARAMETERS,
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants=named_variants(PARAMETERS, VARIANTS),
 )
 """The predictive spliner: learns where the opponent drives, and passes where both will meet."""

@@ -8,8 +8,6 @@ from pcs_racing.car.lidar import WORK_SHAPE, Beams, scan_into
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.view import PATH_POINTS
 
-__all__ = ["ANGLES", "BEAMS", "SCAN_SIZE", "STEP", "beam_at", "scan", "steer_for"]
-
 BEAMS = 271
 FIELD_OF_VIEW = 4.7  # rad, that of the lidar of most cars; they have 1080 beams, of which every fourth is taken here
 MAX_RANGE = 15.0  # m

@@ -17,29 +17,15 @@ References
 import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line_following import (
-    LANE_POINTS,
-    LANE_SIZE,
-    TRAILING,
-    ease_onto,
-    follow_line,
-    hold_off,
-    lane_fits,
-    lane_step,
-    sharpest_bend,
-    speed_scale,
-    trailing_speed,
-)
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.track import frenet as _frenet
 
-__all__ = ["SPLINER"]
-
 PARAMETERS = (
-    *TRAILING,
+    *_line.TRAILING,
     Parameter("evasion_dist", 0.4, 1.25, 0.65, "distance across the track from the opponent to the apex, m"),
     Parameter("obs_traj_thresh", 0.1, 1.5, 0.3, "air beside the race line below which the opponent is in the way, m"),
     Parameter("spline_bound_mindist", 0.05, 0.6, 0.2, "least distance from the side of the car to a wall, m"),
@@ -54,7 +40,7 @@ PARAMETERS = (
     Parameter("fixed_pred_time", 0.0, 1.0, 0.15, "time for which the opponent is propagated, s"),
 )
 TRAILING_GAP = 1
-EVASION, IN_THE_WAY, BOUND, LOOKAHEAD, FIRST_POINT = range(len(TRAILING), len(TRAILING) + 5)
+EVASION, IN_THE_WAY, BOUND, LOOKAHEAD, FIRST_POINT = range(len(_line.TRAILING), len(_line.TRAILING) + 5)
 SECTOR, PREDICTION = len(PARAMETERS) - 2, len(PARAMETERS) - 1
 TOP_SPEED = 8.0  # m/s, that of the profile: the points lie 1 to 1.5 times as far away, by the share of it
 SECTOR_REACH = 10.0  # m
@@ -65,7 +51,7 @@ _SIDE = 0  # memory: the side of the opponent that is passed (-1 right, 1 left),
 KNOTS = 7
 _AT, _MOMENT, _FACTOR = (KNOTS * k for k in range(3))  # scratch: the points, the spline's moments, work
 _LANE = 3 * KNOTS
-SCRATCH = _LANE + LANE_SIZE
+SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
@@ -132,7 +118,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     side = 0.0
     cap = np.inf
     if blocks and (
-        passing or (0.0 < now < theta[LOOKAHEAD] and sharpest_bend(track, s0, SECTOR_REACH) < theta[SECTOR])
+        passing or (0.0 < now < theta[LOOKAHEAD] and _line.sharpest_bend(track, s0, SECTOR_REACH) < theta[SECTOR])
     ):
         here = track.line[line_index(track, s0 + gap)]
         roomier = 1.0 if here[_frenet.LEFT] - opp_d > here[_frenet.RIGHT] + opp_d else -1.0
@@ -140,38 +126,34 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         apex = opp_d + side * theta[EVASION]
         # The opponent drives on while the car does.
         closes = 1.0 - min(view[_view.OPP_V] / max(view[_view.OWN_V], 1.0), KEEPS_UP)
-        for j in range(LANE_POINTS):
-            lane[j] = apex * spline_at(j * lane_step(view) * closes - gap, scratch)
+        for j in range(_line.LANE_POINTS):
+            lane[j] = apex * spline_at(j * _line.lane_step(view) * closes - gap, scratch)
         keep = theta[BOUND] + 0.5 * view[_view.OWN_WIDTH]
-        if not (lane_fits(track, view, keep, lane) and fits(track, view, keep, s0, apex, gap, scratch)):
+        if not (_line.lane_fits(track, view, keep, lane) and fits(track, view, keep, s0, apex, gap, scratch)):
             # A pass is given up only where there is room to brake.
             closing = max(view[_view.OWN_V] - view[_view.OPP_V], 0.0)
             if now > theta[TRAILING_GAP] + closing * closing / (2.0 * BRAKING) or not passing:
                 side = 0.0
             else:
-                hold_off(track, view, keep, lane)
-                cap = trailing_speed(theta, view, now) if now > 0.0 else np.inf
+                _line.hold_off(track, view, keep, lane)
+                cap = _line.trailing_speed(theta, view, now) if now > 0.0 else np.inf
     memory[_SIDE] = side
     if side == 0.0:
-        cap = follow_line(track, theta, view, now, theta[LOOKAHEAD], lane)
-    ease_onto(track, view, speed_scale(view, theta[0]), cap, lane, path)
+        cap = _line.follow_line(track, theta, view, now, theta[LOOKAHEAD], lane)
+    _line.ease_onto(track, view, _line.speed_scale(view, theta[0]), cap, lane, path)
 
 
-VARIANTS = named_variants(
-    PARAMETERS,
-    {
-        "published": {"obs_traj_thresh": 1.0, "evasion_dist": 0.6, "spline_bound_mindist": 0.3, "pre_apex_2": 2.0},
-        "close": {"evasion_dist": 0.5},
-        "wide": {"evasion_dist": 0.8},
-    },
-)
-
+VARIANTS = {
+    "published": {"obs_traj_thresh": 1.0, "evasion_dist": 0.6, "spline_bound_mindist": 0.3, "pre_apex_2": 2.0},
+    "close": {"evasion_dist": 0.5},
+    "wide": {"evasion_dist": 0.8},
+}
 SPLINER = Planner(
     name="spliner",
     parameters=PARAMETERS,
     plan=plan,
     memory_size=1,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants=named_variants(PARAMETERS, VARIANTS),
 )
 """The spliner: evasion by a spline, or trailing."""

@@ -17,17 +17,8 @@ import numpy as np
 
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import arctangent
+from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line_following import (
-    KEPT_LANE,
-    LANE_SIZE,
-    TRAILING,
-    ease_onto,
-    follow_line,
-    keep_lane,
-    kept_lane,
-    speed_scale,
-)
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import calm_speed
@@ -35,31 +26,29 @@ from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between
 
-__all__ = ["STANLEY"]
-
 PARAMETERS = (
-    *TRAILING,
+    *_line.TRAILING,
     Parameter("k", 0.5, 6.0, 2.5, "gain of the distance of the front axle from the path, 1/s"),
     Parameter("k_soft", 0.1, 5.0, 1.0, "speed that is added to the car's, m/s"),
     Parameter("k_d_yaw", 0.0, 0.3, 0.02, "damping by the yaw rate beyond that of the path, s"),
     Parameter("k_d_steer", 0.0, 1.0, 0.1, "damping by the last change of the steering angle"),
 )
-K, K_SOFT, YAW_DAMPING, STEER_DAMPING = range(len(TRAILING), len(PARAMETERS))
+K, K_SOFT, YAW_DAMPING, STEER_DAMPING = range(len(_line.TRAILING), len(PARAMETERS))
 
 SIGHT = 10.0  # m within which a car ahead is trailed
 PLAN_PERIOD = 0.1  # s from plan to plan
 PREVIEW = 0.1  # s at which the speed is read off the path
 # Memory: the lane, and the steering angle before.
-_BEFORE = KEPT_LANE
-MEMORY = KEPT_LANE + 1
+_BEFORE = _line.KEPT_LANE
+MEMORY = _line.KEPT_LANE + 1
 
 
 @kernel
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
     """Lay the lane: the race line, or the own place beside another car."""
-    cap = follow_line(track, theta, view, gap_ahead(track, view), SIGHT, scratch)
-    ease_onto(track, view, speed_scale(view, theta[0]), cap, scratch, path)
-    keep_lane(view, scratch, memory)
+    cap = _line.follow_line(track, theta, view, gap_ahead(track, view), SIGHT, scratch)
+    _line.ease_onto(track, view, _line.speed_scale(view, theta[0]), cap, scratch, path)
+    _line.keep_lane(view, scratch, memory)
 
 
 @kernel
@@ -67,7 +56,7 @@ def control(track, theta, view, memory, scratch, path, command):  # type: ignore
     """Steer by the errors of the front axle."""
     v = view[_view.OWN_V]
     s = view[_view.OWN_S] + view[_view.WHEELBASE] - view[_view.REAR_AXLE]
-    lane, slope = kept_lane(track, memory, s)
+    lane, slope = _line.kept_lane(track, memory, s)
     sample = track.line[line_index(track, s)]
     kappa = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * lane, 0.25)
     # Of the front axle: how far the path turns away from the car's heading, and how far it is off the path.
@@ -87,21 +76,14 @@ def control(track, theta, view, memory, scratch, path, command):  # type: ignore
     command[1] = speed
 
 
-VARIANTS = named_variants(
-    PARAMETERS,
-    {
-        "soft": {"k_soft": 3.0},
-        "damped": {"k_d_yaw": 0.05},
-    },
-)
-
+VARIANTS = {"soft": {"k_soft": 3.0}, "damped": {"k_d_yaw": 0.05}}
 STANLEY = Planner(
     name="stanley",
     parameters=PARAMETERS,
     plan=plan,
     control=control,
     memory_size=MEMORY,
-    scratch_size=LANE_SIZE,
-    variants=VARIANTS,
+    scratch_size=_line.LANE_SIZE,
+    variants=named_variants(PARAMETERS, VARIANTS),
 )
 """The Stanley controller on the race line."""
