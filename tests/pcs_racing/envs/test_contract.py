@@ -326,7 +326,7 @@ def compare_infos(info, rows, told):
 def test_a_moment_can_be_kept_copied_and_pickled(kind, arguments, many):
     """Whatever was made of the environment since, or in another one."""
     env, other = (make_many(kind, 3, **arguments) if many else make(kind, **arguments) for _ in range(2))
-    env.reset(seed=1)
+    env.reset(seed=2)
     env.step(act(env, 0))
     other.reset(seed=77)
     others = [copy.deepcopy(env), pickle.loads(pickle.dumps(env)), other]

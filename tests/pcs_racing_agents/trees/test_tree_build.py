@@ -28,7 +28,7 @@ def test_the_leaves_are_the_races_of_all_sequences_of_moves(paper, played, numbe
     assert tree.statistics.crashed == ends.race.crashed.mean()
 
 
-@pytest.mark.parametrize(("name", "policies", "line", "side"), [("noisy", (2, 6), 6, 1), ("far", (7, 1), 0, 0)])
+@pytest.mark.parametrize(("name", "policies", "line", "side"), [("noisy", (7, 6), 1, 1), ("far", (7, 1), 0, 0)])
 def test_what_is_seen_on_the_way_is_what_the_game_shows(name, policies, line, side, request, played, number):
     game = request.getfixturevalue(name)
     tree = build_tree(game, policies, (float(game.start_lines[line]), side), [1, 2])

@@ -49,7 +49,7 @@ def test_moves_that_lead_to_the_same_policy_are_driven_once(game, setting):
             asked.append(len(observation))
             return np.full(len(observation), len(setting.moves) - 1), None
 
-    keys, stay = race_seeds(3, 12), never_switch(setting)
+    keys, stay = race_seeds(3, 60), never_switch(setting)
     result = branch_games(game, stay, keys, 0, [stay], Stays(), worth="utility")
     after = game.next_policy(game.reset(keys).policy[:, :1], np.arange(len(game.move_names)))[result.game]
     assert asked[0] <= sum(len(np.unique(policies)) for policies in after) < after.size
