@@ -15,7 +15,15 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.car.lidar import WORK_SHAPE, Beams, Lidar
 from pcs_racing.envs.batch import BatchStep, check_batch_size
-from pcs_racing.envs.drive_kernel import Sight, StepResults, observe_races, restart, set_commands, step_races
+from pcs_racing.envs.drive_kernel import (
+    SEEN_SHAPE,
+    Sight,
+    StepResults,
+    observe_races,
+    restart,
+    set_commands,
+    step_races,
+)
 from pcs_racing.envs.drive_options import SEE_OPPONENT, DriveOptions, drive_elements
 from pcs_racing.envs.infos import Result, common_codes, race_info, race_infos, race_results
 from pcs_racing.envs.moving_opponents import MovingOpponents
@@ -225,7 +233,13 @@ class DriveBatch:
         self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
         size = max(1, *(planner.scratch_size for planner in setup.planners))
         self._buffers = [
-            (np.empty(size), np.empty(WORK_SIZE), np.empty(len(self.elements)), np.empty(WORK_SHAPE))
+            (
+                np.empty(size),
+                np.empty(WORK_SIZE),
+                np.empty(len(self.elements)),
+                np.empty(SEEN_SHAPE),
+                np.empty(WORK_SHAPE),
+            )
             for _ in range(self.threads)
         ]
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # begins threads when there is work for them

@@ -16,6 +16,7 @@ from pcs_racing.car.lidar_kernel import Beams, scan_car, scan_walls
 from pcs_racing.game.reward import step_reward, win_sign
 from pcs_racing.race.kernel import advance_races
 from pcs_racing.race.positions import gap_to
+from pcs_racing.race.state import MOST_CARS
 from pcs_racing.race.steering import steering_noise
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between
 from pcs_racing.track.grid import cast
@@ -23,6 +24,10 @@ from pcs_racing.track.grid import cast
 OWN_ELEMENTS = 8  # numbers about the own car
 STRETCH_ELEMENTS = 4  # numbers about each look-ahead distance; those about the opponent follow
 OPPONENT_ELEMENTS = 9
+
+# Of each car of a race: its velocity, and how far it is ahead of the car that observes; and the order of the others.
+_VX, _VY, _GAP, _ORDER = range(4)
+SEEN_SHAPE = (4, MOST_CARS)
 
 # When the numbers about the opponent are filled in.
 NEVER, IN_SIGHT, ALWAYS = 0, 1, 2
@@ -95,18 +100,14 @@ def _see_line(line, ds, s, ahead, row, k):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _see_opponent(length, cars, frenet, progress, race, car, other, own, row, k):  # type: ignore[no-untyped-def]
-    """Write the numbers about an opponent from ``row[k]`` on; ``own`` are sine, cosine and velocity of the own car."""
-    sn, c, own_vx, own_vy = own
+def _see_opponent(cars, frenet, progress, race, car, other, sn, c, seen, row, k):  # type: ignore[no-untyped-def]
+    """Write the numbers about an opponent from ``row[k]`` on; ``sn`` and ``c`` are those of the own heading."""
     dx = cars[race, other, _vehicle.X] - cars[race, car, _vehicle.X]
     dy = cars[race, other, _vehicle.Y] - cars[race, car, _vehicle.Y]
-    course = cars[race, other, _vehicle.PSI] + cars[race, other, _vehicle.BETA]
-    speed = cars[race, other, _vehicle.V]
-    sine, cosine = sine_cosine(course)
-    vx = speed * cosine - own_vx
-    vy = speed * sine - own_vy
+    vx = seen[_VX, other] - seen[_VX, car]
+    vy = seen[_VY, other] - seen[_VY, car]
     row[k] = 1.0
-    row[k + 1] = gap_to(length, frenet, race, car, other)
+    row[k + 1] = seen[_GAP, other]
     row[k + 2] = frenet[race, other, 1] - frenet[race, car, 1]
     row[k + 3] = dx * c + dy * sn
     row[k + 4] = dy * c - dx * sn
@@ -133,8 +134,25 @@ def _in_sight(track, cars, race, car, other, reach):  # type: ignore[no-untyped-
     return cast(track.distance, u, v, dx / apart, dy / apart, cells)[0] >= cells
 
 
+@inner_kernel
+def _sort_opponents(length, frenet, race, car, seen):  # type: ignore[no-untyped-def]
+    """Write the gaps to the other cars, and the order in which they are observed: the nearest first."""
+    seen[_ORDER, 0] = 0.0  # alone nobody is observed
+    count = 0
+    for other in range(frenet.shape[1]):
+        gap = gap_to(length, frenet, race, car, other)
+        seen[_GAP, other] = gap
+        if other != car:
+            at = count
+            while at > 0 and abs(seen[_GAP, int(seen[_ORDER, at - 1])]) > abs(gap):
+                seen[_ORDER, at] = seen[_ORDER, at - 1]
+                at -= 1
+            seen[_ORDER, at] = other
+            count += 1
+
+
 @inner_kernel(forceinline=True)
-def _observe(track, state, vehicles, sight, race, car, row, work):  # type: ignore[no-untyped-def]
+def _observe(track, state, vehicles, sight, race, car, row, seen, work):  # type: ignore[no-untyped-def]
     """Write what a car observes, in the units of the elements."""
     cars, frenet = state.cars, state.frenet
     number = cars.shape[1]
@@ -145,27 +163,17 @@ def _observe(track, state, vehicles, sight, race, car, row, work):  # type: igno
     _see_line(track.line, track.ds, frenet[race, car, 0], sight.ahead, row, k)
     k += STRETCH_ELEMENTS * sight.ahead.shape[0]
     if sight.opponent != NEVER:
-        v, psi = cars[race, car, _vehicle.V], cars[race, car, _vehicle.PSI]
-        sine, cosine = sine_cosine(psi)
-        own_sine, own_cosine = sine_cosine(psi + cars[race, car, _vehicle.BETA])
-        own = sine, cosine, v * own_cosine, v * own_sine
-        gaps = work[0]
-        for other in range(number):
-            gaps[other] = abs(gap_to(track.length, frenet, race, car, other))
-        gaps[car] = np.inf
-        for _ in range(max(1, number - 1)):
-            # The nearest first; there is none where the car is alone.
-            other = 0
-            for one in range(1, number):
-                other = one if gaps[one] < gaps[other] else other
-            gaps[other] = np.inf
+        sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI])
+        _sort_opponents(track.length, frenet, race, car, seen)
+        for nth in range(max(1, number - 1)):
+            other = int(seen[_ORDER, nth])
             hidden = number == 1
             if sight.opponent == IN_SIGHT and not hidden:
                 hidden = not _in_sight(track, cars, race, car, other, sight.beams.max_range)
             if hidden:
                 row[k : k + OPPONENT_ELEMENTS] = 0.0
             else:
-                _see_opponent(track.length, cars, frenet, state.progress, race, car, other, own, row, k)
+                _see_opponent(cars, frenet, state.progress, race, car, other, sine, cosine, seen, row, k)
             k += OPPONENT_ELEMENTS
     if sight.time_left:
         row[k] = 1.0 - state.tick[race] / sight.end_tick
@@ -222,15 +230,21 @@ def _noisy(scan, seed, car, tick, noise, most):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def observe_races(track, state, vehicles, sight, rows, first, last, row, work, out):  # type: ignore[no-untyped-def]
+def observe_races(track, state, vehicles, sight, rows, first, last, row, seen, work, out):  # type: ignore[no-untyped-def]
     """Write the observations of the players of the races ``rows[first:last]``, each into its player's row of ``out``.
 
-    The contents of ``row``, of shape (n,), and ``work``, of the lidar's ``WORK_SHAPE``, are undefined afterwards.
+    The contents of ``row``, of shape (n,), ``seen``, of `SEEN_SHAPE`, and ``work``, of the lidar's ``WORK_SHAPE``, are
+    undefined afterwards.
     """
+    cars = state.cars
     for i in range(first, last):
         race = rows[i]
+        for car in range(cars.shape[1]):
+            sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI] + cars[race, car, _vehicle.BETA])
+            seen[_VX, car] = cars[race, car, _vehicle.V] * cosine
+            seen[_VY, car] = cars[race, car, _vehicle.V] * sine
         for car in range(sight.players):
-            _observe(track, state, vehicles, sight, race, car, row, work)
+            _observe(track, state, vehicles, sight, race, car, row, seen, work)
             _write(row, sight, out[race * sight.players + car])
 
 
@@ -345,11 +359,12 @@ def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions,
     rows : ndarray of int64
         The numbers from 0 to B - 1.
     buffers : tuple of ndarray
-        ``scratch`` and ``work`` of the races, ``row`` and ``work`` of the observations; contents undefined afterwards.
+        ``scratch`` and ``work`` of the races, ``row``, ``seen`` and ``work`` of the observations; contents undefined
+        afterwards.
     results : StepResults
     """
-    scratch, work, row, scan_work = buffers
+    scratch, work, row, seen, scan_work = buffers
     set_commands(actions, limits[0], limits[1], state.memory, first, last)
     advance_races(track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work)
     _end_step(state, settings.end_tick, weights, sight, results, first, last)
-    observe_races(track, state, vehicles, sight, rows, first, last, row, scan_work, results.observations)
+    observe_races(track, state, vehicles, sight, rows, first, last, row, seen, scan_work, results.observations)

@@ -61,8 +61,9 @@ def pad_parameters(policies: Sequence[Policy], size: int) -> NDArray[np.float64]
 def pointers_of(planners: Sequence[Planner]) -> Any:
     """Addresses of plan and control of each car, as the kernel takes them."""
     addresses = [address for planner in planners for address in planner.pointers()]
-    # The kernel is compiled twice: for two cars, the number of which it reads off the tuple, and for any other number.
-    return tuple(addresses) if len(planners) == 2 else np.array(addresses)
+    # Off a tuple the kernel reads the number of cars when it is compiled: once for one car, once for two, and once more
+    # for any other number.
+    return tuple(addresses) if len(planners) <= 2 else np.array(addresses)
 
 
 def drive(

@@ -80,11 +80,15 @@ def _part_at(s, size, parts):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _fill_nobody(length, view):  # type: ignore[no-untyped-def]
-    """Write an opponent that nobody can meet, over the own car: far off the track, half a lap away along it."""
+def _fill_nobody(length, own, view):  # type: ignore[no-untyped-def]
+    """Write an opponent that nobody can meet: standing far off the track, half a lap away along it."""
+    view[_view.OPP_LENGTH] = own[_vehicle.LENGTH]
+    view[_view.OPP_WIDTH] = own[_vehicle.WIDTH]
     view[_view.OPP_X] = view[_view.OWN_X] + FAR
     view[_view.OPP_Y] = view[_view.OWN_Y] + FAR
     view[_view.OPP_V] = 0.0
+    view[_view.OPP_PSI] = 0.0
+    view[_view.OPP_BETA] = 0.0
     s = view[_view.OWN_S] + 0.5 * length
     view[_view.OPP_S] = s - length if s >= length else s
     view[_view.OPP_D] = FAR
@@ -93,8 +97,8 @@ def _fill_nobody(length, view):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, other, vehicles, view):  # type: ignore[no-untyped-def]
-    """Write what changes from step to step into a view whose opponent is the car ``other``."""
+def _fill_own(tick, cars, frenet, race, car, view):  # type: ignore[no-untyped-def]
+    """Write what changes from step to step about the own car into a view."""
     view[_view.TIME] = tick * DT
     view[_view.OWN_X] = cars[race, car, _vehicle.X]
     view[_view.OWN_Y] = cars[race, car, _vehicle.Y]
@@ -105,6 +109,11 @@ def _fill_moving(line, ds, tick, cars, frenet, progress, race, car, other, vehic
     view[_view.OWN_BETA] = cars[race, car, _vehicle.BETA]
     view[_view.OWN_S] = frenet[race, car, 0]
     view[_view.OWN_D] = frenet[race, car, 1]
+
+
+@inner_kernel
+def _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles, view):  # type: ignore[no-untyped-def]
+    """Write the car ``other`` as the opponent into a view."""
     view[_view.OPP_LENGTH] = vehicles[other, _vehicle.LENGTH]
     view[_view.OPP_WIDTH] = vehicles[other, _vehicle.WIDTH]
     view[_view.OPP_X] = cars[race, other, _vehicle.X]
@@ -132,9 +141,11 @@ def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignor
     line, ds, length, tick = track.line, track.ds, track.length, state.tick[race]
     _fill_fixed(vehicles[car], settings, view)
     other = _opponent(length, state.frenet, race, car, state.frenet.shape[1])
-    _fill_moving(line, ds, tick, state.cars, state.frenet, state.progress, race, car, other, vehicles, view)
+    _fill_own(tick, state.cars, state.frenet, race, car, view)
     if other == car:
-        _fill_nobody(length, view)
+        _fill_nobody(length, vehicles[car], view)
+    else:
+        _fill_opponent(line, ds, state.cars, state.frenet, state.progress, race, car, other, vehicles, view)
 
 
 @inner_kernel(forceinline=True)
@@ -263,10 +274,12 @@ def advance_races(  # type: ignore[no-untyped-def]
                         lane = number * (race - start) + car
                         view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
                         path, memory, command = paths[race, car], memories[race, car], commands[race, car]
-                        other = _opponent(length, frenet, race, car, number)
-                        _fill_moving(line, ds, tick, cars, frenet, progress, race, car, other, vehicles[race], view)
+                        _fill_own(tick, cars, frenet, race, car, view)
                         if number == 1:
-                            _fill_nobody(length, view)
+                            _fill_nobody(length, vehicles[race, car], view)
+                        else:
+                            other = _opponent(length, frenet, race, car, number)
+                            _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles[race], view)
                         if tick % PLAN_EVERY == 0:
                             call_plan(drivers[2 * car], track, theta[race, car], view, memory, scratch, path)
                         control = drivers[2 * car + 1]
