@@ -54,6 +54,7 @@ REFERENCE = {
     "pcs_racing.race": "Races of two cars",
     "pcs_racing.game": "The game",
     "pcs_racing.envs": "Environments",
+    "pcs_racing.f1tenth": "The F1TENTH gym's interface",
     "pcs_racing.testing": "Checks for your own parts",
     "pcs_racing_agents": "The package itself",
     "pcs_racing_agents.jobs": "Long work",

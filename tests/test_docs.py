@@ -32,6 +32,7 @@ RUN_HERE = (
     "docs/agents.md",
     "docs/benchmark.md",
     "docs/bring_a_map.md",
+    "docs/coming_from_f1tenth_gym.md",
     "docs/environments.md",
     "docs/first_race.md",
     "docs/game.md",
