@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -137,7 +137,7 @@ class Track:
     loaded: GymMap
 
     @classmethod
-    def from_track_name(cls, track: Any) -> "Track":
+    def from_track_name(cls, track: Any) -> Self:
         """Load a track by name (see :func:`pcs_racing.f1tenth.maps.find_yaml`) or path."""
         if not isinstance(track, str | Path):
             raise MapError(f"map is {track!r:.200}; it must be the name or the path of a map, or a Track")
@@ -165,7 +165,7 @@ class Track:
     from_track_path = from_track_name
 
     @classmethod
-    def from_refline(cls, x: ArrayLike, y: ArrayLike, velx: ArrayLike) -> "Track":
+    def from_refline(cls, x: ArrayLike, y: ArrayLike, velx: ArrayLike) -> Self:
         """Make a track without walls of points to follow, shape (N,) each, m and m/s."""
         xs, ys, speeds = (
             check_array(name, values, (None,)) for name, values in zip(("x", "y", "velx"), (x, y, velx), strict=True)
