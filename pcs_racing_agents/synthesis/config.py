@@ -61,8 +61,8 @@ class ArchiveConfig(Settings):
     characteristics: tuple[str, ...] | None = setting(
         None,
         names(),
-        "Axes; None takes what the rules name as their aggressiveness (the lead, pace or speed) and restraint; beside "
-        "speed, of which restraint says nothing new, reaction.",
+        "Axes; None takes restraint, and first what the rules name as their aggressiveness: aggressiveness itself (the "
+        "lead), pace or speed.",
     )
     method: str = setting("mo-cma-es", choice(METHODS), "Search method; the first is that of the paper.")
     generations: int = setting(60, whole(0, 100_000), "Number of generations.")
@@ -194,7 +194,7 @@ class ArchiveConfig(Settings):
         if self.characteristics is not None:
             return self.characteristics
         first = self.rules.aggressiveness
-        return {"lead": "aggressiveness"}.get(first, first), "reaction" if first == "speed" else "restraint"
+        return "aggressiveness" if first == "lead" else first, "restraint"
 
     @property
     def varied(self) -> tuple[str, ...]:
