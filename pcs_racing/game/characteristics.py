@@ -12,7 +12,21 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.race.config import DT
-from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, LATERAL, PROFILE, STEERING, TIME, RaceState
+from pcs_racing.race.state import (
+    BLOCKING,
+    ITTC,
+    ITTC_SAMPLES,
+    LATERAL,
+    PROFILE,
+    PROFILE_BEHIND,
+    STEERING,
+    TIME,
+    TIME_BEHIND,
+    RaceState,
+)
+
+BOTH_SIDES = 1.0
+"""Seconds that a car must have driven in front and behind before a reaction to the lead is measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +34,7 @@ class Segment:
     """A segment of a batch of races: each car's progress and running sums between two moments."""
 
     progress: NDArray[np.float64]  #: shape (B, 2): Progress of each car during the segment, m.
-    sums: NDArray[np.float64]  #: shape (B, 2, 7): Growth of the running sums (:data:`pcs_racing.race.state.SUMS`).
+    sums: NDArray[np.float64]  #: shape (B, 2, 9): Growth of the running sums (:data:`pcs_racing.race.state.SUMS`).
     time: NDArray[np.float64]  #: shape (B,): Time driven, s; shorter than asked for after a crash.
     duration: float  #: Time asked for, s.
 
@@ -34,6 +48,11 @@ class Segment:
             float(duration),
         )
 
+    @classmethod
+    def so_far(cls, state: RaceState, duration: float) -> "Segment":
+        """Return all that was driven since the start of races."""
+        return cls(state.progress, state.sums, np.asarray(state.tick * DT, np.float64), float(duration))
+
 
 @dataclass(frozen=True)
 class Characteristic:
@@ -44,6 +63,9 @@ class Characteristic:
     meaning: str  #: One line for the reader.
     #: ``evaluate(segment) -> (B, 2)``, one value for each race and car.
     evaluate: Callable[[Segment], NDArray[np.float64]]
+    #: Whether one segment says too little: a policy's coordinate is then evaluated on the sum of all its segments (not
+    #: the mean of their values), and what players observe on all of the race so far.
+    pooled: bool = False
 
 
 def _lead(segment: Segment) -> NDArray[np.float64]:
@@ -74,6 +96,13 @@ def _speed(segment: Segment) -> NDArray[np.float64]:
     return segment.sums[..., PROFILE] / np.maximum(segment.sums[..., TIME], 0.5)
 
 
+def _reaction(segment: Segment) -> NDArray[np.float64]:
+    behind, profile_behind = segment.sums[..., TIME_BEHIND], segment.sums[..., PROFILE_BEHIND]
+    ahead, profile_ahead = segment.sums[..., TIME] - behind, segment.sums[..., PROFILE] - profile_behind
+    difference = profile_behind / np.maximum(behind, BOTH_SIDES) - profile_ahead / np.maximum(ahead, BOTH_SIDES)
+    return np.where(np.minimum(behind, ahead) >= BOTH_SIDES, difference, 0.0)
+
+
 AGGRESSIVENESS = Characteristic("aggressiveness", "m", "progress gained over the opponent (the paper's g_agg)", _lead)
 PACE = Characteristic(
     "pace", "m", "progress gained over the opponent per time driven, scaled to the full duration", _pace
@@ -93,6 +122,14 @@ SPEED = Characteristic(
     "per time driven",
     _speed,
 )
+REACTION = Characteristic(
+    "reaction",
+    "1",
+    "reaction to the lead: how much faster behind than in front, in parts of the profile at pace 1; 0 before both "
+    f"lasted {BOTH_SIDES:g} s",
+    _reaction,
+    pooled=True,
+)
 
 _registered: dict[str, Characteristic] = {}
 
@@ -103,7 +140,7 @@ def register_characteristic(characteristic: Characteristic) -> None:
         raise InputError(f"a characteristic named {characteristic.name!r} exists already; choose another name")
 
 
-for _characteristic in (AGGRESSIVENESS, PACE, RESTRAINT, SMOOTHNESS, BLOCKING_SHARE, SPEED, CORNERING):
+for _characteristic in (AGGRESSIVENESS, PACE, RESTRAINT, SMOOTHNESS, BLOCKING_SHARE, SPEED, REACTION, CORNERING):
     register_characteristic(_characteristic)
 
 
@@ -118,9 +155,11 @@ def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:
     return tuple(_registered[name] for name in names)
 
 
-def measure(segment: Segment, characteristics: Sequence[Characteristic]) -> NDArray[np.float64]:
-    """Evaluate characteristics on a segment, shape (B, 2, |G|)."""
+def measure(
+    segment: Segment, characteristics: Sequence[Characteristic], so_far: Segment | None = None
+) -> NDArray[np.float64]:
+    """Evaluate characteristics on a segment, shape (B, 2, |G|); pooled ones on ``so_far``, where it is given."""
     values = np.empty((*segment.progress.shape, len(characteristics)))
     for k, characteristic in enumerate(characteristics):
-        values[..., k] = characteristic.evaluate(segment)
+        values[..., k] = characteristic.evaluate(so_far if so_far is not None and characteristic.pooled else segment)
     return values

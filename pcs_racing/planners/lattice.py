@@ -79,6 +79,10 @@ MOVE_TIME = 0.4  # s for which an opponent goes on moving sideways
 FOLLOW_GAP = 0.8  # m between the middles of the cars
 LEVEL = 1.0  # m of lead from wholly ahead to wholly behind
 
+PROFILES, OPPONENT = SPEEDS + 1, SPEEDS  # how many profiles are laid, and which one is the opponent's
+METRES = 64  # for which they are laid at most; they begin a metre behind the car
+BRAKES_EARLIER = 8.0  # m beyond the last prediction, from where a car may have to brake for a bend
+
 ATTACKS, FOLLOWS = 0, SPEEDS - 1  # candidates' speeds: an attack (the profile if there is nobody to pass) is the first
 _SPEED_FACTORS = (1.0, 1.0, 0.85)
 SLOWEST = 0.65  # in place of following, where there is nobody to follow
@@ -139,8 +143,8 @@ MEMORY = 7
 # Rows of the scratch, each GOALS wide: where a move ends, its length and coefficients; its curvature, the largest one,
 # the mean, and the largest change along it; the lateral acceleration that it asks for; how much longer it is than the
 # line, and how much its bends slow a car down; air that the race line and the move leave, nearness to walls, least air
-# beside a wall, cost whatever the speed; at the speed under study trouble, deepest overlap, lead over the opponent,
-# distance across and proximity; then all costs, and points and air at the ends of all segments.
+# beside a wall, cost whatever the speed. Then, for all candidates, costs without the opponent and costs; and points and
+# air at the ends of all segments.
 (
     _GOAL_D,
     _LENGTH,
@@ -158,19 +162,21 @@ MEMORY = 7
     _WALL_COST,
     _MIN_AIR,
     _BASE,
-    _TROUBLE,
-    _DEEPEST,
-    _ALONG,
-    _SIDE,
-    _PROXIMITY,
-    _COSTS,
-) = (GOALS * k for k in range(22))
-_POINT_X = _COSTS + SPEEDS * GOALS
+    _LEAST,
+) = (GOALS * k for k in range(17))
+_COSTS = _LEAST + CANDIDATES
+_POINT_X = _COSTS + CANDIDATES
 _POINT_Y = _POINT_X + SEGMENTS * GOALS
 _AIR = _POINT_Y + SEGMENTS * GOALS
-# Speed scales of the profiles, arc length and speed at present; predictions, a row for each step: own arc lengths and
-# speeds at each speed and the room across the track; the opponent's arc length, position across the track and speed.
-_SCALE, _NOW_S, _NOW_V, _OWN_S = (_AIR + SEGMENTS * GOALS + SPEEDS * k for k in range(4))
+# Profiles, a row for each metre ahead: the squared speed that a car means to drive there, at each speed and for the
+# opponent, and where the track's edges are. Speed scales, arc length and speed at present; predictions, a row for each
+# step: own arc lengths and speeds at each speed and the room across the track; the opponent's arc length, position
+# across the track and speed.
+_SQUARE = _AIR + SEGMENTS * GOALS
+_RIGHT = _SQUARE + PROFILES * METRES
+_LEFT = _RIGHT + METRES
+_SCALE = _LEFT + METRES
+_NOW_S, _NOW_V, _OWN_S = (_SCALE + PROFILES + SPEEDS * k for k in range(3))
 _OWN_V = _OWN_S + SPEEDS * HORIZON_STEPS
 _OWN_LOW = _OWN_V + SPEEDS * HORIZON_STEPS
 _OWN_HIGH = _OWN_LOW + SPEEDS * HORIZON_STEPS
@@ -204,41 +210,49 @@ def _sample_at(line, per_ds, s):  # type: ignore[no-untyped-def]
     return i
 
 
-@inner_kernel(forceinline=True)
-def _speed_at(line, per_ds, s):  # type: ignore[no-untyped-def]
-    """Speed of the profile at an arc length above -length."""
-    return line[_sample_at(line, per_ds, s), _frenet.SPEED]
-
-
-@inner_kernel(forceinline=True)
-def _steady_speed(line, per_ds, s, scale):  # type: ignore[no-untyped-def]
-    """Speed at an arc length above -length of a car that follows the profile and brakes as hard as it may, no harder.
-
-    Above speed scale 1 the profile brakes harder than that, and a car has to begin earlier.
-    """
-    speed = scale * _speed_at(line, per_ds, s)
-    for k in range(1, 4):
-        ahead = scale * _speed_at(line, per_ds, s + 2.0 * k)
-        speed = min(speed, np.sqrt(ahead * ahead + 4.0 * k * MOST_BRAKING))
-    return speed
-
-
 @inner_kernel
-def _attack_speed(line, per_ds, s, scale, attack):  # type: ignore[no-untyped-def]
-    """Speed at an arc length above -length at which a car attacks: above the profile's on straights, not in bends.
+def _lay_profiles(line, per_ds, s0, metres, attack, scratch):  # type: ignore[no-untyped-def]
+    """Lay what every prediction reads: squared speeds at all scales, a metre apart, and where the track's edges are.
 
-    It accelerates harder and tops the profile by the share ``attack``, and comes down to the profile where it brakes.
+    From far to near, so that a car comes down to each bend as hard as it may brake, no harder: above speed scale 1 the
+    profile brakes harder than that. An attack tops the profile by the share ``attack`` where bends allow.
     """
-    own = _steady_speed(line, per_ds, s, scale)
+    scale = scratch[_SCALE + ATTACKS]
     lateral = LATERAL_OF_PROFILE * scale * scale
-    share = (1.0 + attack) * scale
-    square = 1e9
-    for k in range(8):
-        i = _sample_at(line, per_ds, s + 1.5 * k)
-        fast = share * line[i, _frenet.SPEED]
-        bend = max(abs(line[i, _frenet.KAPPA]), 1e-6)
-        square = min(square, min(fast * fast, lateral / bend) + 3.0 * k * BRAKING)
-    return max(np.sqrt(square), own)
+    top = (1.0 + attack) * scale
+    for f in range(PROFILES):
+        scratch[_SQUARE + (metres - 1) * PROFILES + f] = 1e9
+    for j in range(metres):
+        k = metres - 1 - j
+        row = _SQUARE + k * PROFILES
+        beyond = row + (PROFILES if j > 0 else 0)
+        i = _sample_at(line, per_ds, s0 + (k - 1.0))
+        square = line[i, _frenet.SPEED] * line[i, _frenet.SPEED]
+        for f in range(1, PROFILES):
+            own = scratch[_SCALE + f] * scratch[_SCALE + f] * square
+            scratch[row + f] = min(own, scratch[beyond + f] + 2.0 * MOST_BRAKING)
+        fast = min(top * top * square, lateral / max(abs(line[i, _frenet.KAPPA]), 1e-6))
+        # Bends between these metres count by the profile, which is never above an attack.
+        scratch[row] = (
+            max(min(fast, scratch[beyond] + 2.0 * BRAKING), scratch[row + 1]) if attack > 0.0 else scratch[row + 1]
+        )
+        scratch[_RIGHT + k] = line[i, _frenet.RIGHT]
+        scratch[_LEFT + k] = line[i, _frenet.LEFT]
+
+
+@inner_kernel(forceinline=True)
+def _metre_at(driven):  # type: ignore[no-untyped-def]
+    """Row of the profiles at ``driven`` m from the car, and the share of the way to the next one."""
+    at = min(max(driven + 1.0, 0.0), METRES - 1.001)
+    k = int(at)
+    return k, at - k
+
+
+@inner_kernel(forceinline=True)
+def _speed_ahead(scratch, f, k, share):  # type: ignore[no-untyped-def]
+    """Speed of the profile ``f`` at a row and share: linear in its square, as a car brakes."""
+    square = scratch[_SQUARE + k * PROFILES + f]
+    return np.sqrt(square + share * (scratch[_SQUARE + (k + 1) * PROFILES + f] - square))
 
 
 @inner_kernel(forceinline=True)
@@ -438,8 +452,8 @@ def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _predict(line, per_ds, s, v, attack, follows, keep, steps, scratch):  # type: ignore[no-untyped-def]
-    """Drive along the race line from (s, v) towards the profile, at every scale in the scratch.
+def _predict(s, v, follows, keep, steps, scratch):  # type: ignore[no-untyped-def]
+    """Drive along the race line from (s, v) towards the profiles, at every speed.
 
     Keeps arc lengths (unwrapped), speeds, and how far right and left the track lets the car be by then.
     """
@@ -451,108 +465,98 @@ def _predict(line, per_ds, s, v, attack, follows, keep, steps, scratch):  # type
         for f in range(SPEEDS):
             own_s = scratch[_NOW_S + f]
             own_v = scratch[_NOW_V + f]
-            if f == ATTACKS and attack > 0.0:
-                target = _attack_speed(line, per_ds, own_s, scratch[_SCALE + f], attack)
-            else:
-                target = _steady_speed(line, per_ds, own_s, scratch[_SCALE + f])
+            row, share = _metre_at(own_s - s)
+            target = _speed_ahead(scratch, f, row, share)
             if f == FOLLOWS and follows:
                 target = min(target, _following_speed(scratch, own_s, k))
-            own_v += min(max(max(target, 0.0) - own_v, -OWN_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
+            own_v += min(max(target - own_v, -OWN_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
             own_s += own_v * HORIZON_STEP
-            i = _sample_at(line, per_ds, own_s)
+            row, share = _metre_at(own_s - s)
             scratch[_NOW_S + f] = own_s
             scratch[_NOW_V + f] = own_v
             scratch[_OWN_S + k * SPEEDS + f] = own_s
             scratch[_OWN_V + k * SPEEDS + f] = own_v
-            scratch[_OWN_LOW + k * SPEEDS + f] = min(keep - line[i, _frenet.RIGHT], 0.0)
-            scratch[_OWN_HIGH + k * SPEEDS + f] = max(line[i, _frenet.LEFT] - keep, 0.0)
+            scratch[_OWN_LOW + k * SPEEDS + f] = min(keep - scratch[_RIGHT + row], 0.0)
+            scratch[_OWN_HIGH + k * SPEEDS + f] = max(scratch[_LEFT + row] - keep, 0.0)
 
 
 @inner_kernel
-def _predict_opponent(line, per_ds, view, s, scale, gives_way, beside, scratch):  # type: ignore[no-untyped-def]
-    """The opponent carries on along the track from ``s`` with its share of the profile: arc lengths and positions."""
+def _predict_opponent(view, s, gap, gives_way, beside, scratch):  # type: ignore[no-untyped-def]
+    """The opponent carries on along the track from ``s + gap`` with its share of the profile."""
     v = view[_view.OPP_V]
-    carried = v / max(_speed_at(line, per_ds, view[_view.OPP_S]), 0.5)
-    if beside:
-        # It speeds up as the own car will.
-        carried = max(carried, scale * min(v / max(view[_view.OWN_V], 0.5), 1.0))
     # The track pushes the other car sideways where it narrows; who has the right of way leaves it air there.
     room = 0.5 * view[_view.OPP_WIDTH] + (0.0 if gives_way else BODY_AIR)
+    driven = gap
+    row, share = _metre_at(driven)
     for k in range(HORIZON_STEPS):
-        wanted = _steady_speed(line, per_ds, s, carried)
+        wanted = _speed_ahead(scratch, OPPONENT, row, share)
         v += min(max(wanted - v, -OPPONENT_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
-        s += v * HORIZON_STEP
+        driven += v * HORIZON_STEP
         t = (k + 1) * HORIZON_STEP
         d = view[_view.OPP_D]
         if not beside:
             # What moves sideways goes on moving for a while; a driver may be anywhere for reasons of its own.
             d += view[_view.OPP_D_DOT] * t / (1.0 + t / MOVE_TIME)
-        row = _sample_at(line, per_ds, s)
-        low = min(room - line[row, _frenet.RIGHT], 0.0)
-        high = max(line[row, _frenet.LEFT] - room, 0.0)
-        scratch[_OPP_S + k] = s
+        row, share = _metre_at(driven)
+        low = min(room - scratch[_RIGHT + row], 0.0)
+        high = max(scratch[_LEFT + row] - room, 0.0)
+        scratch[_OPP_S + k] = s + driven
         scratch[_OPP_V + k] = v
         scratch[_OPP_D + k] = min(max(d, low), high)
 
 
 @inner_kernel
-def _meet_opponent(scratch, f, s0, gap, side, reach, unsure, side_reach, body, reject_steps, wrong, later):  # type: ignore[no-untyped-def]
-    """Trouble (overlaps ahead) and proximity of all moves at one speed with the predicted opponent.
+def _meet_opponent(scratch, f, g, s0, gap, side, reach, unsure, side_reach, body, rejects, wrong, later, w_near, most):  # type: ignore[no-untyped-def]
+    """Cost of overlaps with the predicted opponent, and of being near it, of the move ``g`` at the speed ``f``.
 
     ``gap`` and ``side`` are the distances at present, along and across the track; ``reach`` grows by ``unsure`` at each
-    step.
+    step. A cost above ``most`` is not added up to its end.
     """
-    for g in range(GOALS):
-        scratch[_ALONG + g] = -gap
-        scratch[_SIDE + g] = side
-        scratch[_TROUBLE + g] = 0.0
-        scratch[_DEEPEST + g] = 0.0
-        scratch[_PROXIMITY + g] = 0.0
+    goal, a, b = scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g]
+    length = scratch[_LENGTH + g]
+    per_length = 1.0 / length
+    gains = scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0
+    before = -gap
+    side_before = side
+    deepest = 0.0
+    cost = 0.0
     fade = 1.0
     for k in range(HORIZON_STEPS):
         driven = scratch[_OWN_S + k * SPEEDS + f] - s0
         ahead = scratch[_OPP_S + k] - s0
-        opp_d = scratch[_OPP_D + k]
-        # Where the track will push the car sideways.
-        low = scratch[_OWN_LOW + k * SPEEDS + f]
-        high = scratch[_OWN_HIGH + k * SPEEDS + f]
-        hard = fade * (REJECTED * wrong if k < reject_steps else later)
-        soft = fade * 0.3
+        hard = fade * (REJECTED * wrong if k < rejects else later)
+        soft = fade * 0.3 * w_near
         fade *= 0.85
         reach += unsure
         if abs(driven - ahead) > CLOSE + 2.0:
             continue
-        for first in range(0, GOALS, ACROSS):
-            per_length = 1.0 / scratch[_LENGTH + first]
-            for g in range(first, first + ACROSS):
-                length = scratch[_LENGTH + g]
-                own = driven + (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(driven, length)
-                along = own - ahead
-                before = scratch[_ALONG + g]
-                gap = abs(along)
-                long_air = max(gap - reach, 0.0)
-                long_square = long_air * long_air + 0.3
-                u = own * per_length
-                d = _lateral(u, scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g])
-                side = min(max(d, low), high) - opp_d
-                across = abs(side)
-                # The least distance across while the cars are level, at this step or between the last one and this.
-                nearest = across if gap < reach else side_reach
-                if along * before < 0.0:
-                    # One passes the other between two steps: what counts is where both are then.
-                    aside = scratch[_SIDE + g] + (side - scratch[_SIDE + g]) * before / (before - along)
-                    nearest = min(nearest, abs(aside))
-                elif side * scratch[_SIDE + g] < 0.0 and abs(before) < reach:
-                    nearest = 0.0  # it changes sides beside the other car
-                scratch[_ALONG + g] = along
-                scratch[_SIDE + g] = side
-                # A move cannot lead through the other car: what overlapped once is no better on the other side.
-                deep = max(scratch[_DEEPEST + g], side_reach - nearest)
-                scratch[_DEEPEST + g] = deep
-                scratch[_TROUBLE + g] += hard * deep * (1.0 + deep)
-                side_air = max(across - body, 0.0)
-                near = soft / (long_square + side_air * side_air)
-                scratch[_PROXIMITY + g] += near if gap < CLOSE else 0.0
+        if cost > most:
+            break
+        along = driven + gains * min(driven, length) - ahead
+        # The track pushes the car sideways where it narrows.
+        low = scratch[_OWN_LOW + k * SPEEDS + f]
+        high = scratch[_OWN_HIGH + k * SPEEDS + f]
+        d = _lateral((along + ahead) * per_length, goal, a, b)
+        side = min(max(d, low), high) - scratch[_OPP_D + k]
+        across = abs(side)
+        # The least distance across while the cars are level, at this step or between the last one and this.
+        nearest = across if abs(along) < reach else side_reach
+        if along * before < 0.0:
+            # One passes the other between two steps: what counts is where both are then.
+            aside = side_before + (side - side_before) * before / (before - along)
+            nearest = min(nearest, abs(aside))
+        elif side * side_before < 0.0 and abs(before) < reach:
+            nearest = 0.0  # it changes sides beside the other car
+        before = along
+        side_before = side
+        # A move cannot lead through the other car: what overlapped once is no better on the other side.
+        deepest = max(deepest, side_reach - nearest)
+        cost += hard * deepest * (1.0 + deepest)
+        if abs(along) < CLOSE:
+            long_air = max(abs(along) - reach, 0.0)
+            side_air = max(across - body, 0.0)
+            cost += soft / (long_air * long_air + 0.3 + side_air * side_air)
+    return cost
 
 
 @inner_kernel
@@ -613,11 +617,11 @@ def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack,
         square = min(square + 2.0 * braking * step, grip / max(abs(bent), 1e-6))
     square += 2.0 * braking * step
     step = reach / (PATH_POINTS - 1)
-    for i in range(PATH_POINTS):
-        j = PATH_POINTS - 1 - i
+    for j in range(PATH_POINTS - 1, -1, -1):
         driven = j * step
         at = s0 + driven
-        kappa = line[_sample_at(line, per_ds, at), _frenet.KAPPA]
+        i = _sample_at(line, per_ds, at)
+        kappa = line[i, _frenet.KAPPA]
         u = driven * per_length
         d = _lateral(u, goal, a, b)
         bent = kappa / max(1.0 - kappa * d, 0.25) + _lateral_bend(u, a, b) * per_length * per_length
@@ -627,10 +631,11 @@ def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack,
         x, y, _ = offset(line, ds, length, at, d + _fade_out(w, aside, aside_slope))
         path[j, _view.PATH_X] = x
         path[j, _view.PATH_Y] = y
-        if attack > 0.0:
-            speed = _attack_speed(line, per_ds, at, at_scale, attack)
+        if attack:
+            row, share = _metre_at(driven)
+            speed = _speed_ahead(scratch, ATTACKS, row, share)
         else:
-            speed = at_scale * _speed_at(line, per_ds, at)
+            speed = at_scale * line[i, _frenet.SPEED]
         path[j, _view.PATH_SPEED] = min(speed, np.sqrt(square), cap)
         path[j, _view.PATH_KAPPA] = bent + back
         square += 2.0 * braking * step
@@ -638,11 +643,7 @@ def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack,
 
 @inner_kernel
 def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[no-untyped-def]
-    """Choose a candidate and write its path.
-
-    What meeting the opponent costs is added at those speeds only where the rest, which is less, leaves a candidate
-    within ``slack`` of the best one so far.
-    """
+    """Choose a candidate and write its path; candidates within ``slack`` of the best are weighed to the end."""
     v = max(view[_view.OWN_V], 0.5)
     s0 = view[_view.OWN_S]
     d0 = view[_view.OWN_D]
@@ -671,27 +672,37 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
     # Who follows has to see to it that nothing happens: a car that is followed holds its place.
     in_line = abs(d0 - view[_view.OPP_D]) < body
     meets = -(long_reach - (BUMPER_AIR if in_line else 0.0)) < gap < SIGHT
-    follow = SLOWEST
-    cap = np.inf
     # Right of way: the car ahead; level, the one nearer to the race line; as near, the one on the right.
     claim = gap + 0.5 * (abs(d0) - abs(view[_view.OPP_D]))
     gives_way = claim > 0.0 or (claim == 0.0 and d0 > view[_view.OPP_D])
-    if meets:
-        # Side by side, each keeps its lane.
-        beside = abs(gap) < long_reach and abs(d0 - view[_view.OPP_D]) > 0.8 * body
-        _predict_opponent(line, per_ds, view, s0 + gap, scale, gives_way, beside, scratch)
-        if gap > 0.0 or (gives_way and gap > -long_reach):
-            follow = 1.0
-            cap = _following_speed(scratch, s0, 0)
-    for f in range(SPEEDS):
-        scratch[_SCALE + f] = scale * (_SPEED_FACTORS[f] if f < FOLLOWS else follow)
-    steps = HORIZON_STEPS if meets else ALONE_STEPS
+    follows = meets and (gap > 0.0 or (gives_way and gap > -long_reach))
+    for f in range(FOLLOWS):
+        scratch[_SCALE + f] = scale * _SPEED_FACTORS[f]
+    scratch[_SCALE + FOLLOWS] = scale * (1.0 if follows else SLOWEST)
     # An attack begins wholly behind and ends wholly ahead. If who is passed answered it when level, and who passes
     # stopped there, both would stay side by side into the next bend.
     attacks = meets and (gap > LEVEL or memory[_M_ATTACKS] > 0.5)
     memory[_M_ATTACKS] = 1.0 if attacks else 0.0
     attack = theta[ATTACK] if attacks else 0.0
-    _predict(line, per_ds, s0, v, attack, cap < np.inf, 0.5 * view[_view.OWN_WIDTH] + BODY_AIR, steps, scratch)
+    # Side by side, each keeps its lane.
+    beside = abs(gap) < long_reach and abs(d0 - view[_view.OPP_D]) > 0.8 * body
+    carried = view[_view.OPP_V] / max(line[_sample_at(line, per_ds, view[_view.OPP_S]), _frenet.SPEED], 0.5)
+    if beside:
+        # It speeds up as the own car will.
+        carried = max(carried, scale * min(view[_view.OPP_V] / max(view[_view.OWN_V], 0.5), 1.0))
+    scratch[_SCALE + OPPONENT] = max(carried, 0.0)
+    steps = HORIZON_STEPS if meets else ALONE_STEPS
+    far = steps * HORIZON_STEP * (v + 0.5 * steps * HORIZON_STEP * ACCELERATION)
+    if meets:
+        far = max(far, gap + steps * HORIZON_STEP * (view[_view.OPP_V] + 0.5 * steps * HORIZON_STEP * ACCELERATION))
+    metres = int(min(far + BRAKES_EARLIER, METRES - 1.0)) + 1
+    _lay_profiles(line, per_ds, s0, metres, attack, scratch)
+    cap = np.inf
+    if meets:
+        _predict_opponent(view, s0, gap, gives_way, beside, scratch)
+        if follows:
+            cap = _following_speed(scratch, s0, 0)
+    _predict(s0, v, cap < np.inf, 0.5 * view[_view.OWN_WIDTH] + BODY_AIR, steps, scratch)
     # Who has the right of way goes on, and only keeps out of what is about to happen: if both held back, they would
     # stay side by side into the next bend.
     margin = theta[SIDE_MARGIN] if gives_way else 0.5 * theta[SIDE_MARGIN]
@@ -704,9 +715,6 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
             defend = _power_of_ten(theta[BLOCKING]) * (1.0 + gap / 4.0) * min(closing + 0.5, 2.0)
 
     _weigh_moves(theta, memory, scratch, remembered, since, defend, view[_view.OPP_D])
-    best_goal = np.int64(0)  # the type is stated, or a second copy of _write_path is compiled for the constant
-    best_speed = np.int64(0)
-    best = 1e30
     w_progress = _power_of_ten(theta[PROGRESS]) * (scratch[_OWN_S + (steps - 1) * SPEEDS] - s0)
     w_braking = _power_of_ten(theta[BRAKE]) / (3.0 * HORIZON_STEP * 10.0)
     w_overtaking = _power_of_ten(theta[OVERTAKING]) / 5.0
@@ -722,13 +730,11 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
         in_time = w_rate * fast
         share = soon / scratch[_OWN_V + 2 * SPEEDS + ATTACKS + 1]  # of the speed for which the bends were measured
         share *= share
-        costs = _COSTS + f * GOALS
-        hopeful = 0
         for g in range(GOALS):
             sideways = share * scratch[_SIDEWAYS + g]
             gained = (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(driven, scratch[_LENGTH + g])
             behind = ahead - driven - gained
-            cost = (
+            scratch[_LEAST + f * GOALS + g] = (
                 speed_cost
                 + w_overtaking * min(max(behind, 0.0), 10.0)
                 + scratch[_BASE + g]
@@ -737,16 +743,28 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
                 + STRAIN * max(sideways - grip, 0.0)
                 + 0.03 * REJECTED * max(sideways - grip - SPIN_BEYOND, 0.0)
             )
-            scratch[costs + g] = cost
-            hopeful += 1 if cost < best + slack else 0
-        if hopeful == 0:
+    # Meeting the opponent only adds to a cost: so the candidate that costs least without it is looked at first, and
+    # of the others those that could still be better than the best.
+    chosen = np.int64(0)  # the type is stated, or a second copy of _write_path is compiled for the constant
+    least = scratch[_LEAST]
+    for k in range(1, CANDIDATES):
+        if scratch[_LEAST + k] < least:
+            least = scratch[_LEAST + k]
+            chosen = np.int64(k)
+    first = chosen
+    best = 1e30
+    for k in range(-1, CANDIDATES):
+        c = first if k < 0 else k
+        cost = scratch[_LEAST + c]
+        if cost >= best + slack:
             continue
+        scratch[_LEAST + c] = np.inf
         if meets:
-            # In a pinch one falls back and the other goes on.
-            wrong = WRONG_WAY if gives_way != (f == FOLLOWS) else 1.0
-            _meet_opponent(
+            f = c // GOALS
+            cost += _meet_opponent(
                 scratch,
                 f,
+                c % GOALS,
                 s0,
                 gap,
                 d - view[_view.OPP_D],
@@ -755,16 +773,16 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
                 body + margin,
                 body,
                 reject_steps,
-                wrong,
+                WRONG_WAY if gives_way != (f == FOLLOWS) else 1.0,  # in a pinch one falls back and the other goes on
                 later if f != FOLLOWS else 0.0,
+                w_proximity,
+                best + slack - cost,
             )
-            for g in range(GOALS):
-                scratch[costs + g] += w_proximity * scratch[_PROXIMITY + g] + scratch[_TROUBLE + g]
-        for g in range(GOALS):
-            if scratch[costs + g] < best:
-                best = scratch[costs + g]
-                best_goal = np.int64(g)
-                best_speed = np.int64(f)
+        scratch[_COSTS + c] = cost
+        if cost < best:
+            best = cost
+            chosen = c
+    best_goal, best_speed = chosen % GOALS, chosen // GOALS
     memory[_M_VALID] = 1.0
     memory[_M_S] = s0
     memory[_M_LENGTH] = scratch[_LENGTH + best_goal]
@@ -782,7 +800,7 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
         at_scale,
         cap if best_speed == FOLLOWS else np.inf,
         grip,
-        attack if best_speed == ATTACKS else 0.0,
+        attacks and best_speed == ATTACKS,
         aside,
         aside_slope,
         path,

@@ -208,7 +208,14 @@ def _measure_driving(  # type: ignore[no-untyped-def]
         # The time that the profile of pace 1 takes for what was driven.
         driven = progress[race, car] - before[LANES + car]
         i = _part_at(frenet[race, car, 0], ds, line.shape[0])
-        sums[race, car, _state.PROFILE] += driven / (speed_high * line[i, SPEED])
+        profile = driven / (speed_high * line[i, SPEED])
+        sums[race, car, _state.PROFILE] += profile
+        behind = False
+        for other in range(number):
+            behind = behind or before[LANES + other] > before[LANES + car]
+        if behind:
+            sums[race, car, _state.TIME_BEHIND] += period
+            sums[race, car, _state.PROFILE_BEHIND] += profile
         for other in range(number):
             lead = progress[race, car] - progress[race, other]
             beside = abs(frenet[race, car, 1] - frenet[race, other, 1])

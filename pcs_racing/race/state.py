@@ -18,12 +18,14 @@ SUMS: dict[str, str] = {
     "LATERAL": "integral of the squared lateral acceleration, m^2/s^3",
     "TIME": "time driven, s",
     "PROFILE": "time that the profile of pace 1 takes along the race line for what was driven, s",
+    "TIME_BEHIND": "time driven while another car led, s",
+    "PROFILE_BEHIND": "what PROFILE grew by meanwhile, s",
 }
 """What is summed up for each car while it drives, by name; characteristics are made of differences of these."""
 
 MAX_BYTES = 1_000_000_000  # of a file
 
-ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME, PROFILE = range(len(SUMS))
+ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME, PROFILE, TIME_BEHIND, PROFILE_BEHIND = range(len(SUMS))
 
 # Columns of ``laps``: how often a car crossed s = 0, forward less backward; the most that this has been; when it became
 # that, s; the last lap from one such moment to the next, and the shortest, s.
@@ -59,7 +61,7 @@ class RaceState(NamedTuple):
     #: shape (B, N, 12, 4): Path that each driver follows: x, y (m), speed (m/s), curvature (1/m).
     path: NDArray[np.float64]
     memory: NDArray[np.float64]  #: shape (B, N, M): What the planners remember.
-    sums: NDArray[np.float64]  #: shape (B, N, 7): Running sums (:data:`SUMS`).
+    sums: NDArray[np.float64]  #: shape (B, N, 9): Running sums (:data:`SUMS`).
     #: shape (B, N): 0 none, 1 into a wall, 2 with another car; latched, and the race stands still from then on.
     crash: NDArray[np.int8]
     #: shape (B, N): How often each car was to blame: for the crash 1, where contacts do not end the race 127 at most.

@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.characteristics import Segment, get_characteristics, measure
+from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import SUMS
 from pcs_racing.track.loading import as_track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import run_races
@@ -42,20 +43,45 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     ended by a crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none.
     """
     raced = race_segments(task, threads)
-    values = raced.pop("values")
+    values, progress, sums, time = (raced.pop(name) for name in ("values", "progress", "sums", "time"))
     begun = ~np.isnan(values[..., 0])
     totals = np.zeros((*values.shape[:2], values.shape[3]))
     # Segment after segment, in a fixed order: sums are then the same for every shape of the task.
     for k in range(values.shape[2]):
         totals += np.where(begun[:, :, k, None], values[:, :, k], 0.0)
-    return {"totals": totals, "segments": begun.sum(axis=2).astype(np.int16), **raced}
+    segments = begun.sum(axis=2)
+    for g, axis in enumerate(get_characteristics(task[0].characteristics)):
+        if axis.pooled:
+            for k in range(len(values)):
+                whole = Segment(progress[k], sums[k], time[k], task[0].segment_seconds)
+                totals[k, :, g] = _pooled(axis, whole, segments[k])
+    return {"totals": totals, "segments": segments.astype(np.int16), **raced}
+
+
+def _pooled(axis: Characteristic, races: Segment, segments: NDArray[np.int64]) -> Floats:
+    """Totals of the races of one policy, shape (R,), whose sum over that of the ``segments`` is the pooled value.
+
+    They differ by what each race contributes to it (the value without that race says how much), so that their spread
+    is that of the pooled value: the jackknife.
+    """
+
+    def value(progress: Floats, sums: Floats, time: Floats) -> Floats:
+        return axis.evaluate(Segment(progress, sums, time, races.duration))[:, 0]
+
+    parts = (races.progress, races.sums, races.time)
+    everything = [part.sum(axis=0, keepdims=True) for part in parts]
+    pooled = value(*everything)[0]
+    without = value(*(whole - part for whole, part in zip(everything, parts, strict=True)))
+    influence = (without.mean() - without) * (1.0 - 1.0 / len(without))
+    return np.asarray(segments * pooled + influence * segments.sum())
 
 
 def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
     """Race some policies in some scenarios, and measure every segment of every race.
 
     ``values`` (k, R, S, G) are the characteristics of the policy in each of the S segments of a race; NaN in segments
-    that the race did not begin. The other arrays are those of :func:`race_policies`.
+    that the race did not begin. ``progress`` (k, R, 2), ``sums`` (k, R, 2, 9) and ``time`` (k, R) are those of whole
+    races; the other arrays are those of :func:`race_policies`.
     """
     scenarios, parameters = task
     axes = get_characteristics(scenarios.characteristics)
@@ -65,6 +91,7 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
     values = np.full((count, races, number, len(axes)), np.nan)
     winner = np.zeros((count, races), np.int8)
     own_crash, crashed = np.zeros((count, races), np.bool_), np.zeros((count, races), np.bool_)
+    progress, sums, time = np.zeros((count, races, 2)), np.zeros((count, races, 2, len(SUMS))), np.zeros((count, races))
     length = round(scenarios.segment_seconds * 100.0)
     for index, source in enumerate(scenarios.tracks):
         setup = RaceSetup(as_track(source), scenarios.config, (planner, planner))
@@ -94,7 +121,10 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
             own_crash[ego, which] = state.fault[:, 0] == 1
             crashed[ego, which] = state.crashed
             winner[ego, which] = winners(scenarios.config, state)
-    return {"values": values, "own_crash": own_crash, "crashed": crashed, "winner": winner}
+            whole = Segment.so_far(state, scenarios.segment_seconds)
+            progress[ego, which], sums[ego, which], time[ego, which] = whole.progress, whole.sums, whole.time
+    judged = {"own_crash": own_crash, "crashed": crashed, "winner": winner}
+    return {"values": values, "progress": progress, "sums": sums, "time": time, **judged}
 
 
 def summarise(raced: Arrays) -> Evaluation:

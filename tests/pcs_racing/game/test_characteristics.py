@@ -12,7 +12,17 @@ from pcs_racing.game.characteristics import (
 )
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import races as racing
-from pcs_racing.race.state import BLOCKING, ITTC, ITTC_SAMPLES, PROFILE, STEERING, SUMS, TIME
+from pcs_racing.race.state import (
+    BLOCKING,
+    ITTC,
+    ITTC_SAMPLES,
+    PROFILE,
+    PROFILE_BEHIND,
+    STEERING,
+    SUMS,
+    TIME,
+    TIME_BEHIND,
+)
 from pcs_racing.testing import check_characteristic
 
 
@@ -26,6 +36,8 @@ def piece() -> Segment:
     sums[..., STEERING] = [[4.0, 8.0], [1.0, 3.0]]
     sums[..., BLOCKING] = [[2.0, 0.0], [0.0, 1.0]]
     sums[..., PROFILE] = [[7.2, 6.0], [1.0, 2.0]]
+    sums[..., TIME_BEHIND] = [[2.0, 6.0], [0.5, 1.5]]
+    sums[..., PROFILE_BEHIND] = [[1.8, 4.8], [0.5, 1.2]]
     return Segment(np.array([[40.0, 36.0], [8.0, 10.0]]), sums, np.array([8.0, 2.0]), 8.0)
 
 
@@ -38,6 +50,7 @@ def piece() -> Segment:
         ("smoothness", [[-0.5, -1.0], [-0.5, -1.5]]),
         ("blocking", [[0.25, 0.0], [0.0, 0.5]]),
         ("speed", [[0.9, 0.75], [0.5, 1.0]]),
+        ("reaction", [[0.0, 0.2], [0.0, 0.0]]),  # for less than a second in front or behind nothing is said
     ],
 )
 def test_values_by_hand(piece, name, expected):
@@ -66,6 +79,15 @@ def test_pieces_of_a_race_add_up():
     np.testing.assert_allclose((first + second)[going, :, 0], whole[going, :, 0], atol=1e-9)
     np.testing.assert_allclose(((first + second) / 2)[going, :, 1], whole[going, :, 1])
     np.testing.assert_allclose(whole[:, 0, 0], -whole[:, 1, 0])
+
+
+def test_a_pooled_characteristic_is_measured_on_the_race_so_far(piece):
+    speed, reaction = get_characteristics(["speed", "reaction"])
+    later = Segment(piece.progress, 2.0 * piece.sums, 2.0 * piece.time, 8.0)
+    values = measure(piece, [speed, reaction], later)
+    np.testing.assert_array_equal(values[..., 0], speed.evaluate(piece))
+    np.testing.assert_array_equal(values[..., 1], reaction.evaluate(later))
+    assert reaction.evaluate(piece)[1, 0] == 0.0 < values[1, 0, 1]  # it was behind for a second by now
 
 
 @pytest.mark.parametrize("name", list(_registered))

@@ -90,6 +90,7 @@ def test_a_car_far_away_changes_nothing(oval):
         places = [(2.0, 0.3), (3.6, -0.3), (22.0, 0.0)][:count]
         setup, state, _ = placed(oval, places, [3.0, 3.0, 0.0][:count], lattice, steering_noise=race.steering_noise)
         state.seed[:] = 5
+        state.progress[0, 2:] = -5.0  # so far behind that it never leads
         theta = np.array([[parse_policy(f"lattice:pace={pace}").parameters for pace in (0.9, 0.2, 0.0)[:count]]])
         advance(setup, state, theta, 200, ittc=False)
         ends.append(of_cars(state, [0, 1]))

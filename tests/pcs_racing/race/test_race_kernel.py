@@ -109,6 +109,7 @@ class Account:
         at = setup.track.to_frenet(state.cars[0][:, :2])
         np.testing.assert_allclose(state.frenet[0], at, atol=1e-6)
         length = setup.track.length
+        led = self.progress[::-1] > self.progress
         self.progress += np.mod(at[:, 0] - s + 0.5 * length, length) - 0.5 * length
         np.testing.assert_allclose(state.progress[0], self.progress, atol=1e-5)
 
@@ -127,6 +128,8 @@ class Account:
             driven = np.mod(at[car, 0] - s[car] + 0.5 * length, length) - 0.5 * length
             profile = setup.track.line[int(at[car, 0] / setup.track.arrays.ds) % len(setup.track.line), SPEED]
             self.sums[car, COLUMN["PROFILE"]] += driven / (setup.speed_range[1] * profile)
+            self.sums[car, COLUMN["TIME_BEHIND"]] += PERIOD * led[car]
+            self.sums[car, COLUMN["PROFILE_BEHIND"]] += driven / (setup.speed_range[1] * profile) * led[car]
         for k in (1, 2):
             if (tick + k) % 5 == 0:
                 for car in range(2):

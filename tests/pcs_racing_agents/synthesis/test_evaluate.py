@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -6,10 +8,12 @@ from pcs_racing.game import characteristics
 from pcs_racing.game.characteristics import Characteristic
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race.races import RaceSetup, advance
+from pcs_racing.race.state import SUMS
 from pcs_racing_agents.synthesis import evaluate as evaluation
 from pcs_racing_agents.synthesis.evaluate import (
     evaluate,
     race_policies,
+    race_segments,
     summarise,
 )
 from pcs_racing_agents.synthesis.scenarios import draw_scenarios
@@ -82,6 +86,24 @@ def test_coordinates_are_means_over_the_pieces(scenarios, raced, oval):
     found = summarise(raced)
     np.testing.assert_allclose(found.coordinates, raced["totals"].sum(axis=1) / raced["segments"].sum(axis=1)[:, None])
     np.testing.assert_array_equal(found.own_crash, raced["own_crash"].mean(axis=1))
+
+
+def test_a_pooled_coordinate_is_that_of_all_races_together(scenarios):
+    """Speed behind less speed in front, in whole races; its standard error is the jackknife's."""
+    scenarios = replace(scenarios, characteristics=("speed", "reaction"))
+    task = (scenarios, policies(2))
+    segments, found = race_segments(task), summarise(race_policies(task))
+    columns = [list(SUMS).index(name) for name in ("PROFILE_BEHIND", "TIME_BEHIND", "PROFILE", "TIME")]
+    for k in range(2):
+        races = segments["sums"][k, :, 0][:, columns]
+
+        def reaction(rows):
+            profile_behind, behind, profile, time = rows.sum(axis=0)
+            return profile_behind / behind - (profile - profile_behind) / (time - behind)
+
+        assert found.coordinates[k, 1] == pytest.approx(reaction(races))
+        without = np.array([reaction(np.delete(races, race, axis=0)) for race in range(len(races))])
+        assert found.spread[k, 1] == pytest.approx(np.sqrt((len(races) - 1) * without.var()))
 
 
 @pytest.mark.parametrize("kind", ["serial", "threads", "processes"])
