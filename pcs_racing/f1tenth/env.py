@@ -10,10 +10,16 @@ from numpy.typing import ArrayLike
 
 from pcs_racing.base.checks import check_flag, check_number, check_seed, check_whole
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.f1tenth.kernel import count_laps, count_progress
+from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.simulator import DEFAULT_PARAMS, MOST_CARS, Simulator, merged_params
 
 Callback = Callable[[Any], None]
+
+_FACTS = {
+    "poses_x": k.AT_X, "poses_y": k.AT_Y, "poses_theta": k.AT_PSI, "collisions": k.CRASHED, "lap_times": k.LAP_TIME,
+    "lap_counts": k.LAPS, "toggle_list": k.TOGGLES, "start_xs": k.START_X, "start_ys": k.START_Y,
+    "start_thetas": k.START_PSI,
+}  # fmt: skip
 
 
 class F110Env(gymnasium.Env[Any, Any]):
@@ -21,7 +27,7 @@ class F110Env(gymnasium.Env[Any, Any]):
 
     num_agents: int
     renderer: Any = None
-    render_obs: dict[str, Any] | None = None
+    current_obs: Any = None  # of the class, where programs of generation A reach for it
 
     def __new__(cls, *args: Any, **named: Any) -> Self:
         """Choose the generation by the arguments."""
@@ -32,7 +38,7 @@ class F110Env(gymnasium.Env[Any, Any]):
         return object.__new__(cls)
 
     def _set_up(
-        self, values: dict[str, Any], *, model: int, integrator: int, control: tuple[bool, bool], faithful: Any
+        self, values: dict[str, Any], *, model: int, euler: bool, control: tuple[bool, bool], faithful: Any
     ) -> None:
         """Check the arguments that both generations have, and make the cars."""
         self.num_agents = check_whole("num_agents", values["num_agents"], 1, MOST_CARS, ConfigError)
@@ -42,60 +48,45 @@ class F110Env(gymnasium.Env[Any, Any]):
         self.params = merged_params(DEFAULT_PARAMS, values["params"])
         self.faithful = check_flag("faithful", faithful, ConfigError)
         self.seed = check_seed(values["seed"])
-        self.sim = Simulator(
-            self.params,
-            self.num_agents,
-            self.seed,
-            ego_idx=self.ego_idx,
-            model=model,
-            integrator=integrator,
-            control=control,
-            time_step=self.timestep,
-            lidar_dist=self.lidar_dist,
-            faithful=self.faithful,
+        integrator = k.EULER if euler and self.faithful else k.RK4
+        setup = k.Setup(
+            model, integrator, *control, self.timestep, self.lidar_dist, self.ego_idx, self.faithful, on_circuit=False
         )
-        self.lap_times, self.lap_counts = np.zeros(self.num_agents), np.zeros(self.num_agents)
-        self.current_time = 0.0
+        self.sim = Simulator(self.params, self.num_agents, self.seed, setup)
         self._started = False
 
     def _start(self, poses: ArrayLike, rng: np.random.Generator | None = None) -> None:
-        """Put the cars at poses and the laps to nothing."""
+        """Put the cars at poses, and begin to count."""
         self.sim.reset(poses, rng)
-        at = self.sim.states[:, [0, 1, 4]]
-        self._starts = at
-        self.start_xs, self.start_ys, self.start_thetas = at.T
-        sine, cosine = np.sin(-at[self.ego_idx, 2]), np.cos(-at[self.ego_idx, 2])
+        sine, cosine = np.sin(-self.start_thetas[self.ego_idx]), np.cos(-self.start_thetas[self.ego_idx])
         self.start_rot = np.array([[cosine, -sine], [sine, cosine]])
-        self.current_time = 0.0
-        self.near_starts, self.toggle_list = np.ones(self.num_agents, np.bool_), np.zeros(self.num_agents)
-        self._by_progress = not self.faithful and self.sim.on_circuit
-        if self._by_progress:
-            self.lap_counts[:] = 0.0
-            self._progress, self._places = np.zeros(self.num_agents), self.sim.track.to_frenet(at[:, :2])[:, 0].copy()
         self._started = True
 
-    def _advance(self, action: ArrayLike) -> None:
+    def _advance(self, action: ArrayLike) -> tuple[bool, dict[str, Any]]:
+        """Make a step; whether the episode has ended, and the infos."""
         if not self._started:
             raise InputError("step() before reset(): the cars have no place yet; call reset() first")
-        self.sim.step(action)
-
-    def _judge(self) -> tuple[bool, dict[str, Any]]:
-        """Count the time and the laps; whether the episode has ended, and the infos."""
-        self.current_time += self.timestep
-        poses, laps = self.sim.agent_poses, (self.toggle_list, self.lap_times, self.lap_counts, self.current_time)
-        if self._by_progress:
-            count_progress(self.sim.track.arrays, poses, self._places, self._progress, *laps)
-        else:
-            count_laps(self._starts, self.ego_idx, poses, self.near_starts, *laps)
-        self.poses_x, self.poses_y, self.poses_theta = poses.T
-        self.collisions, finished = self.sim.collisions, self.toggle_list >= 4.0
-        infos: dict[str, Any] = {"checkpoint_done": finished}
-        crashed = self.sim.collisions.tolist()
-        done = crashed[self.ego_idx] > 0.0
+        done, infos = self.sim.step(action), {"checkpoint_done": self.toggle_list >= 4.0}
         if not self.faithful:
-            # Any crash ends the race, and the infos say whose fault it was.
-            done, infos["at_fault"] = max(crashed) > 0.0, self.sim.at_fault
-        return done or all(finished.tolist()), infos
+            infos["at_fault"] = self.sim.cars[:, k.AT_FAULT] > 0.0
+        return done, infos
+
+    def __getattr__(self, name: str) -> Any:
+        """Facts of all cars under the gym's names, shape (N,)."""
+        if name == "current_time":
+            return self.sim.time
+        if name in _FACTS and "sim" in self.__dict__:
+            return self.sim.cars[:, _FACTS[name]]
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    @property
+    def render_obs(self) -> dict[str, Any] | None:
+        """What a renderer is told; None before the first reset."""
+        if not self._started:
+            return None
+        names = ("ego_idx", "poses_x", "poses_y", "poses_theta", "lap_times", "lap_counts", "collisions")
+        facts = {name: getattr(self, name) for name in names}
+        return facts | {"steering_angles": self.sim.agent_steerings, "sim_time": self.sim.time}
 
     def update_params(self, params: Any, index: int = -1) -> None:
         """Change the parameters of all cars, or of the one with an index from 0."""
@@ -105,3 +96,15 @@ class F110Env(gymnasium.Env[Any, Any]):
         """Return the space of the actions of all cars by the bounds for one."""
         ends = [np.tile(np.array(one, np.float32), (self.num_agents, 1)) for one in (low, high)]
         return gymnasium.spaces.Box(ends[0], ends[1], dtype=np.float32)
+
+    def _shown(self, made: Any) -> Any:
+        """The renderer, made when it is first needed."""
+        if not self._started:
+            raise ConfigError("there is nothing to show: call reset() before render()")
+        return self.renderer or made()
+
+    def close(self) -> None:
+        """Close the window."""
+        if self.renderer is not None:
+            self.renderer.close()
+            type(self).renderer = self.renderer = None

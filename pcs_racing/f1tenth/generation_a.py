@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.f1tenth.env import Callback, F110Env
-from pcs_racing.f1tenth.kernel import EULER, OLD_ST, RK4, ST
+from pcs_racing.f1tenth.kernel import OLD_ST, ST
 from pcs_racing.f1tenth.maps import load_map
 from pcs_racing.f1tenth.rendering import EnvRenderer
 from pcs_racing.f1tenth.simulator import warn_of_unknown
@@ -45,9 +45,6 @@ class GenerationA(F110Env):
         "render_modes": ["human", "human_fast", "rgb_array"],
         "render_fps": 100,
     }
-    # Of the class, as in the gym: programs reach for them there.
-    renderer: Any = None
-    current_obs: Any = None
     render_callbacks: ClassVar[list[Callback]] = []
 
     def __init__(self, *, faithful: bool = True, render_mode: str | None = None, **named: Any) -> None:
@@ -56,14 +53,8 @@ class GenerationA(F110Env):
         integrator = getattr(named.get("integrator", Integrator.RK4), "name", None)
         if integrator not in ("RK4", "Euler"):
             raise ConfigError(f"integrator is {named['integrator']!r:.200}; it must be Integrator.RK4 or .Euler")
-        euler = integrator == "Euler" and faithful
-        self._set_up(
-            values,
-            model=OLD_ST if faithful else ST,
-            integrator=EULER if euler else RK4,
-            control=(False, False),
-            faithful=faithful,
-        )
+        model, euler = OLD_ST if faithful else ST, integrator == "Euler"
+        self._set_up(values, model=model, euler=euler, control=(False, False), faithful=faithful)
         self.integrator, self.render_mode = named.get("integrator", Integrator.RK4), render_mode
         self.update_map(values["map"], values["map_ext"])
         p = self.params
@@ -85,8 +76,7 @@ class GenerationA(F110Env):
 
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, dict[str, Any]]:  # type: ignore[override]
         """Make a step with the steering angle (rad) and the speed (m/s) of each car, shape (N, 2)."""
-        self._advance(action)
-        done, infos = self._judge()
+        done, infos = self._advance(action)
         states = self.sim.states
         obs = {
             "ego_idx": self.ego_idx,
@@ -101,9 +91,7 @@ class GenerationA(F110Env):
             "lap_times": self.lap_times,
             "lap_counts": self.lap_counts,
         }
-        F110Env.current_obs = type(self).current_obs = obs  # type: ignore[attr-defined]
-        shown = ("ego_idx", "poses_x", "poses_y", "poses_theta", "lap_times", "lap_counts")
-        self.render_obs = {name: obs[name] for name in shown}
+        F110Env.current_obs = obs
         return obs, self.timestep, done, infos
 
     def add_render_callback(self, callback_func: Callback) -> None:
@@ -113,19 +101,9 @@ class GenerationA(F110Env):
     def render(self, mode: str = "human") -> Any:
         """Show the cars in a window; where there is none, only the callbacks are called."""
         check_choice("mode", mode, self.metadata["render_modes"])
-        if self.render_obs is None:
-            raise ConfigError("there is nothing to show: call reset() before render()")
-        if GenerationA.renderer is None:
-            GenerationA.renderer = EnvRenderer(self._map, window=mode != "rgb_array")
-        renderer = GenerationA.renderer
+        renderer = GenerationA.renderer = self._shown(lambda: EnvRenderer(self._map, window=mode != "rgb_array"))
         renderer.show_map(self._map)
         renderer.update_obs(self.render_obs, self.sim.states)
         for callback in GenerationA.render_callbacks:
             callback(renderer)
         return renderer.draw(mode)
-
-    def close(self) -> None:
-        """Close the window."""
-        if GenerationA.renderer is not None:
-            GenerationA.renderer.close()
-            GenerationA.renderer = None

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.f1tenth.env import Callback, F110Env
-from pcs_racing.f1tenth.kernel import EULER, KS, RK4, ST
+from pcs_racing.f1tenth.kernel import KS, ST
 from pcs_racing.f1tenth.lines import Track
 from pcs_racing.f1tenth.observations import observation
 from pcs_racing.f1tenth.rendering import RenderSpec, TrackRenderer
@@ -86,7 +86,7 @@ class GenerationB(F110Env):
         self._set_up(
             values | {"lidar_dist": 0.0},
             model=KS if values["model"] == "ks" else ST,
-            integrator=EULER if values["integrator"] == "euler" and faithful else RK4,
+            euler=values["integrator"] == "euler",
             control=(self._control[0] == "accl", self._control[1] == "steering_speed"),
             faithful=faithful,
         )
@@ -156,17 +156,10 @@ class GenerationB(F110Env):
 
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Make a step with the steering and the longitudinal input of each car, shape (N, 2), in this order."""
-        self._advance(action)
-        # Before the laps are counted: what is observed of them is a step old.
-        obs = self._observe() if self.faithful else {}
-        done, infos = self._judge()
-        poses = self.sim.agent_poses
-        self.render_obs = {
-            "ego_idx": self.ego_idx, "poses_x": poses[:, 0], "poses_y": poses[:, 1], "poses_theta": poses[:, 2],
-            "steering_angles": self.sim.agent_steerings, "lap_times": self.lap_times, "lap_counts": self.lap_counts,
-            "collisions": self.sim.collisions, "sim_time": self.current_time,
-        }  # fmt: skip
-        return obs or self._observe(), self.timestep, done, False, infos
+        # What is observed of the laps is a step old.
+        laps = self.sim.cars if self.faithful else None
+        done, infos = self._advance(action)
+        return self._observe(laps), self.timestep, done, False, infos
 
     def add_render_callback(self, callback_func: Callback) -> None:
         """Call a function with the renderer whenever a frame is drawn."""
@@ -176,19 +169,12 @@ class GenerationB(F110Env):
         """Return a frame in mode "rgb_array"; else show it in a window, if there can be one."""
         if self.render_mode is None:
             return None
-        if self.render_obs is None:
-            raise ConfigError("there is nothing to show: call reset() before render()")
-        if self.renderer is None:
-            self.renderer = TrackRenderer(
+        self.renderer = self._shown(
+            lambda: TrackRenderer(
                 self.track.loaded,
                 self.render_spec,
                 window=self.render_mode != "rgb_array",
                 fps=self.metadata["render_fps"] * (10.0 if self.render_mode == "human_fast" else 1.0),
             )
+        )
         return self.renderer.draw(self.sim.states, self.sim.collisions, self.current_time, self._callbacks)
-
-    def close(self) -> None:
-        """Close the window."""
-        if self.renderer is not None:
-            self.renderer.close()
-            self.renderer = None

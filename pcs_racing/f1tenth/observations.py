@@ -8,6 +8,7 @@ from gymnasium import spaces
 
 from pcs_racing.base.checks import check_names
 from pcs_racing.base.errors import ConfigError
+from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.simulator import BEAMS, RANGE
 
 FEATURES = (
@@ -22,7 +23,7 @@ TYPES: dict[str, tuple[str, ...]] = {
 }
 _LARGE = 1e30
 
-Observe = Callable[[], dict[str, Any]]
+Observe = Callable[[Any], dict[str, Any]]  # of the cars by which laps are told, if they are others
 
 
 def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
@@ -31,7 +32,7 @@ def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
         raise ConfigError(f"observation_config is {config!r:.200}; it must be a dictionary with a 'type'")
     kind = config["type"] or "original"
     if kind == "original":
-        return _original_space(env.num_agents), lambda: _original(env)
+        return _original_space(env.num_agents), lambda laps: _original(env, laps)
     if kind == "features":
         features = check_names("observation_config: features", config.get("features"), error=ConfigError)
         for name in features:
@@ -44,7 +45,7 @@ def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
         raise ConfigError(f"observation_config: type is {kind!r:.80}; it must be one of {known}")
     one: dict[str, spaces.Space[Any]] = {name: _feature_space(name) for name in features}
     space = spaces.Dict({name: spaces.Dict(one) for name in env.agent_ids})
-    return space, lambda: _features(env, features)
+    return space, lambda laps: _features(env, laps, features)
 
 
 def _box(low: float, high: float, shape: tuple[int, ...]) -> spaces.Box:
@@ -70,36 +71,37 @@ def _original_space(cars: int) -> spaces.Dict:
     )
 
 
-def _original(env: Any) -> dict[str, Any]:
-    sim = env.sim
-    columns = sim.states.T.astype(np.float32)
+def _original(env: Any, laps: Any) -> dict[str, Any]:
+    columns = env.sim.cars.T.astype(np.float32, order="C")
+    counted = columns if laps is None else laps.T.astype(np.float32, order="C")
     return {
         "ego_idx": env.ego_idx,
-        "scans": sim.agent_scans.astype(np.float32),
+        "scans": env.sim.agent_scans.astype(np.float32),
         "poses_x": columns[0],
         "poses_y": columns[1],
         "poses_theta": columns[4],
         "linear_vels_x": columns[3],
         "linear_vels_y": np.zeros(env.num_agents, np.float32),
         "ang_vels_z": columns[5],
-        "collisions": sim.collisions.astype(np.float32),
-        "lap_times": env.lap_times.astype(np.float32),
-        "lap_counts": env.lap_counts.astype(np.float32),
+        "collisions": columns[k.CRASHED],
+        "lap_times": counted[k.LAP_TIME],
+        "lap_counts": counted[k.LAPS],
     }
 
 
-def _features(env: Any, features: tuple[str, ...]) -> dict[str, Any]:
-    sim = env.sim
-    out = {}
+def _features(env: Any, laps: Any, features: tuple[str, ...]) -> dict[str, Any]:
+    sim, out = env.sim, {}
+    cars = sim.cars.astype(np.float32)
+    laps = cars if laps is None else laps.astype(np.float32)
     for i, name in enumerate(env.agent_ids):
-        x, y, delta, v, theta, rate, beta = sim.states[i].astype(np.float32)
+        x, y, delta, v, theta, rate, beta = cars[i, :7]
         values = {
             "scan": sim.agent_scans[i].astype(np.float32) if "scan" in features else None,
             "pose_x": x, "pose_y": y, "pose_theta": theta, "ang_vel_z": rate, "delta": delta, "beta": beta,
             "linear_vel_x": v * np.cos(beta), "linear_vel_y": v * np.sin(beta),
             # The gym forgets the contacts of cars here.
-            "collision": int(sim.walls[i] if env.faithful else sim.collisions[i]),
-            "lap_time": np.float32(env.lap_times[i]), "lap_count": np.float32(env.lap_counts[i]),
+            "collision": int(cars[i, k.WALL if env.faithful else k.CRASHED]),
+            "lap_time": laps[i, k.LAP_TIME], "lap_count": laps[i, k.LAPS],
         }  # fmt: skip
         out[name] = {feature: values[feature] for feature in features}
     return out
