@@ -19,11 +19,10 @@ IDS = {
 _NAMES = {
     "env": "F110Env",
     "generation_a": "GenerationA Integrator",
-    "generation_b": "GenerationB deep_update",
+    "generation_b": "GenerationB deep_update DynamicModel IntegratorType LongitudinalActionEnum SteerActionEnum",
     "simulator": "Simulator RaceCar",
     "lines": "Track TrackSpec Raceline CubicSpline2D nearest_point_on_trajectory",
-    "rendering": "EnvRenderer RenderSpec",
-    "old_names": "DynamicModel IntegratorType LongitudinalActionEnum SteerActionEnum get_vertices",
+    "rendering": "EnvRenderer RenderSpec get_vertices",
 }
 _WHERE = {name: module for module, names in _NAMES.items() for name in names.split()}
 

@@ -58,15 +58,14 @@ class F110Env(gymnasium.Env[Any, Any]):
     def _start(self, poses: ArrayLike, rng: np.random.Generator | None = None) -> None:
         """Put the cars at poses, and begin to count."""
         self.sim.reset(poses, rng)
-        sine, cosine = np.sin(-self.start_thetas[self.ego_idx]), np.cos(-self.start_thetas[self.ego_idx])
-        self.start_rot = np.array([[cosine, -sine], [sine, cosine]])
         self._started = True
 
     def _advance(self, action: ArrayLike) -> tuple[bool, dict[str, Any]]:
         """Make a step; whether the episode has ended, and the infos."""
         if not self._started:
             raise InputError("step() before reset(): the cars have no place yet; call reset() first")
-        done, infos = self.sim.step(action), {"checkpoint_done": self.toggle_list >= 4.0}
+        done = self.sim.step(action)
+        infos: dict[str, Any] = {"checkpoint_done": self.sim.cars[:, k.TOGGLES] >= 4.0}
         if not self.faithful:
             infos["at_fault"] = self.sim.cars[:, k.AT_FAULT] > 0.0
         return done, infos

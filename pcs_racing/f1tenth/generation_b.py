@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Mapping
 from copy import deepcopy
+from enum import Enum
 from typing import Any
 
 import numpy as np
@@ -23,10 +24,13 @@ _DEFAULTS: dict[str, Any] = {
     "integrator": "rk4", "model": "st", "control_input": ["speed", "steering_angle"],
     "observation_config": {"type": None}, "reset_config": {"type": None},
 }  # fmt: skip
-_PARTNERS = {
-    "accl": ("accl", "steering_speed"), "speed": ("speed", "steering_angle"),
-    "steering_speed": ("accl", "steering_speed"), "steering_angle": ("speed", "steering_angle"),
-}  # fmt: skip
+_PAIRS = ("accl", "steering_speed"), ("speed", "steering_angle")  # of which one is given without the other
+
+ENUMS = ("DynamicModel", "IntegratorType", "LongitudinalActionEnum", "SteerActionEnum")
+DynamicModel = Enum("DynamicModel", "KS ST")
+IntegratorType = Enum("IntegratorType", "RK4 Euler")
+LongitudinalActionEnum = Enum("LongitudinalActionEnum", "Accl Speed")
+SteerActionEnum = Enum("SteerActionEnum", "Steering_Angle Steering_Speed")
 
 
 def deep_update(mapping: dict[Any, Any], *updates: Mapping[Any, Any]) -> dict[Any, Any]:
@@ -41,18 +45,17 @@ def deep_update(mapping: dict[Any, Any], *updates: Mapping[Any, Any]) -> dict[An
 
 def control_types(given: Any) -> tuple[str, str]:
     """Return the longitudinal and the steering input; a single one gets its partner."""
-    if isinstance(given, str) and given in _PARTNERS:
-        pair = _PARTNERS[given]
-        warnings.warn(f"control_input is {given!r}: taken for {list(pair)}", UserWarning, stacklevel=4)
-        return pair
-    listed = isinstance(given, list | tuple) and all(isinstance(one, str) for one in given)
-    pair = tuple(given) if listed else ()
-    if len(pair) != 2 or pair[0] not in ("accl", "speed") or pair[1] not in ("steering_angle", "steering_speed"):
+    for pair in _PAIRS:
+        if isinstance(given, str) and given in pair:
+            warnings.warn(f"control_input is {given!r}: taken for {list(pair)}", UserWarning, stacklevel=4)
+            return pair
+    listed = isinstance(given, list | tuple) and len(given) == 2
+    if not listed or given[0] not in ("accl", "speed") or given[1] not in ("steering_angle", "steering_speed"):
         raise ConfigError(
             f"control_input is {given!r:.200}; it must be a list of 'speed' or 'accl', and 'steering_angle' or "
             "'steering_speed'"
         )
-    return pair
+    return given[0], given[1]
 
 
 class GenerationB(F110Env):
@@ -177,4 +180,4 @@ class GenerationB(F110Env):
                 fps=self.metadata["render_fps"] * (10.0 if self.render_mode == "human_fast" else 1.0),
             )
         )
-        return self.renderer.draw(self.sim.states, self.sim.collisions, self.current_time, self._callbacks)
+        return self.renderer.draw(self.sim.states, self.sim.time, self._callbacks)

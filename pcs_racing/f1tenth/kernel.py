@@ -139,56 +139,42 @@ def _drive(state, steer, longitudinal, p, setup, work):  # type: ignore[no-untyp
 
 
 @inner_kernel
-def _look_up(grid, x, y):  # type: ignore[no-untyped-def]
-    """Distance to the nearest wall in the gym's table, m; outside the map it is that of the last cell."""
-    rows, columns = grid.distance.shape
-    u, v = x - grid.origin_x, y - grid.origin_y
-    if u < 0.0 or u >= (columns - 2) * grid.cell or v < 0.0 or v >= (rows - 2) * grid.cell:
-        return grid.distance[rows - 2, columns - 2]
-    return grid.distance[min(int(v / grid.cell), rows - 3) + 1, min(int(u / grid.cell), columns - 3) + 1]
-
-
-@inner_kernel
 def _march(grid, x, y, sine, cosine, reach):  # type: ignore[no-untyped-def]
-    """Range of a beam as the gym's ray march finds it, m."""
-    near = _look_up(grid, x, y)
-    total = near
-    while near > EPSILON and total <= reach:
+    """Range of a beam as the gym's ray march finds it, m; outside the map it reads the last cell."""
+    rows, columns = grid.distance.shape
+    near = total = 0.0
+    while True:
         x += near * cosine
         y += near * sine
-        near = _look_up(grid, x, y)
+        u, v = x - grid.origin_x, y - grid.origin_y
+        i, j = rows - 2, columns - 2
+        if 0.0 <= u < (columns - 2) * grid.cell and 0.0 <= v < (rows - 2) * grid.cell:
+            i, j = min(int(v / grid.cell) + 1, i), min(int(u / grid.cell) + 1, j)
+        near = grid.distance[i, j]
         total += near
-    return min(total, reach)
-
-
-@inner_kernel
-def _exact_range(grid, x, y, sine, cosine, reach):  # type: ignore[no-untyped-def]
-    """Distance along a beam to the first face of a wall cell, m."""
-    rows, columns = grid.free.shape
-    u, v = (x - grid.origin_x) / grid.cell + 1.0, (y - grid.origin_y) / grid.cell + 1.0
-    if not (1.0 <= u < columns - 1.0 and 1.0 <= v < rows - 1.0):
-        return reach if grid.open_outside else 0.0
-    cells, i, j, side = cast(grid.free, u, v, cosine, sine, reach / grid.cell)
-    if side >= 0 and grid.open_outside:
-        i += (side == 2) - (side == 0)
-        j += (side == 1) - (side == 3)
-        if i == 0 or j == 0 or i == rows - 1 or j == columns - 1:
-            return reach
-    return min(cells * grid.cell, reach)
+        if near <= EPSILON or total > reach:
+            return min(total, reach)
 
 
 @inner_kernel
 def _scan(world, x, y, psi, work, out):  # type: ignore[no-untyped-def]
     """Write the exact ranges to the walls, m, shape (beams,)."""
-    beams = world.beams
+    beams, grid, reach = world.beams, world.grid, world.beams.max_range
     if world.setup.on_circuit and not inside_wall(world.track, x, y):
         s, _ = locate(world.track, x, y)
         scan_into(world.track, beams, x, y, psi, s, False, 0.0, 0.0, 0.0, 0.1, 0.1, work, out)
         return
     sine, cosine = sine_cosine(psi)
-    for k in range(out.shape[0]):
-        c, s = beams.cos[k], beams.sin[k]
-        out[k] = _exact_range(world.grid, x, y, sine * c + cosine * s, cosine * c - sine * s, beams.max_range)
+    rows, columns = grid.free.shape
+    u, v = (x - grid.origin_x) / grid.cell + 1.0, (y - grid.origin_y) / grid.cell + 1.0
+    inside = 1.0 <= u < columns - 1.0 and 1.0 <= v < rows - 1.0
+    out[:] = reach if grid.open_outside else 0.0
+    for k in range(out.shape[0] if inside else 0):
+        s, c = sine * beams.cos[k] + cosine * beams.sin[k], cosine * beams.cos[k] - sine * beams.sin[k]
+        cells, i, j, side = cast(grid.free, u, v, c, s, reach / grid.cell)
+        i, j = i + (side == 2) - (side == 0), j + (side == 1) - (side == 3)
+        framed = side >= 0 and (i == 0 or j == 0 or i == rows - 1 or j == columns - 1)
+        out[k] = reach if framed and grid.open_outside else min(cells * grid.cell, reach)
 
 
 @inner_kernel
@@ -313,20 +299,10 @@ def _count_lap(world, cars, i):  # type: ignore[no-untyped-def]
 def advance(world, cars, actions, noise, now, scans, inverse, work):  # type: ignore[no-untyped-def]
     """Advance all cars in place by one step, and write what their lidars measure; returns whether the episode ends.
 
-    Parameters
-    ----------
-    world : World
-    cars : ndarray, shape (N, COLUMNS)
-    actions : ndarray, shape (N, 2)
-        Steering, then speed or acceleration.
-    noise : ndarray, shape (1 or N, beams)
-        What is added to the ranges, m: the same for all cars, or to each its own.
-    now : float
-        Time after the step, s. Times of laps stop when a car has two.
-    scans : ndarray, shape (N, beams)
-        Written, m.
-    inverse, work : ndarray, shapes (beams,) and WORK_SHAPE
-        Room to work in.
+    Shapes are those of ``cars`` (N, COLUMNS), ``actions`` (N, 2): steering, then speed or acceleration; ``noise`` (1 or
+    N, beams), m, the same for all cars or each its own; ``scans`` (N, beams), written, m; ``inverse`` (beams,) and
+    ``work``, of the lidar's WORK_SHAPE, which are scratch. ``now`` is the time after the step, s; times of laps stop
+    when a car has two.
     """
     count, setup = cars.shape[0], world.setup
     for i in range(count):

@@ -43,32 +43,24 @@ def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
     else:
         known = ", ".join(["original", "features", *TYPES])
         raise ConfigError(f"observation_config: type is {kind!r:.80}; it must be one of {known}")
-    one: dict[str, spaces.Space[Any]] = {name: _feature_space(name) for name in features}
-    space = spaces.Dict({name: spaces.Dict(one) for name in env.agent_ids})
-    return space, lambda laps: _features(env, laps, features)
+    one = {name: _bounds(name) for name in features}
+    return spaces.Dict({name: spaces.Dict(one) for name in env.agent_ids}), lambda laps: _features(env, laps, features)
 
 
-def _box(low: float, high: float, shape: tuple[int, ...]) -> spaces.Box:
+def _box(low: float, high: float, *shape: int) -> spaces.Space[Any]:
     return spaces.Box(low, high, shape, np.float32)
 
 
-def _feature_space(name: str) -> spaces.Box:
-    if name == "scan":
-        return _box(0.0, RANGE, (BEAMS,))
-    low, high = {"collision": (0.0, 1.0), "lap_time": (0.0, _LARGE), "lap_count": (0.0, _LARGE)}.get(
-        name, (-_LARGE, _LARGE)
-    )
-    return _box(low, high, ())
+def _bounds(name: str, *cars: int) -> spaces.Space[Any]:
+    """Space of a feature, or of one of the original numbers of all cars."""
+    if name.startswith("scan"):
+        return _box(0.0, RANGE + 0.5 * len(cars), *cars, BEAMS)
+    return _box(0.0 if name[:3] in ("col", "lap") else -_LARGE, 1.0 if name[:3] == "col" else _LARGE, *cars)
 
 
 def _original_space(cars: int) -> spaces.Dict:
-    names = ("poses_x", "poses_y", "poses_theta", "linear_vels_x", "linear_vels_y", "ang_vels_z")
-    return spaces.Dict(
-        {"ego_idx": spaces.Discrete(cars), "scans": _box(0.0, RANGE + 0.5, (cars, BEAMS))}
-        | {name: _box(-_LARGE, _LARGE, (cars,)) for name in names}
-        | {"collisions": _box(0.0, 1.0, (cars,))}
-        | {name: _box(0.0, _LARGE, (cars,)) for name in ("lap_times", "lap_counts")}
-    )
+    names = "scans poses_x poses_y poses_theta linear_vels_x linear_vels_y ang_vels_z collisions lap_times lap_counts"
+    return spaces.Dict({"ego_idx": spaces.Discrete(cars)} | {name: _bounds(name, cars) for name in names.split()})
 
 
 def _original(env: Any, laps: Any) -> dict[str, Any]:

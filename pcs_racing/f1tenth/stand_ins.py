@@ -16,16 +16,7 @@ import gymnasium
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.f1tenth import (
-    env,
-    generation_a,
-    generation_b,
-    lines,
-    old_names,
-    old_numpy,
-    register_environments,
-    rendering,
-)
+from pcs_racing.f1tenth import env, generation_a, generation_b, lines, old_numpy, register_environments, rendering
 from pcs_racing.f1tenth import observations as seen
 from pcs_racing.f1tenth import simulator as cars
 from pcs_racing.f1tenth.maps import find_yaml
@@ -34,65 +25,45 @@ from pcs_racing.f1tenth.maps import find_yaml
 class NotServedError(InputError, ImportError):
     """A name of the gym that is not here."""
 
+    def __init__(self, module: str, name: str) -> None:
+        hint = " (EnvConfig and its like belong to the gym's development line: use a dictionary as config)"
+        hint = hint if "f1tenth_gym" in module else ""
+        super().__init__(f"{module} has no {name!r} here: pcs_racing.f1tenth serves what racing programs use{hint}")
+
 
 class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """A wrapper as in gym: it shows the attributes of what it wraps, and hands on any values."""
+    """A wrapper as in gym: it shows the attributes of what it wraps, hands on any values, and may change three."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(self.env, name)
 
+    def observation(self, observation: Any) -> Any:
+        """Return the changed observation, wherever it stands in front of other values."""
+        return observation
+
+    def action(self, action: Any) -> Any:
+        """Return the changed action."""
+        return action
+
+    def reward(self, reward: Any) -> Any:
+        """Return the changed reward."""
+        return reward
+
     def reset(self, *args: Any, **named: Any) -> Any:
         """Reset what is wrapped, with any arguments."""
-        return self.env.reset(*args, **named)
+        answer = self.env.reset(*args, **named)
+        return (self.observation(answer[0]), *answer[1:]) if isinstance(answer, tuple) else self.observation(answer)
+
+    def step(self, action: Any) -> Any:
+        """Step what is wrapped."""
+        obs, reward, *rest = self.env.step(self.action(action))
+        return (self.observation(obs), self.reward(reward), *rest)
 
     def render(self, *args: Any, **named: Any) -> Any:
         """Render what is wrapped, with any arguments."""
         return self.env.render(*args, **named)
-
-
-class ObservationWrapper(Wrapper):
-    """Changes observations by ``observation``, wherever they stand in front of other values."""
-
-    def observation(self, observation: Any) -> Any:
-        """Return the changed observation."""
-        raise NotImplementedError
-
-    def reset(self, *args: Any, **named: Any) -> Any:
-        """Reset, and change the observation."""
-        obs, *rest = self.env.reset(*args, **named)
-        return (self.observation(obs), *rest)
-
-    def step(self, action: Any) -> Any:
-        """Step, and change the observation."""
-        obs, *rest = self.env.step(action)
-        return (self.observation(obs), *rest)
-
-
-class RewardWrapper(Wrapper):
-    """Changes rewards by ``reward``."""
-
-    def reward(self, reward: Any) -> Any:
-        """Return the changed reward."""
-        raise NotImplementedError
-
-    def step(self, action: Any) -> Any:
-        """Step, and change the reward."""
-        obs, reward, *rest = self.env.step(action)
-        return (obs, self.reward(reward), *rest)
-
-
-class ActionWrapper(Wrapper):
-    """Changes actions by ``action``."""
-
-    def action(self, action: Any) -> Any:
-        """Return the changed action."""
-        raise NotImplementedError
-
-    def step(self, action: Any) -> Any:
-        """Change the action, and step."""
-        return self.env.step(self.action(action))
 
 
 _GL = (
@@ -110,16 +81,16 @@ def _ignored(*args: Any, **named: Any) -> None:
 def _contents() -> dict[str, dict[str, Any]]:
     """What each module holds."""
     a: dict[str, Any] = {"F110Env": generation_a.GenerationA, "Integrator": generation_a.Integrator}
-    parts = {"Simulator": cars.Simulator, "RaceCar": cars.RaceCar, "get_vertices": old_names.get_vertices}
+    parts = {"Simulator": cars.Simulator, "RaceCar": cars.RaceCar, "get_vertices": rendering.get_vertices}
     a |= parts | {"gym": gymnasium, "np": np}
     b: dict[str, Any] = {"F110Env": generation_b.GenerationB, "deep_update": generation_b.deep_update, **parts}
     track = {name: getattr(lines, name) for name in ("Track", "TrackSpec", "Raceline", "CubicSpline2D")}
     track["nearest_point_on_trajectory"] = lines.nearest_point_on_trajectory
     track["find_track_dir"] = lambda name: find_yaml(name).parent
-    enums = {name: value for name, value in vars(old_names).items() if name[0].isupper()}
+    enums = {name: getattr(generation_b, name) for name in generation_b.ENUMS}
     draw = {"EnvRenderer": rendering.EnvRenderer, "RenderSpec": rendering.RenderSpec}
     gl = {name: k for k, name in enumerate((*_GL.split(), *_MORE_GL.split()))} | dict.fromkeys(_CALLS.split(), _ignored)
-    wrappers = {cls.__name__: cls for cls in (Wrapper, ObservationWrapper, RewardWrapper, ActionWrapper)}
+    wrappers = dict.fromkeys(("Wrapper", "ObservationWrapper", "RewardWrapper", "ActionWrapper"), Wrapper)
     gym = {
         name: getattr(gymnasium, name) for name in ("Env", "Space", "make", "register", "spaces", "vector", "logger")
     }
@@ -150,16 +121,10 @@ def _contents() -> dict[str, dict[str, Any]]:
         "pyglet": {"options": {}, "version": "1.4"},
         "pyglet.gl": gl,
         "pyglet.graphics": {"Batch": rendering.Batch},
-        "pyglet.text": {"Label": rendering.Label},
+        "pyglet.text": {"Label": rendering.Drawing},
         "pyglet.window": {},
         "pyglet.shapes": {},
     }
-
-
-def _refuse(module: str, name: str) -> NotServedError:
-    old = "f1tenth_gym" in module
-    hint = " (EnvConfig and its like belong to the gym's development line: use a dictionary as config)" if old else ""
-    return NotServedError(f"{module} has no {name!r} here: pcs_racing.f1tenth serves what racing programs use{hint}")
 
 
 class _Refuser(MetaPathFinder):
@@ -174,7 +139,7 @@ class _Refuser(MetaPathFinder):
             sys.modules[fullname] = import_module(f"gymnasium.{rest}")
             return sys.modules[fullname].__spec__
         if package in ("gym", "f110_gym", "f1tenth_gym") and rest:
-            raise _refuse(*fullname.rsplit(".", 1))
+            raise NotServedError(*fullname.rsplit(".", 1))
         return None
 
 
@@ -205,6 +170,6 @@ def _missing(module: str) -> Any:
             raise AttributeError(name)
         if module.startswith("gym"):
             return getattr(import_module(module.replace("gym", "gymnasium", 1)), name)
-        raise _refuse(module, name)
+        raise NotServedError(module, name)
 
     return get
