@@ -28,8 +28,7 @@ from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing.envs.opponents import parse_opponents
-from pcs_racing.f1tenth.generation_a import GenerationA
-from pcs_racing.f1tenth.generation_b import GenerationB
+from pcs_racing.f1tenth.env import GenerationA, GenerationB
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.game.state import load_game, save_game
 from pcs_racing.planners.trained import DRIVER_FORMAT, read_driver

@@ -126,7 +126,7 @@ class Simulator:
         self.cars, self.agent_scans = np.zeros((cars, k.COLUMNS)), np.zeros((cars, BEAMS))
         self.agents = [RaceCar(self, i) for i in range(cars)]
         self.rng, self._noise, self._steps = np.random.default_rng(seed), SameNoise(seed), 0
-        self.time = 0.0  #: s
+        self.time, self.started = 0.0, False  # s
 
     states = property(lambda self: self.cars[:, :7])
     agent_poses = property(lambda self: self.cars[:, k.AT_X : k.AT_PSI + 1])
@@ -171,7 +171,7 @@ class Simulator:
             self.cars[:, k.LAP_TIME : k.LAPS + 1] = before[:, k.LAP_TIME : k.LAPS + 1]
         elif self.setup.on_circuit:
             self.cars[:, k.PLACE] = self.track.to_frenet(at[:, :2])[:, 0]
-        self._steps, self.time = 0, 0.0
+        self._steps, self.time, self.started = 0, 0.0, True
         self.rng = rng or self.rng
 
     def step(self, control_inputs: ArrayLike) -> bool:

@@ -15,11 +15,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from pcs_racing import f1tenth
 from pcs_racing.base.errors import InputError
-from pcs_racing.f1tenth import env, generation_a, generation_b, lines, old_numpy, register_environments, rendering
-from pcs_racing.f1tenth import observations as seen
-from pcs_racing.f1tenth import simulator as cars
+from pcs_racing.f1tenth import env, old_numpy, rendering
 from pcs_racing.f1tenth.maps import find_yaml
+from pcs_racing.f1tenth.observations import FEATURES
 
 
 class NotServedError(InputError, ImportError):
@@ -66,12 +66,17 @@ class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self.env.render(*args, **named)
 
 
+_A = "f110_env base_classes dynamic_models collision_models laser_models rendering"
+_B = (
+    "f110_env base_classes action integrator dynamic_models collision_models laser_models observation reset utils "
+    "rendering rendering.renderer track track.track track.raceline track.cubic_spline track.utils"
+)
 _GL = (
     "GL_POINTS GL_LINES GL_LINE_LOOP GL_LINE_STRIP GL_TRIANGLES GL_TRIANGLE_STRIP GL_TRIANGLE_FAN GL_QUADS "
-    "GL_QUAD_STRIP GL_POLYGON"
+    "GL_QUAD_STRIP GL_POLYGON GL_BLEND GL_SRC_ALPHA GL_ONE_MINUS_SRC_ALPHA GL_LINE_SMOOTH GL_POINT_SMOOTH "
+    "GL_LINE_SMOOTH_HINT GL_NICEST"
 )
 _CALLS = "glPointSize glLineWidth glEnable glDisable glBlendFunc glClearColor glHint glColor3f glColor4f"
-_MORE_GL = "GL_BLEND GL_SRC_ALPHA GL_ONE_MINUS_SRC_ALPHA GL_LINE_SMOOTH GL_POINT_SMOOTH GL_LINE_SMOOTH_HINT GL_NICEST"
 
 
 def _ignored(*args: Any, **named: Any) -> None:
@@ -79,47 +84,21 @@ def _ignored(*args: Any, **named: Any) -> None:
 
 
 def _contents() -> dict[str, dict[str, Any]]:
-    """What each module holds."""
-    a: dict[str, Any] = {"F110Env": generation_a.GenerationA, "Integrator": generation_a.Integrator}
-    parts = {"Simulator": cars.Simulator, "RaceCar": cars.RaceCar, "get_vertices": rendering.get_vertices}
-    a |= parts | {"gym": gymnasium, "np": np}
-    b: dict[str, Any] = {"F110Env": generation_b.GenerationB, "deep_update": generation_b.deep_update, **parts}
-    track = {name: getattr(lines, name) for name in ("Track", "TrackSpec", "Raceline", "CubicSpline2D")}
-    track["nearest_point_on_trajectory"] = lines.nearest_point_on_trajectory
-    track["find_track_dir"] = lambda name: find_yaml(name).parent
-    enums = {name: getattr(generation_b, name) for name in generation_b.ENUMS}
-    draw = {"EnvRenderer": rendering.EnvRenderer, "RenderSpec": rendering.RenderSpec}
-    gl = {name: k for k, name in enumerate((*_GL.split(), *_MORE_GL.split()))} | dict.fromkeys(_CALLS.split(), _ignored)
-    wrappers = dict.fromkeys(("Wrapper", "ObservationWrapper", "RewardWrapper", "ActionWrapper"), Wrapper)
-    gym = {
-        name: getattr(gymnasium, name) for name in ("Env", "Space", "make", "register", "spaces", "vector", "logger")
-    }
-    b_parts = "base_classes action integrator dynamic_models collision_models laser_models observation reset utils"
+    """What each module holds: those of the gym all names of it that are here."""
+    known = {name: getattr(f1tenth, name) for name in f1tenth.NAMES} | {"gym": gymnasium, "np": np}
+    track = {"find_track_dir": lambda name: find_yaml(name).parent, "FEATURES": FEATURES}
+    shared = "Env Space make register spaces vector logger"
+    gym = {name: getattr(gymnasium, name) for name in shared.split()} | {"__version__": "0.21.0"}
+    gym |= dict.fromkeys(("Wrapper", "ObservationWrapper", "RewardWrapper", "ActionWrapper"), Wrapper)
+    own = ("gym.spaces", "gym.error", "gym.utils", "gym.utils.seeding", "gym.envs.registration")
+    a, b = known | {"F110Env": env.GenerationA}, known | track | {"F110Env": env.GenerationB}
     return {
-        "gym": gym | wrappers | {"__version__": "0.21.0"},
-        "gym.spaces": vars(gymnasium.spaces),
-        "gym.core": gym | wrappers,
-        "gym.wrappers": {},
-        "gym.error": vars(gymnasium.error),
-        "gym.envs": {},
-        "gym.envs.registration": vars(gymnasium.envs.registration),
-        "gym.utils": vars(gymnasium.utils),
-        "gym.utils.seeding": vars(gymnasium.utils.seeding),
-        "f110_gym": {},
-        "f110_gym.envs": a,
-        **{f"f110_gym.envs.{name}": a for name in ("f110_env", "base_classes", "dynamic_models", "collision_models")},
-        "f110_gym.envs.laser_models": a,
-        "f110_gym.envs.rendering": draw,
-        "f1tenth_gym": {},
-        "f1tenth_gym.envs": b,
-        "f1tenth_gym.envs.f110_env": b,
-        **{f"f1tenth_gym.envs.{name}": {**b, **enums, "FEATURES": seen.FEATURES} for name in b_parts.split()},
-        "f1tenth_gym.envs.rendering": draw | {"TrackRenderer": rendering.TrackRenderer},
-        "f1tenth_gym.envs.rendering.renderer": draw,
-        "f1tenth_gym.envs.track": track,
-        **{f"f1tenth_gym.envs.track.{name}": track for name in ("track", "raceline", "cubic_spline", "utils")},
+        **dict.fromkeys(("gym", "gym.core", "gym.wrappers", "gym.envs"), gym),
+        **{name: vars(import_module(name.replace("gym", "gymnasium", 1))) for name in own},
+        **dict.fromkeys(("f110_gym", "f110_gym.envs", *(f"f110_gym.envs.{name}" for name in _A.split())), a),
+        **dict.fromkeys(("f1tenth_gym", "f1tenth_gym.envs", *(f"f1tenth_gym.envs.{name}" for name in _B.split())), b),
         "pyglet": {"options": {}, "version": "1.4"},
-        "pyglet.gl": gl,
+        "pyglet.gl": dict(zip(_GL.split(), range(17), strict=True)) | dict.fromkeys(_CALLS.split(), _ignored),
         "pyglet.graphics": {"Batch": rendering.Batch},
         "pyglet.text": {"Label": rendering.Drawing},
         "pyglet.window": {},
@@ -145,8 +124,7 @@ class _Refuser(MetaPathFinder):
 
 def install() -> None:
     """Provide the modules in this process, and what an older numpy had."""
-    register_environments()
-    env.F110Env.current_obs = None  # type: ignore[attr-defined]
+    f1tenth.register_environments()
     contents = _contents()
     # A pyglet that is installed would open windows of its own: everything is drawn by our renderer.
     for name, values in contents.items():

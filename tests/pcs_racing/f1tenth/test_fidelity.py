@@ -12,8 +12,7 @@ import pytest
 from situations import CELL, RADIUS, place, run_theirs, situations, steer_round, write_ring
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.f1tenth.generation_a import GenerationA
-from pcs_racing.f1tenth.generation_b import GenerationB
+from pcs_racing.f1tenth.env import GenerationA, GenerationB
 from pcs_racing.f1tenth.lines import Track
 
 STEPS = 1000
