@@ -18,6 +18,8 @@ Every environment uses the same names, and every value is a number or an array o
 | `policy` | index of the policy in the archive; -1 for a driver from outside |
 | `laps` | complete laps of the own car, from one forward crossing of the line s = 0 to the next |
 | `lap_time`, `best_lap` | s, of the last and the shortest of these laps; -1 if there is none |
+| `poses` | of the control level: x, y (m) and heading (rad) of every car, the own one first, shape (N, 3) |
+| `velocities` | likewise: forward and to the left (m/s), and yaw rate (rad/s), each in the frame of its car |
 | `track` | number of the episode's circuit, where there are several |
 | `obstacles` | how many stand on the track, if they are drawn |
 | `friction`, `mass`, `steering_delay`, `steering_noise`, `lidar_noise` | what was drawn for the episode, if it was |
@@ -31,6 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.race.config import DT
 from pcs_racing.race.state import BEST_LAP, LAP_TIME, MOST_CROSSINGS, NO_LAP, RaceState
 
@@ -97,6 +100,14 @@ def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
     }
     infos = {name: of_players(values, players) for name, values in of_cars.items()}
     return {"time": np.repeat(races.tick * DT, players), **infos}
+
+
+def all_poses(cars: NDArray[np.float64], players: Iterable[int]) -> dict[str, NDArray[np.float64]]:
+    """Where all cars of B races are and how they move, shape (B * players, N, 3) each: the player's own car first."""
+    order = [[player, *(car for car in range(cars.shape[1]) if car != player)] for player in players]
+    seen = cars[:, order].reshape(-1, *cars.shape[1:])
+    v, turned = seen[..., 3], [one.reshape(seen.shape[:-1]) for one in sines_cosines(seen[..., 6].ravel())]
+    return {"poses": seen[..., [0, 1, 4]], "velocities": np.stack([v * turned[1], v * turned[0], seen[..., 5]], axis=-1)}
 
 
 def race_results(winner: NDArray[np.int8], crashed: NDArray[np.bool_], players: int) -> NDArray[np.int64]:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_text, check_whole
 from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing.base.errors import InputError
+from pcs_racing.envs.models import ModelDriver, is_model, model_policy
 from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
@@ -179,6 +180,7 @@ class Driver(PolicySet):
     def content_hash(self) -> str:
         """SHA-256 of its planner's name, its parameters and its network's weights, without its name."""
         weights = [self.facts["weights sha256"]] if "weights sha256" in self.facts else []
+        weights += [self.planner.drive.content_hash] if isinstance(self.planner.drive, ModelDriver) else []
         return fingerprint(
             self.planner.name, self.planner.parameter_names, [p.parameters for p in self.policies], *weights
         )
@@ -209,9 +211,13 @@ def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
     Parameters
     ----------
     candidate : Agent, Driver, Policy, object with ``predict`` or with ``decide``
+        A model whose actions are steering and speed becomes a driver
+        (:func:`pcs_racing.envs.models.model_policy`).
     name : str, optional
         Name in place of its own.
     """
+    if is_model(candidate) and not isinstance(candidate, str):
+        candidate = model_policy(candidate, name=name)
     if isinstance(candidate, Policy):
         return Driver(name or candidate.name, (candidate,))
     if isinstance(candidate, type) or not isinstance(candidate, Agent | Driver | Predictor | Decider):

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.envs.models import is_model, model_policy
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.recording import LAST_INDEX, record_race
@@ -71,7 +72,7 @@ def run(
 def _policy(option: str, text: str) -> Policy:
     """Read a policy; an agent, which is none, is told where it can race."""
     try:
-        return parse_policy(text)
+        return model_policy(text) if is_model(text) else parse_policy(text)
     except UnknownNameError:
         from pcs_racing_agents.agents import zoo
 

@@ -1,0 +1,244 @@
+"""Models that were trained in `Drive` or `drive_head_to_head` as drivers, which race wherever a policy does.
+
+A model decides from what it observed in training: the arguments of its environment are kept beside it. Every model that
+is due in a batch of races is asked in one call.
+"""
+
+import hashlib
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from pcs_racing.base.checks import check_whole
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
+from pcs_racing.car.lidar_kernel import WORK_SHAPE
+from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.envs.drive_kernel import SEEN_SHAPE, Sight, observe_car
+from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, shares
+from pcs_racing.envs.sb3_files import actor_of, load_sb3_policy
+from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.race.kernel import KernelSettings
+from pcs_racing.race.state import MOST_CARS, RaceState
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.maps import list_tracks
+from pcs_racing.track.track import Track
+
+KEPT = (
+    "time_step", "top_speed", "beams", "fov", "max_range", "lidar_noise", "look_ahead", "own_state", "own_pose",
+    "see_opponent", "time_left", "normalize", "normalized",
+)  # fmt: skip
+"""Arguments of an environment that say what a model observes and what its actions mean."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelDriver:
+    """What a race asks for the commands of a model: see :func:`model_policy`."""
+
+    name: str
+    model: Any
+    options: DriveOptions
+    cars: int  #: In the races of the training.
+
+    @property
+    def hold(self) -> int:
+        """Simulation steps for which a command holds."""
+        return self.options.ticks
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 of the weights and of the arguments."""
+        own = getattr(self.model, "content_hash", None)
+        state = getattr(getattr(self.model, "policy", self.model), "state_dict", None)
+        if own is None and not callable(state):
+            raise InputError(f"results of {self.name!r} can't be kept in a folder: give the model a content_hash")
+        digest = hashlib.sha256(f"{own} {self.cars} {_plain(self.options)}".encode())
+        for key, tensor in sorted(state().items()) if own is None else ():  # type: ignore[misc]
+            digest.update(key.encode() + tensor.detach().cpu().numpy().tobytes())
+        return digest.hexdigest()
+
+    @cached_property
+    def _sight(self) -> Sight:
+        return make_sight(self.options, self.cars, 1, load_track(list_tracks()[0]))
+
+    def commands(
+        self,
+        track: Track,
+        state: RaceState,
+        rows: NDArray[np.int64],
+        car: int,
+        vehicles: NDArray[np.float64],
+        settings: KernelSettings,
+    ) -> NDArray[np.float64]:
+        """Return steering angles (rad) and speeds (m/s) for one car of the races ``rows``, shape (n, 2)."""
+        line, noise = track.arrays.line, np.full(state.races, float(self.options.lidar_noise))
+        ahead = np.array([round(one / track.arrays.ds) % len(line) for one in self.options.look_ahead], np.int64)
+        sight = self._sight._replace(ahead=ahead, noise=noise, end_tick=settings.end_tick)
+        seen = np.empty((len(rows), len(sight.low)), np.float32)
+        buffers = np.empty(len(sight.low)), np.empty(SEEN_SHAPE), np.empty(WORK_SHAPE)
+        observe_car(track.arrays, state, vehicles, sight, rows, car, *buffers, seen)
+        turn, top = self.options.limits
+        kept = np.clip(self._answers(seen), -1.0, 1.0)
+        return np.stack([turn * kept[:, 0], 0.5 * top * (1.0 + kept[:, 1])], axis=1)
+
+    def _answers(self, seen: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Actions in [-1, 1], before they are clipped."""
+        torch, answer = sys.modules.get("torch"), None
+        if hasattr(self.model, "predict"):
+            answer, after = self.model.predict(seen, None, None, True)
+            if after is not None:
+                raise InputError(f"model {self.name!r} keeps a state from step to step; such models can't race here")
+        elif torch is not None and isinstance(self.model, torch.nn.Module):
+            with torch.no_grad():
+                answer = self.model(torch.from_numpy(seen))
+                answer = (answer[0] if isinstance(answer, tuple) else answer).numpy()
+        else:
+            answer = self.model(seen)
+        actions = np.asarray(answer, np.float64)
+        if actions.shape != (len(seen), 2) or not np.isfinite(actions).all():
+            raise InputError(
+                f"model {self.name!r} answered {answer!r:.80} to observations of shape {seen.shape}; it must give "
+                f"finite numbers of shape ({len(seen)}, 2): steering and speed"
+            )
+        # A last layer with a tanh gives shares of the space of actions, whatever its unit.
+        return actions if getattr(self.model, "squash", False) else shares(actions, self.options)
+
+
+class ModelPlanner(Planner):
+    """The planner of a model: it has no parameters, and is made anew in another process."""
+
+    def __reduce__(self) -> Any:
+        return ModelPlanner, (self.name, (), *[getattr(self, one) for one in ("plan", "control")], 0, 0, self.drive)
+
+
+def model_policy(model: Any, *, name: str | None = None, cars: int | None = None, **arguments: Any) -> Policy:
+    """Return a model as a driver of races.
+
+    Parameters
+    ----------
+    model : object or path
+        One of these: a model of Stable-Baselines3 or anything with its ``predict``; a torch module; a function of
+        observations, shape (n, D), that returns actions, (n, 2); or a file ``.zip`` of Stable-Baselines3 with an
+        MlpPolicy, of which only numbers are read. Models that keep a state (LSTM) are refused.
+    name : str, optional
+        What tables call it.
+    cars : int, optional
+        Cars in a race of its training, 2 by default.
+    **arguments
+        Of the environment that it was trained in, :data:`KEPT`. By default those of :func:`save_model`'s file beside
+        the zip, or of the environment that a model of Stable-Baselines3 is connected to, else `Drive`'s.
+
+    Examples
+    --------
+    >>> straight = model_policy(lambda seen: 0.0 * seen[:, :2], name="straight", time_step=0.2)
+    >>> straight.name
+    'straight'
+    """
+    kept: Mapping[str, Any] = {}
+    if isinstance(model, str | Path):
+        path = Path(model)
+        kept, model = _read(path.with_suffix(".yaml"), bool(arguments)), load_sb3_policy(path)
+        name = name or str(path)
+    elif not arguments and callable(getattr(model, "get_env", None)) and model.get_env() is not None:
+        kept = _arguments_of(model.get_env())
+    given = dict(kept) | arguments
+    number = check_whole("cars", given.pop("cars", 2) if cars is None else cars, 1, MOST_CARS)
+    for key in given:
+        if key not in (*KEPT, "vehicle"):
+            raise InputError(f"a model's argument {key!r} is unknown; there are cars, {', '.join(KEPT)}")
+    options = DriveOptions(**given)
+    name = name or getattr(model, "name", None) or getattr(model, "__name__", None) or type(model).__name__
+    return policy_of(model, str(name), options, number)
+
+
+def policy_of(model: Any, name: str, options: DriveOptions, cars: int) -> Policy:
+    """Return the driver of a model for arguments of an environment, whose observations and actions must fit."""
+    count = len(drive_elements(options, cars))
+    for space, wanted in (("observation_space", (count,)), ("action_space", (2,))):
+        shape = getattr(getattr(model, space, None), "shape", None)
+        if shape is not None and tuple(shape) != wanted:
+            raise InputError(
+                f"model {name!r} has the {space} {tuple(shape)}; with these arguments of Drive it is {wanted}: "
+                "give those that it was trained with, model_policy(model, beams=..., ...)"
+            )
+    state = getattr(getattr(model, "policy", None), "state_dict", None)
+    if callable(state) and type(getattr(model.policy, "features_extractor", None)).__name__ in _PLAIN:
+        # Plain layers decide the same in every process and every size of a batch, and need no torch.
+        activation = getattr(getattr(model.policy, "activation_fn", None), "__name__", None)
+        with suppress(InputError):
+            model = actor_of(name, state(), activation)
+    driver = ModelDriver(name, model, options, cars)
+    return Policy(ModelPlanner(name, (), drive=driver), np.empty(0), name)  # type: ignore[arg-type]
+
+
+_PLAIN = ("FlattenExtractor", "NoneType")
+
+
+def is_model(candidate: Any) -> bool:
+    """Whether something is a model for steering and speed: a ``.zip``, a torch module, or of two numbers an action."""
+    if isinstance(candidate, str | Path):
+        return str(candidate).endswith(".zip")
+    torch = sys.modules.get("torch")
+    space = getattr(candidate, "action_space", None)
+    plain = torch is not None and isinstance(candidate, torch.nn.Module) and not hasattr(candidate, "predict")
+    return plain or (hasattr(candidate, "predict") and getattr(space, "shape", None) == (2,))
+
+
+def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
+    """Save a model of Stable-Baselines3, and beside the zip the arguments of its environment as ``.yaml``.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of the zip.
+    model : BaseAlgorithm
+    env : Env, VecEnv or VectorEnv, optional
+        The environment that it was trained in; by default that which it is connected to.
+    """
+    target = Path(path).with_suffix(".zip")
+    arguments = _arguments_of(model.get_env() if env is None else env)
+    model.save(target)
+    text = yaml.safe_dump(arguments, sort_keys=False).encode()
+    write_atomically(target.with_suffix(".yaml"), lambda file: file.write(text))
+    return target
+
+
+def _plain(options: DriveOptions) -> dict[str, Any]:
+    """The arguments that are kept, in the form of a YAML file."""
+    values = {name: getattr(options, name) for name in KEPT} | {"look_ahead": list(options.look_ahead)}
+    cars = options.vehicle if isinstance(options.vehicle, tuple) else (options.vehicle,)
+    if any(car != F1TENTH for car in cars):
+        values["vehicle"] = [asdict(car) for car in cars]
+    return values
+
+
+def _arguments_of(env: Any) -> dict[str, Any]:
+    """The arguments of an environment at the control level, whatever wraps it."""
+    seen = env
+    while seen is not None:
+        if type(seen).__name__ in ("VecNormalize", "VecFrameStack"):
+            raise InputError(f"the model was trained behind {type(seen).__name__}, which is not supported here")
+        options = getattr(vars(seen).get("batch"), "options", None)
+        if isinstance(options, DriveOptions):
+            return {"cars": int(seen.batch.cars), **_plain(options)}
+        inner = [vars(seen).get(name) for name in ("groups", "envs")]
+        seen = next((one[0] for one in inner if one), vars(seen).get("venv", vars(seen).get("env")))
+    raise InputError(f"{type(env).__name__} is no environment of steering and speed that can be looked into; give env=")
+
+
+def _read(file: Path, optional: bool) -> dict[str, Any]:
+    if optional and not file.is_file():
+        return {}
+    if not file.is_file():
+        raise InputError(
+            f"there is no file {file} with the arguments of the model's environment; save_model(path, model) writes it"
+        )
+    return parse_yaml(file, read_limited(file, MAX_YAML, "the arguments of a model", InputError))
