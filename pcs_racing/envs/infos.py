@@ -107,7 +107,10 @@ def all_poses(cars: NDArray[np.float64], players: Iterable[int]) -> dict[str, ND
     order = [[player, *(car for car in range(cars.shape[1]) if car != player)] for player in players]
     seen = cars[:, order].reshape(-1, *cars.shape[1:])
     v, turned = seen[..., 3], [one.reshape(seen.shape[:-1]) for one in sines_cosines(seen[..., 6].ravel())]
-    return {"poses": seen[..., [0, 1, 4]], "velocities": np.stack([v * turned[1], v * turned[0], seen[..., 5]], axis=-1)}
+    return {
+        "poses": seen[..., [0, 1, 4]],
+        "velocities": np.stack([v * turned[1], v * turned[0], seen[..., 5]], axis=-1),
+    }
 
 
 def race_results(winner: NDArray[np.int8], crashed: NDArray[np.bool_], players: int) -> NDArray[np.int64]:

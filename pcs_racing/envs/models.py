@@ -182,16 +182,6 @@ def policy_of(model: Any, name: str, options: DriveOptions, cars: int) -> Policy
 _PLAIN = ("FlattenExtractor", "NoneType")
 
 
-def is_model(candidate: Any) -> bool:
-    """Whether something is a model for steering and speed: a ``.zip``, a torch module, or of two numbers an action."""
-    if isinstance(candidate, str | Path):
-        return str(candidate).endswith(".zip")
-    torch = sys.modules.get("torch")
-    space = getattr(candidate, "action_space", None)
-    plain = torch is not None and isinstance(candidate, torch.nn.Module) and not hasattr(candidate, "predict")
-    return plain or (hasattr(candidate, "predict") and getattr(space, "shape", None) == (2,))
-
-
 def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
     """Save a model of Stable-Baselines3, and beside the zip the arguments of its environment as ``.yaml``.
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.envs.models import is_model, model_policy, policy_of
-from pcs_racing.game.competitor import Competitor, check_competitor, competitor_name, driver_policies
+from pcs_racing.envs.models import model_policy, policy_of
+from pcs_racing.game.competitor import Competitor, check_competitor, competitor_name, driver_policies, is_model
 from pcs_racing.game.competitor_names import make_competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy

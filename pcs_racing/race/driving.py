@@ -12,7 +12,7 @@ from pcs_racing.base.compilation import first_call
 from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lanes import LANES
-from pcs_racing.car.vehicle import VehicleParams
+from pcs_racing.car.vehicle import STEER_DELAY, VehicleParams
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import VIEW_SIZE
@@ -197,10 +197,15 @@ def _ask_python_drivers(
         hold = getattr(planner.drive, "hold", CONTROL_EVERY)
         rows = first + np.flatnonzero(going & (state.tick[part] % hold == 0))
         if isinstance(planner.drive, BatchDriver):
-            if len(rows):
-                state.memory[rows, car, :COMMAND_SLOTS] = planner.drive.commands(
-                    track, state, rows, car, cars, settings
-                )
+            if len(rows) == 0:
+                continue
+            given = planner.drive.commands(track, state, rows, car, cars, settings)
+            state.memory[rows, car, :COMMAND_SLOTS] = given
+            # Between two of the loop's commands this one takes effect from here, unless it is late anyway.
+            now = state.tick[rows] % CONTROL_EVERY != 0
+            state.command[rows[now], car, 1] = given[now, 1]
+            now &= cars[rows, car, STEER_DELAY] == 0.0
+            state.command[rows[now], car, 0] = given[now, 0] + state.disturbance[rows[now], car]
             continue
         for race in rows:
             fill_view(track.arrays, state, race, car, cars[race], settings, view)

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_text, check_whole
 from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.models import ModelDriver, is_model, model_policy
-from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor
+from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor, is_model
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner, planner_names
@@ -180,7 +179,7 @@ class Driver(PolicySet):
     def content_hash(self) -> str:
         """SHA-256 of its planner's name, its parameters and its network's weights, without its name."""
         weights = [self.facts["weights sha256"]] if "weights sha256" in self.facts else []
-        weights += [self.planner.drive.content_hash] if isinstance(self.planner.drive, ModelDriver) else []
+        weights += [one for one in [getattr(self.planner.drive, "content_hash", None)] if one is not None]
         return fingerprint(
             self.planner.name, self.planner.parameter_names, [p.parameters for p in self.policies], *weights
         )
@@ -205,6 +204,14 @@ class Named:
         return self.model.predict(observation, state, episode_start, deterministic)
 
 
+def driver_of_model(model: Any, name: str | None = None) -> Driver:
+    """Return the driver of a model that steers, or of its file."""
+    from pcs_racing.envs.models import model_policy
+
+    policy = model_policy(model, name=name)
+    return Driver(policy.name, (policy,))
+
+
 def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
     """Return a competitor for a policy (a driver), for a model (which gets a name) or for a competitor.
 
@@ -217,7 +224,7 @@ def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
         Name in place of its own.
     """
     if is_model(candidate) and not isinstance(candidate, str):
-        candidate = model_policy(candidate, name=name)
+        return driver_of_model(candidate, name)
     if isinstance(candidate, Policy):
         return Driver(name or candidate.name, (candidate,))
     if isinstance(candidate, type) or not isinstance(candidate, Agent | Driver | Predictor | Decider):

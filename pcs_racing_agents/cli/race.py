@@ -8,7 +8,7 @@ from typing import Annotated
 
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.envs.models import is_model, model_policy
+from pcs_racing.game.competitor import is_model
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.recording import LAST_INDEX, record_race
@@ -71,8 +71,12 @@ def run(
 
 def _policy(option: str, text: str) -> Policy:
     """Read a policy; an agent, which is none, is told where it can race."""
+    if is_model(text):
+        from pcs_racing.envs.models import model_policy
+
+        return model_policy(text)
     try:
-        return model_policy(text) if is_model(text) else parse_policy(text)
+        return parse_policy(text)
     except UnknownNameError:
         from pcs_racing_agents.agents import zoo
 
