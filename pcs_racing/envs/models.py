@@ -6,25 +6,19 @@ is due in a batch of races is asked in one call.
 
 import hashlib
 import sys
-from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
 from pcs_racing.car.lidar_kernel import WORK_SHAPE
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive_kernel import SEEN_SHAPE, Sight, observe_car
 from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, shares
-from pcs_racing.envs.sb3_files import actor_of, load_sb3_policy
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.state import MOST_CARS, RaceState
@@ -119,22 +113,24 @@ class ModelPlanner(Planner):
         return ModelPlanner, (self.name, (), *[getattr(self, one) for one in ("plan", "control")], 0, 0, self.drive)
 
 
-def model_policy(model: Any, *, name: str | None = None, cars: int | None = None, **arguments: Any) -> Policy:
+def model_policy(
+    model: Any, *, name: str | None = None, cars: int | None = None, like: Any = None, **arguments: Any
+) -> Policy:
     """Return a model as a driver of races.
 
     Parameters
     ----------
-    model : object or path
-        One of these: a model of Stable-Baselines3 or anything with its ``predict``; a torch module; a function of
-        observations, shape (n, D), that returns actions, (n, 2); or a file ``.zip`` of Stable-Baselines3 with an
-        MlpPolicy, of which only numbers are read. Models that keep a state (LSTM) are refused.
+    model : object
+        A model of Stable-Baselines3 or anything with its ``predict``, a torch module, or a function of observations,
+        shape (n, D), that returns actions, (n, 2). Models that keep a state (LSTM) are refused.
     name : str, optional
         What tables call it.
     cars : int, optional
         Cars in a race of its training, 2 by default.
+    like : Env, VecEnv or VectorEnv, optional
+        The environment that it was trained in; by default that which a model of Stable-Baselines3 is connected to.
     **arguments
-        Of the environment that it was trained in, :data:`KEPT`. By default those of :func:`save_model`'s file beside
-        the zip, or of the environment that a model of Stable-Baselines3 is connected to, else `Drive`'s.
+        Of that environment, :data:`KEPT`, instead; `Drive`'s by default.
 
     Examples
     --------
@@ -142,14 +138,9 @@ def model_policy(model: Any, *, name: str | None = None, cars: int | None = None
     >>> straight.name
     'straight'
     """
-    kept: Mapping[str, Any] = {}
-    if isinstance(model, str | Path):
-        path = Path(model)
-        kept, model = _read(path.with_suffix(".yaml"), bool(arguments)), load_sb3_policy(path)
-        name = name or str(path)
-    elif not arguments and callable(getattr(model, "get_env", None)) and model.get_env() is not None:
-        kept = _arguments_of(model.get_env())
-    given = dict(kept) | arguments
+    given = dict(arguments)
+    if not given and (like is not None or (callable(getattr(model, "get_env", None)) and model.get_env() is not None)):
+        given = kept_arguments(model.get_env() if like is None else like)
     number = check_whole("cars", given.pop("cars", 2) if cars is None else cars, 1, MOST_CARS)
     for key in given:
         if key not in (*KEPT, "vehicle"):
@@ -169,36 +160,8 @@ def policy_of(model: Any, name: str, options: DriveOptions, cars: int) -> Policy
                 f"model {name!r} has the {space} {tuple(shape)}; with these arguments of Drive it is {wanted}: "
                 "give those that it was trained with, model_policy(model, beams=..., ...)"
             )
-    state = getattr(getattr(model, "policy", None), "state_dict", None)
-    if callable(state) and type(getattr(model.policy, "features_extractor", None)).__name__ in _PLAIN:
-        # Plain layers decide the same in every process and every size of a batch, and need no torch.
-        activation = getattr(getattr(model.policy, "activation_fn", None), "__name__", None)
-        with suppress(InputError):
-            model = actor_of(name, state(), activation)
-    driver = ModelDriver(name, model, options, cars)
-    return Policy(ModelPlanner(name, (), drive=driver), np.empty(0), name)  # type: ignore[arg-type]
-
-
-_PLAIN = ("FlattenExtractor", "NoneType")
-
-
-def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
-    """Save a model of Stable-Baselines3, and beside the zip the arguments of its environment as ``.yaml``.
-
-    Parameters
-    ----------
-    path : str or Path
-        Of the zip.
-    model : BaseAlgorithm
-    env : Env, VecEnv or VectorEnv, optional
-        The environment that it was trained in; by default that which it is connected to.
-    """
-    target = Path(path).with_suffix(".zip")
-    arguments = _arguments_of(model.get_env() if env is None else env)
-    model.save(target)
-    text = yaml.safe_dump(arguments, sort_keys=False).encode()
-    write_atomically(target.with_suffix(".yaml"), lambda file: file.write(text))
-    return target
+    driver: Any = ModelDriver(name, model, options, cars)
+    return Policy(ModelPlanner(name, (), drive=driver), np.empty(0), name)
 
 
 def _plain(options: DriveOptions) -> dict[str, Any]:
@@ -210,7 +173,7 @@ def _plain(options: DriveOptions) -> dict[str, Any]:
     return values
 
 
-def _arguments_of(env: Any) -> dict[str, Any]:
+def kept_arguments(env: Any) -> dict[str, Any]:
     """The arguments of an environment at the control level, whatever wraps it."""
     seen = env
     while seen is not None:
@@ -222,13 +185,3 @@ def _arguments_of(env: Any) -> dict[str, Any]:
         inner = [vars(seen).get(name) for name in ("groups", "envs")]
         seen = next((one[0] for one in inner if one), vars(seen).get("venv", vars(seen).get("env")))
     raise InputError(f"{type(env).__name__} is no environment of steering and speed that can be looked into; give env=")
-
-
-def _read(file: Path, optional: bool) -> dict[str, Any]:
-    if optional and not file.is_file():
-        return {}
-    if not file.is_file():
-        raise InputError(
-            f"there is no file {file} with the arguments of the model's environment; save_model(path, model) writes it"
-        )
-    return parse_yaml(file, read_limited(file, MAX_YAML, "the arguments of a model", InputError))

@@ -93,8 +93,8 @@ def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:
     """The policy of a text or of a model; anything else as it is."""
     if isinstance(given, tuple) and len(given) == 2:
         return given[0], _as_policy(given[1], options, cars)
-    if is_model(given):
-        own = isinstance(given, str | Path) or (callable(getattr(given, "get_env", None)) and given.get_env())
+    if is_model(given) and not isinstance(given, str | Path):
+        own = callable(getattr(given, "get_env", None)) and given.get_env() is not None
         return model_policy(given) if own else policy_of(given, competitor_name(given), options, cars)
     return parse_policy(given) if _is_policy_text(given) else given
 

@@ -20,7 +20,7 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.lines import Track
 from pcs_racing.f1tenth.maps import load_map
-from pcs_racing.f1tenth.observations import observation
+from pcs_racing.f1tenth.observations import ORIGINAL, observation
 from pcs_racing.f1tenth.rendering import EnvRenderer, RenderSpec, TrackRenderer
 from pcs_racing.f1tenth.resetting import starting_poses
 from pcs_racing.f1tenth.simulator import DEFAULT_PARAMS, MOST_CARS, Simulator, merged_params, warn_of_unknown
@@ -54,10 +54,9 @@ SteerActionEnum = Enum("SteerActionEnum", "Steering_Angle Steering_Speed")
 def deep_update(mapping: dict[Any, Any], *updates: Mapping[Any, Any]) -> dict[Any, Any]:
     """Return a dictionary with others merged into it, dictionaries within it likewise."""
     out = dict(mapping)
-    for update in updates:
-        for key, value in update.items():
-            both = isinstance(out.get(key), dict) and isinstance(value, Mapping)
-            out[key] = deep_update(out[key], value) if both else value
+    for key, value in (pair for update in updates for pair in update.items()):
+        both = isinstance(out.get(key), dict) and isinstance(value, Mapping)
+        out[key] = deep_update(out[key], value) if both else value
     return out
 
 
@@ -136,9 +135,8 @@ class F110Env(gymnasium.Env[Any, Any]):
     def render_obs(self) -> dict[str, Any] | None:
         """What a renderer is told; None before the first reset."""
         names = ("ego_idx", "poses_x", "poses_y", "poses_theta", "lap_times", "lap_counts", "collisions")
-        facts = {name: getattr(self, name) for name in names}
-        facts |= {"steering_angles": self.sim.agent_steerings, "sim_time": self.sim.time}
-        return facts if self.sim.started else None
+        more = {"steering_angles": self.sim.agent_steerings, "sim_time": self.sim.time}
+        return {name: getattr(self, name) for name in names} | more if self.sim.started else None
 
     def update_params(self, params: Any, index: int = -1) -> None:
         """Change the parameters of all cars, or of the one with an index from 0."""
@@ -158,15 +156,9 @@ class F110Env(gymnasium.Env[Any, Any]):
 
 
 class GenerationA(F110Env):
-    """The environment; its keywords are those of the gym.
-
-    Parameters
-    ----------
-    faithful : bool
-        Whether the gym's faults are kept (docs/coming_from_f1tenth_gym.md).
-    **named
-        ``map`` (name, or path without ".yaml"), ``map_ext``, ``num_agents``, ``params``, ``timestep``, ``ego_idx``,
-        ``integrator``, ``lidar_dist`` (m), ``seed``.
+    """The environment. Its keywords are those of the gym: ``map`` (name, or path without ".yaml"), ``map_ext``,
+    ``num_agents``, ``params``, ``timestep``, ``ego_idx``, ``integrator``, ``lidar_dist`` (m) and ``seed``; and
+    ``faithful``: whether the gym's faults are kept (docs/coming_from_f1tenth_gym.md).
     """
 
     metadata = {"render.modes": _MODES, "render_modes": _MODES, "render_fps": 100}  # noqa: RUF012
@@ -198,20 +190,10 @@ class GenerationA(F110Env):
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, dict[str, Any]]:  # type: ignore[override]
         """Make a step with the steering angle (rad) and the speed (m/s) of each car, shape (N, 2)."""
         done, infos = self._advance(action)
-        columns = self.sim.cars.T
-        obs = {
-            "ego_idx": self.ego_idx,
-            "scans": list(self.sim.agent_scans),
-            "poses_x": list(columns[0]),
-            "poses_y": list(columns[1]),
-            "poses_theta": list(columns[4]),
-            "linear_vels_x": list(columns[3]),
-            "linear_vels_y": [0.0] * self.num_agents,
-            "ang_vels_z": list(columns[5]),
-            "collisions": columns[k.CRASHED],
-            "lap_times": columns[k.LAP_TIME],
-            "lap_counts": columns[k.LAPS],
-        }
+        columns, scans = self.sim.cars.T, list(self.sim.agent_scans)
+        obs = {"ego_idx": self.ego_idx, "scans": scans, "linear_vels_y": [0.0] * self.num_agents}
+        obs |= {name: list(columns[column]) for name, column in ORIGINAL.items()}
+        obs |= {"lap_times": columns[k.LAP_TIME], "lap_counts": columns[k.LAPS], "collisions": columns[k.CRASHED]}
         F110Env.current_obs = obs
         return obs, self.timestep, done, infos
 
@@ -231,16 +213,9 @@ class GenerationA(F110Env):
 
 
 class GenerationB(F110Env):
-    """The environment.
-
-    Parameters
-    ----------
-    config : dict, optional
-        Keys of the gym's configuration; what is not named keeps its default. See :meth:`default_config`.
-    render_mode : str, optional
-        "human", "human_fast" or "rgb_array".
-    faithful : bool
-        Whether the gym's faults are kept (docs/coming_from_f1tenth_gym.md).
+    """The environment. ``config`` has keys of the gym's configuration, what is not named keeps its default
+    (:meth:`default_config`); ``render_mode`` is "human", "human_fast" or "rgb_array"; ``faithful`` says whether the
+    gym's faults are kept (docs/coming_from_f1tenth_gym.md).
     """
 
     metadata = {"render_modes": _MODES, "render_fps": 100}  # noqa: RUF012

@@ -21,6 +21,10 @@ TYPES: dict[str, tuple[str, ...]] = {
     "dynamic_state": (*_KINEMATIC, "ang_vel_z", "beta"),
     "frenet_dynamic_state": (*_KINEMATIC[:4], "linear_vel_y", "pose_theta", "ang_vel_z", "beta"),
 }
+ORIGINAL = {
+    "poses_x": k.X, "poses_y": k.Y, "poses_theta": k.PSI, "linear_vels_x": k.V, "ang_vels_z": k.PSI_DOT,
+    "collisions": k.CRASHED,
+}  # fmt: skip
 _LARGE = 1e30
 
 Observe = Callable[[Any], dict[str, Any]]  # of the cars by which laps are told, if they are others
@@ -59,26 +63,17 @@ def _bounds(name: str, *cars: int) -> spaces.Space[Any]:
 
 
 def _original_space(cars: int) -> spaces.Dict:
-    names = "scans poses_x poses_y poses_theta linear_vels_x linear_vels_y ang_vels_z collisions lap_times lap_counts"
-    return spaces.Dict({"ego_idx": spaces.Discrete(cars)} | {name: _bounds(name, cars) for name in names.split()})
+    names = ("scans", "linear_vels_y", "lap_times", "lap_counts", *ORIGINAL)
+    return spaces.Dict({"ego_idx": spaces.Discrete(cars)} | {name: _bounds(name, cars) for name in names})
 
 
 def _original(env: Any, laps: Any) -> dict[str, Any]:
     columns = env.sim.cars.T.astype(np.float32, order="C")
     counted = columns if laps is None else laps.T.astype(np.float32, order="C")
-    return {
-        "ego_idx": env.ego_idx,
-        "scans": env.sim.agent_scans.astype(np.float32),
-        "poses_x": columns[0],
-        "poses_y": columns[1],
-        "poses_theta": columns[4],
-        "linear_vels_x": columns[3],
-        "linear_vels_y": np.zeros(env.num_agents, np.float32),
-        "ang_vels_z": columns[5],
-        "collisions": columns[k.CRASHED],
-        "lap_times": counted[k.LAP_TIME],
-        "lap_counts": counted[k.LAPS],
-    }
+    obs = {"ego_idx": env.ego_idx, "scans": env.sim.agent_scans.astype(np.float32)}
+    obs |= {name: columns[column] for name, column in ORIGINAL.items()}
+    obs |= {"linear_vels_y": np.zeros(env.num_agents, np.float32)}
+    return obs | {"lap_times": counted[k.LAP_TIME], "lap_counts": counted[k.LAPS]}
 
 
 def _features(env: Any, laps: Any, features: tuple[str, ...]) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Iterable, Mapping
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ DEFAULT_PARAMS = {
     "s_min": -0.4189, "s_max": 0.4189, "sv_min": -3.2, "sv_max": 3.2, "v_switch": 7.319, "a_max": 9.51, "v_min": -5.0,
     "v_max": 20.0, "width": 0.31, "length": 0.58,
 }  # fmt: skip
-_POSITIVE = {"mu", "C_Sf", "C_Sr", "lf", "lr", "h", "m", "I", "v_switch", "a_max", "v_max", "width", "length"}
+_POSITIVE = (1e-6, 1e5)
 _ENDS = {"s_min": (-1.5, 0.0), "s_max": (0.0, 1.5), "sv_min": (-1e3, 0.0), "sv_max": (0.0, 1e3), "v_min": (-1e3, -1e-3)}
 NOISE = 0.01  # m
 BEAMS, FIELD_OF_VIEW, RANGE = 1080, 4.7, 30.0
@@ -36,38 +35,28 @@ def merged_params(base: Mapping[str, float], params: Any) -> dict[str, float]:
     """Return parameters of a car with some of them changed, after a check."""
     if not isinstance(params, Mapping):
         raise ConfigError(f"params is {params!r:.200}; it must be a dictionary of a car's parameters, such as mu: 1.0")
-    known = {name: value for name, value in params.items() if name in DEFAULT_PARAMS}
     warn_of_unknown("params", params, DEFAULT_PARAMS)
+    known = {name: value for name, value in params.items() if name in DEFAULT_PARAMS}
     for name, value in known.items():
-        least, most = (1e-6, 1e5) if name in _POSITIVE else _ENDS[name]
-        check_number(f"params: {name}", value, least, most, error=ConfigError)
-    return {**base, **{name: float(value) for name, value in known.items()}}
+        known[name] = float(check_number(f"params: {name}", value, *_ENDS.get(name, _POSITIVE), error=ConfigError))
+    return {**base, **known}
 
 
 def warn_of_unknown(where: str, given: Mapping[Any, Any], known: Iterable[str]) -> None:
     """Name what is not known in one warning: programs of the gym run on, for the gym ignored it."""
-    for name in given:
-        if name not in known:
-            close = did_you_mean(name, known)
-            warnings.warn(
-                f"{where}: {name!r:.100} is ignored, as in the gym{close}; there are {', '.join(known)}",
-                UserWarning,
-                stacklevel=4,
-            )
+    for name in (name for name in given if name not in known):
+        text = (
+            f"{where}: {name!r:.100} is ignored, as in the gym{did_you_mean(name, known)}; there are {', '.join(known)}"
+        )
+        warnings.warn(text, UserWarning, stacklevel=4)
 
 
 class RaceCar:
     """One car of a simulator, as programs look at it."""
 
-    num_beams, fov = BEAMS, FIELD_OF_VIEW
-    scan_simulator = SimpleNamespace(
-        num_beams=BEAMS, fov=FIELD_OF_VIEW, max_range=RANGE, get_increment=lambda: FIELD_OF_VIEW / (BEAMS - 1)
-    )
-
     def __init__(self, simulator: "Simulator", index: int) -> None:
-        self._simulator, self._index = simulator, index
-        self.is_ego = index == simulator.setup.ego
-        self.params, self.scan_angles = dict(simulator.params), simulator.lidar.angles
+        self._simulator, self._index, self.params = simulator, index, dict(simulator.params)
+        self.num_beams, self.fov, self.scan_angles = BEAMS, FIELD_OF_VIEW, simulator.lidar.angles
 
     @property
     def state(self) -> Floats:
@@ -85,24 +74,22 @@ class RaceCar:
 
 
 class SameNoise:
-    """The noise of one seed, which every episode of the gym begins anew and all its cars share."""
+    """The noise of one seed, which every episode of the gym begins anew and all its cars share: blocks of 64 steps."""
 
     BLOCK, KEPT = 64, 32  # steps drawn at once, and blocks that are kept: 18 MB
 
     def __init__(self, seed: int) -> None:
-        self._rng, self._kept = np.random.default_rng(seed), list[Floats]()
-        self._after: Any = None
+        self._rng, self._kept, self._after = np.random.default_rng(seed), list[Floats](), None
 
     def block(self, number: int) -> Floats:
-        """Return what is added to the ranges in 64 steps, shape (64, 1, 1080), m; blocks are asked for in order."""
+        """Return what is added to the ranges, shape (64, 1, 1080), m; blocks are asked for in order."""
         if number < len(self._kept):
             return self._kept[number]
         if number == self.KEPT:  # of this episode or of an earlier one
-            self._after = self._after or self._rng.bit_generator.state
-            self._rng.bit_generator.state = self._after
+            self._after = self._after or self._rng.bit_generator.state  # type: ignore[assignment]
+            self._rng.bit_generator.state = self._after  # type: ignore[assignment]
         drawn = NOISE * self._rng.standard_normal((self.BLOCK, 1, BEAMS))
-        if number < self.KEPT:
-            self._kept.append(drawn)
+        self._kept += [drawn] if number < self.KEPT else []
         return drawn
 
 
@@ -179,7 +166,15 @@ class Simulator:
 
         Whether the episode ends is returned.
         """
-        actions = checked_actions(control_inputs, self.num_agents)
+        try:
+            actions = np.array(control_inputs, np.float64, order="C")
+        except (TypeError, ValueError, OverflowError):
+            actions = np.empty(0)
+        if actions.shape != (self.num_agents, 2) or not all_finite(actions):
+            raise InputError(
+                f"action is {control_inputs!r:.200}; it must hold finite numbers of shape ({self.num_agents}, 2): "
+                "steering and speed of each car"
+            )
         if self.setup.faithful:
             number, at = divmod(self._steps, SameNoise.BLOCK)
             if at == 0:
@@ -193,19 +188,6 @@ class Simulator:
         if _advance is None:
             _compile(arguments)
         return bool(_advance(*arguments))
-
-
-def checked_actions(value: ArrayLike, cars: int) -> Floats:
-    """Return actions, shape (N, 2), as finite numbers."""
-    try:
-        actions = np.array(value, np.float64, order="C")
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"action is {value!r:.200}; it must hold numbers") from None
-    if actions.shape != (cars, 2):
-        raise InputError(f"action has shape {actions.shape}; it must have ({cars}, 2): steering and speed of each car")
-    if not all_finite(actions):
-        raise InputError(f"action is {actions.tolist()!r:.200}; it must be finite")
-    return actions
 
 
 _advance: Any = None

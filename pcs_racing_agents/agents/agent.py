@@ -9,6 +9,7 @@ simulated again to the last bit. To an opponent who does not know the seed the m
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -207,8 +208,14 @@ class Named:
 def driver_of_model(model: Any, name: str | None = None) -> Driver:
     """Return the driver of a model that steers, or of its file."""
     from pcs_racing.envs.models import model_policy
+    from pcs_racing_agents.agents.sb3_files import load_model, plain_model
 
-    policy = model_policy(model, name=name)
+    if isinstance(model, str | Path):
+        policy = load_model(model)
+    else:
+        name = name or getattr(model, "name", None) or type(model).__name__
+        like = model.get_env() if callable(getattr(model, "get_env", None)) else None
+        policy = model_policy(plain_model(model, name), name=name, like=like)
     return Driver(policy.name, (policy,))
 
 

@@ -128,7 +128,7 @@ def make(
     ----------
     name : str
         One of :func:`names`; a policy as text, such as ``"lattice:pace=0.8"``; or the ``.zip`` of a model that drives
-        (:func:`pcs_racing.envs.models.save_model`).
+        (:func:`pcs_racing_agents.agents.sb3_files.save_model`).
     archive, race
         The game that it is for, as in :func:`pcs_racing.make_game`.
     seed : int

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.sb3_files import load_sb3_policy
 from pcs_racing.game.competitor import is_model
 from pcs_racing.planners.trained import load_driver
 from pcs_racing_agents.agents.agent import Competitor, as_competitor
+from pcs_racing_agents.agents.sb3_files import load_sb3_policy
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import parse_agent
 

@@ -72,9 +72,9 @@ def run(
 def _policy(option: str, text: str) -> Policy:
     """Read a policy; an agent, which is none, is told where it can race."""
     if is_model(text):
-        from pcs_racing.envs.models import model_policy
+        from pcs_racing_agents.agents.sb3_files import load_model
 
-        return model_policy(text)
+        return load_model(text)
     try:
         return parse_policy(text)
     except UnknownNameError:

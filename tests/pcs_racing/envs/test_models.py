@@ -8,7 +8,7 @@ from refusal import refused
 
 from pcs_racing import draw_starts, load_race_config, parse_policy, run_races
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.models import model_policy, save_model
+from pcs_racing.envs.models import model_policy
 
 RIVAL = "lattice:pace=0.3"
 CONFIG = load_race_config("paper", duration=3.0)
@@ -49,30 +49,6 @@ def test_a_model_is_an_opponent_among_others_in_any_car(oval):
     np.testing.assert_array_equal(info["poses"], infos["poses"][2])
     copied = pickle.loads(pickle.dumps(policy.planner))
     assert (copied.name, copied.drive.hold) == ("weaver", 5)
-
-
-def test_models_of_stable_baselines3_race_from_their_file(oval, tmp_path):
-    sb3 = pytest.importorskip("stable_baselines3")
-    from pcs_racing_agents.agents import as_competitor, make
-
-    env = DriveEnv(oval, RIVAL, beams=5, time_step=0.2)
-    rows = np.random.default_rng(0).normal(size=(9, 46)).astype(np.float32)
-    for kind, more in ((sb3.PPO, {}), (sb3.SAC, {"buffer_size": 10}), (sb3.TD3, {"buffer_size": 10})):
-        model = kind("MlpPolicy", env, seed=1, device="cpu", **more)
-        file = save_model(tmp_path / kind.__name__, model)
-        kept, given = model_policy(file), model_policy(model)
-        expected = model.predict(rows, deterministic=True)[0]
-        np.testing.assert_allclose(np.clip(kept.planner.drive.model.predict(rows)[0], -1.0, 1.0), expected, atol=1e-5)
-        assert kept.planner.drive.content_hash == given.planner.drive.content_hash
-        assert (kept.planner.drive.hold, len(kept.planner.drive.options.look_ahead)) == (20, 6)
-        first, second = (run_races(oval, one, parse_policy(RIVAL), CONFIG, seed=2) for one in (kept, given))
-        np.testing.assert_array_equal(first.state.cars, second.state.cars)
-        assert make(str(file)).planner.drive.content_hash == as_competitor(model).planner.drive.content_hash
-        seen, _ = DriveEnv(oval, str(file), CONFIG).reset(seed=1)
-        assert seen.shape == (41,)
-    refused(r"observation_space \(46,\); with these arguments of Drive it is \(41,\)", model_policy, model, beams=0)
-    file.with_suffix(".yaml").unlink()
-    refused(r"TD3\.yaml with the arguments", model_policy, file)
 
 
 def test_what_no_model_may_answer_is_one_line(oval):

@@ -1,5 +1,7 @@
 """Policies of Stable-Baselines3 as plain layers, read from a file or a model without running any code of the file.
 
+Of a model that drives, the file has the arguments of its environment beside it: :func:`save_model`, :func:`load_model`.
+
 ``PPO.load`` unpickles parts of a file, so that it runs code from it. Here the weights are read by torch with
 ``weights_only=True``, and the activation function from the text of the settings.
 """
@@ -10,18 +12,23 @@ import json
 import re
 import zipfile
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.dense import DenseLayers, dense_forward, weight_count
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
+from pcs_racing.envs.models import kept_arguments, model_policy
+from pcs_racing.planners.planner import Policy
 
 MAX_BYTES = 50_000_000
 ACTIVATIONS = ("Tanh", "ReLU")
@@ -126,7 +133,7 @@ def actor_of(name: str, state: Mapping[str, Any], activation: str | None) -> Sb3
         if numbers and f"{layers[-1]}.weight" in state:
             break
         layers = []
-    if not layers or any("lstm" in key or "cnn" in key for key in state):
+    if not layers or any(part in key for key in state for part in ("lstm", "cnn", "features_extractor.")):
         raise InputError(
             f"{name} has no actor of fully connected layers; train PPO, A2C, MaskablePPO, SAC or TD3 with MlpPolicy, "
             "or give the model itself"
@@ -138,3 +145,43 @@ def actor_of(name: str, state: Mapping[str, Any], activation: str | None) -> Sb3
     if not all(np.isfinite(values).all() for part in parts for values in part):
         raise InputError(f"{name}: a weight is not finite")
     return Sb3Policy(Path(name).stem, DenseLayers(*parts), activation, not squash and "log_std" not in state, squash)
+
+
+def plain_model(model: Any, name: str) -> Any:
+    """Return the layers of a model of Stable-Baselines3, which other processes can be sent; any other as it is."""
+    state = getattr(getattr(model, "policy", None), "state_dict", None)
+    if callable(state) and "features_extractor_class" not in getattr(model, "policy_kwargs", ()):
+        activation = getattr(getattr(model.policy, "activation_fn", None), "__name__", None)
+        with suppress(InputError):
+            return actor_of(name, state(), activation)
+    return model
+
+
+def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
+    """Save a model of Stable-Baselines3, and beside the zip the arguments of its environment as ``.yaml``.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of the zip.
+    model : BaseAlgorithm
+    env : Env, VecEnv or VectorEnv, optional
+        The environment that it was trained in; by default that which it is connected to.
+    """
+    target = Path(path).with_suffix(".zip")
+    text = yaml.safe_dump(kept_arguments(model.get_env() if env is None else env), sort_keys=False).encode()
+    model.save(target)
+    write_atomically(target.with_suffix(".yaml"), lambda file: file.write(text))
+    return target
+
+
+def load_model(path: str | Path) -> Policy:
+    """Return the driver of a zip that :func:`save_model` wrote."""
+    file = Path(path).with_suffix(".yaml")
+    if Path(path).is_file() and not file.is_file():
+        raise InputError(
+            f"there is no file {file} with the arguments of the model's environment; save_model(path, model) writes it"
+        )
+    model = load_sb3_policy(Path(path))
+    arguments = parse_yaml(file, read_limited(file, MAX_YAML, "the arguments of a model", InputError))
+    return model_policy(model, name=str(path), **arguments)
