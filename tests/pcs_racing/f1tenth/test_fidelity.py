@@ -138,25 +138,40 @@ def test_cars_have_noise_of_their_own_without_the_faults(ring):
         assert np.allclose(*(seen[2] - seen[1]), rtol=0.0, atol=1e-3) is faithful
 
 
-def test_laps_are_counted_by_the_way_without_the_faults(ring):
-    """To and fro over the line twice: two laps in the gym, none here."""
-    for faithful, laps in ((True, 2.0), (False, 0.0)):
+def test_laps_are_counted_by_the_way_and_steering_arrives_without_the_faults(ring):
+    """To and fro over the line twice: two laps in the gym, none here; and no steering beyond its limit."""
+    for faithful in (True, False):
         env = made(ring, 1, faithful=faithful)
         env.reset(options={"poses": np.array([place(0.0)])})
         for speed in (2.0, -2.0, 2.0, -2.0, 2.0):
             for _ in range(180):
                 env.step(np.array([[0.07, speed]]))
-        assert (env.lap_counts[0] >= laps) if laps else env.lap_counts[0] == 0.0
-
-
-def test_steering_arrives_without_the_faults(ring):
-    for faithful in (True, False):
-        env = made(ring, 1, faithful=faithful)
-        env.reset(options={"poses": np.array([place(0.0)])})
+        assert (env.lap_counts[0] >= 2.0) == faithful
         for _ in range(40):
             env.step(np.array([[0.5, 0.0]]))
         delta = env.sim.agent_steerings[0]
         assert (delta > 0.4189) if faithful else delta == pytest.approx(0.4189, abs=1e-12)
+
+
+def test_euler_contacts_and_the_border_without_the_faults(ring):
+    """Euler is Runge-Kutta, the feature tells contacts of cars, and beams end where the map does."""
+    features = {"type": "features", "features": ["collision", "scan"]}
+    angle = np.linspace(0.0, 6.0, 60)
+    empty = Track.from_refline(3.0 * np.cos(angle), 3.0 * np.sin(angle), np.ones(60))
+    ends = {}
+    for faithful in (True, False):
+        for integrator in ("rk4", "euler"):
+            config = {"map": empty, "num_agents": 2, "integrator": integrator, "observation_config": features}
+            env = GenerationB(config, faithful=faithful)
+            env.reset(options={"poses": np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])})
+            for _ in range(10):
+                obs, *_ = env.step(np.array([[0.3, 1.0], [0.0, 0.0]]))
+            ends[faithful, integrator] = env.sim.states[0]
+        assert obs["agent_0"]["collision"] == (0 if faithful else 1)
+        # There are no walls: what is seen beside the other car is the border, a few metres away.
+        assert (obs["agent_1"]["scan"] > 25.0).any() == faithful
+    assert np.array_equal(ends[False, "rk4"], ends[False, "euler"])
+    assert not np.array_equal(ends[True, "rk4"], ends[True, "euler"])
 
 
 def test_observations_fit_their_space_and_types_of_reset(ring):
