@@ -91,8 +91,8 @@ class DriveEnv(ScalarEnv):
     (complete ones, from one crossing of the line s = 0 to the next), ``lap_time`` and ``best_lap`` (s, of the last and
     the shortest of them; -1 if there is none), and where episodes differ in it, ``track`` (its number), ``obstacles``
     (how many) and what ``randomize`` drew.
-    Arrays: ``poses`` (x, y, heading) and ``velocities`` (forward, to the left, yaw rate) of all cars in m, rad and s,
-    the own one first, shape (N, 3).
+    Arrays: ``poses`` (x, y, heading) and ``velocities`` (speed, yaw rate, slip) of all cars in m, rad and s, the own
+    one first, shape (N, 3).
     ``env.unwrapped.metadata["codes"]`` holds the words of all codes; ``env.unwrapped.outcome()`` is the info in words.
 
     ## Arguments

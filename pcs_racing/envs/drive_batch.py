@@ -25,7 +25,7 @@ from pcs_racing.envs.drive_kernel import (
     step_races,
 )
 from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, shares
-from pcs_racing.envs.infos import Result, all_poses, common_codes, race_info, race_infos, race_results
+from pcs_racing.envs.infos import Result, all_poses, common_codes, pose_info, race_info, race_infos, race_results
 from pcs_racing.envs.moving_opponents import MovingOpponents
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent, drive_opponents, shared_planner
@@ -464,11 +464,13 @@ class DriveBatch:
         """Info of one player as plain numbers; faster than taking it from arrays of one."""
         race, car = divmod(environment, self.players)
         info = race_info(self.state, race, car)
-        over = self.state.crash[race].any() or self.state.tick.item(race) >= self.setup.config.ticks
-        over = over or self.state.progress[race].max() >= self._laps * self._scenes[race].arrays.length
+        over = any(self.state.crash[race].tolist()) or self.state.tick.item(race) >= self.setup.config.ticks
+        if self.options.laps is not None:
+            over = over or self.state.progress[race].max() >= self._laps * self._scenes[race].arrays.length
         info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
-        info |= {name: rows[0] for name, rows in all_poses(self.state.cars[race : race + 1], [car]).items()}
+        cars = self.state.cars[race]
+        info |= pose_info(cars if car == 0 else np.concatenate([cars[car : car + 1], np.delete(cars, car, axis=0)]))
         if self._varied:
             info.update(self.variety.info(race))
         return info

@@ -195,7 +195,7 @@ def test_actions_in_units_and_the_own_pose(oval):
     np.testing.assert_allclose(np.delete(seen, [8, 9, 10]), other, atol=1e-6)
     assert named(units, seen)["heading"] == pytest.approx(info["poses"][0, 2], abs=1e-5)
     np.testing.assert_allclose(seen[8:10], info["poses"][0, :2], rtol=1e-5)
-    np.testing.assert_allclose(np.hypot(*info["velocities"][0, :2]), seen[0], rtol=1e-5)
+    np.testing.assert_allclose(info["velocities"][0], seen[[0, 2, 3]], atol=1e-5)
 
 
 @pytest.mark.parametrize("opponent", [None, "lattice:pace=0.3"])
