@@ -1,13 +1,14 @@
 """Models that were trained at the wheel race as they drove in their environment, wherever a policy races."""
 
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from refusal import refused
 
 from pcs_racing import draw_starts, load_race_config, parse_policy, run_races
-from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.models import model_policy
 
 RIVAL = "lattice:pace=0.3"
@@ -27,39 +28,29 @@ def test_a_model_races_as_it_drives_in_its_environment(oval, arguments):
     for race in range(4):
         env = DriveEnv(oval, RIVAL, CONFIG, **arguments)
         seen, _ = env.reset(options={"start": (float(starts.s[race]), int(starts.side[race]))})
-        ended = False
-        while not ended:
+        over = late = False
+        while not (over or late):
             seen, _, over, late, info = env.step(weave(seen[None])[0])
-            ended = over or late
         assert info["progress"] == pytest.approx(raced.state.progress[race, 0], abs=1e-6)
         assert info["time"] == pytest.approx(raced.time[race])
 
 
-def test_a_model_is_an_opponent_among_others_in_any_car(oval):
-    """It sees what the agent sees, unless it brings arguments; of several it is drawn; each episode is its own."""
+def test_a_model_is_one_of_several_opponents_and_is_sent_to_other_processes(oval):
     policy = model_policy(weave, name="weaver", **SEEING)
-    envs = DriveVectorEnv(6, track=oval, opponents=[policy, RIVAL], duration=2.0, race="contest", time_step=0.02)
-    envs.reset(seed=1)
-    for _ in range(25):
-        *_, infos = envs.step(np.tile([0.0, -0.6], (6, 1)))
-    alone = DriveEnv(oval, opponents=[policy, RIVAL], duration=2.0, race="contest", time_step=0.02)
-    alone.reset(seed=3)
-    for _ in range(25):
-        *_, info = alone.step([0.0, -0.6])
-    np.testing.assert_array_equal(info["poses"], infos["poses"][2])
+    env = DriveEnv(oval, opponents=[RIVAL, policy], time_step=0.02)
+    env.reset(seed=3)
+    env.step([0.0, -0.6])
+    assert env.batch.state.memory[0, 2, 1] > 0.4
     copied = pickle.loads(pickle.dumps(policy.planner))
     assert (copied.name, copied.drive.hold) == ("weaver", 5)
 
 
 def test_what_no_model_may_answer_is_one_line(oval):
-    class Remembering:
-        def predict(self, seen, state, first, deterministic):
-            return seen[:, :2], "state"
-
+    remembering = SimpleNamespace(predict=lambda seen, *_: (seen[:, :2], "state"))
     for model, message in (
         (lambda seen: seen, r"finite numbers of shape \(1, 2\)"),
         (lambda seen: np.nan * seen[:, :2], "finite numbers"),
-        (Remembering(), "keeps a state"),
+        (remembering, "keeps a state"),
     ):
         refused(message, run_races, oval, model_policy(model), parse_policy(RIVAL), CONFIG)
     refused("beam", model_policy, weave, beam=3)

@@ -80,11 +80,10 @@ def test_scans_are_exact_to_half_a_cell(ring):
     for k in range(8):
         poses = np.array([place(0.8 * k, RADIUS + 0.1 * k - 0.4, 0.5 * k)])
         env.reset(options={"poses": poses})
-        fast = env.sim.agent_scans[0]
-        fast_world = env.sim._world
-        env.sim._world = fast_world._replace(setup=fast_world.setup._replace(on_circuit=False))
+        fast, world = env.sim.agent_scans[0], env.sim._world
+        env.sim._world = world._replace(setup=world.setup._replace(on_circuit=False))
         env.reset(options={"poses": poses})
-        env.sim._world = fast_world
+        env.sim._world = world
         # Of beams along a wall the range changes faster than the place of the wall.
         assert np.median(np.abs(fast - env.sim.agent_scans[0])) < 0.5 * CELL
 
@@ -103,26 +102,18 @@ def until_the_end(env, poses, actions, steps=300):
     return infos, steps
 
 
-def test_a_wall_keeps_the_heading_and_the_flag_without_the_faults(ring):
-    headings = {}
+def test_crashes_without_the_faults(ring):
+    """The heading and the flag stay, anybody's crash ends the race, and the infos say whose fault it was."""
+    into, along = place(0.0, turned=-0.8), place(3.0)
     for faithful in (True, False):
         env = made(ring, 2, faithful=faithful)
-        infos, _ = until_the_end(env, [place(0.0, turned=-0.8), place(3.0)], [[0.0, 4.0], [0.0, 0.0]])
-        headings[faithful] = env.sim.agents[0].state[4]
+        infos, _ = until_the_end(env, [into, along], [[0.0, 4.0], [0.0, 0.0]])
+        assert (env.sim.agents[0].state[4] == 0.0) == faithful
         env.step(np.zeros((2, 2)))
         assert env.sim.collisions[0] == (0.0 if faithful else 1.0)
-        assert ("at_fault" in infos) is not faithful
-    assert headings[True] == 0.0
-    assert headings[False] != 0.0
-    assert infos["at_fault"].tolist() == [True, False]
-
-
-def test_a_crash_of_others_ends_the_race_without_the_faults(ring):
-    poses, actions = [place(0.0), place(3.0, turned=-0.8)], [[0.0, 0.0], [0.0, 4.0]]
-    assert until_the_end(made(ring, 2), poses, actions)[1] == 300
-    infos, steps = until_the_end(made(ring, 2, faithful=False), poses, actions)
-    assert steps < 300
-    assert infos["at_fault"].tolist() == [False, True]
+        others, steps = until_the_end(env, [along, into], [[0.0, 0.0], [0.0, 4.0]])
+        assert (steps == 300) == faithful
+    assert (infos["at_fault"].tolist(), others["at_fault"].tolist()) == ([True, False], [False, True])
 
 
 def test_cars_have_noise_of_their_own_without_the_faults(ring):

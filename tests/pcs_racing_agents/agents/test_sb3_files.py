@@ -32,9 +32,9 @@ def test_moves_are_those_of_the_model(tmp_path, activation):
     with torch.no_grad():
         model.policy.action_net.bias[1] = float("nan")
     model.save(tmp_path / "broken.zip")
+    refused("a weight is not finite", load_sb3_policy, tmp_path / "broken.zip")
     (tmp_path / "other.zip").write_bytes(b"not a zip")
-    for name, message in (("broken", "a weight is not finite"), ("other", r"other\.zip"), ("gone", "no file")):
-        refused(message, load_sb3_policy, tmp_path / f"{name}.zip")
+    refused(r"other\.zip", load_sb3_policy, tmp_path / "other.zip")
 
 
 @pytest.mark.parametrize(("kind", "more"), [("PPO", {}), ("SAC", {"buffer_size": 9}), ("TD3", {"buffer_size": 9})])
