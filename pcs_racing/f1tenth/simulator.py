@@ -171,9 +171,9 @@ class Simulator:
         except (TypeError, ValueError, OverflowError):
             actions = np.empty(0)
         if actions.shape != (self.num_agents, 2) or not all_finite(actions):
+            given = " ".join(repr(control_inputs).split())
             raise InputError(
-                f"action is {control_inputs!r:.200}; it must hold finite numbers of shape ({self.num_agents}, 2): "
-                "steering and speed of each car"
+                f"action is {given:.200}; it must be finite numbers of shape ({self.num_agents}, 2), steering and speed"
             )
         if self.setup.faithful:
             number, at = divmod(self._steps, SameNoise.BLOCK)
