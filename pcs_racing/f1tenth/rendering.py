@@ -155,6 +155,8 @@ class Drawing(SimpleNamespace):
     def __init__(self, text: str = "", *args: Any, **named: Any) -> None:
         super().__init__(**{"text": text, "x": 0.0, "y": 0.0, "lists": {}} | named)
 
+    __eq__, __hash__ = object.__eq__, object.__hash__  # type: ignore[assignment]
+
     def draw(self) -> None:
         """Nothing: the renderer draws."""
 
