@@ -454,7 +454,7 @@ def old_program(generation: str, data: bytes) -> object:
         poses = np.array([[0.5 * i, 0.0, 1.0] for i in range(env.num_agents)])
         for _ in range(1 + draw.byte() % 6):
             what = draw.byte() % 8
-            if what < 2 or not env._started:
+            if what < 2 or not env.sim.started:
                 odd = draw.value(poses, poses, poses.tolist())
                 env.reset(odd) if generation == "a" else env.reset(seed=1, options=draw.value(None, {"poses": odd}))
             elif what < 5:

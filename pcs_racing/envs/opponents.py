@@ -81,7 +81,7 @@ def drive_opponents(given: Any, make_game: Callable[[], RaceGame], options: Driv
 
     A model sees what ``options`` say in races of so many cars, unless it brings its own arguments.
     """
-    entries = given if isinstance(given, list) or (isinstance(given, tuple) and given) else [given]
+    entries = given if isinstance(given, list | tuple) else [given]
     # Policies need no game, which an archive would be loaded for.
     policies = [_as_policy(one, options, cars) for one in entries]
     if policies and all(isinstance(policy, Policy) for policy in policies):

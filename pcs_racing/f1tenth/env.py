@@ -66,7 +66,7 @@ def control_types(given: Any) -> tuple[str, str]:
         if isinstance(given, str) and given in pair:
             warnings.warn(f"control_input is {given!r}: taken for {list(pair)}", UserWarning, stacklevel=4)
             return pair
-    listed = isinstance(given, list | tuple) and len(given) == 2
+    listed = isinstance(given, list | tuple) and len(given) == 2 and all(isinstance(one, str) for one in given)
     if not listed or given[0] not in ("accl", "speed") or given[1] not in ("steering_angle", "steering_speed"):
         raise ConfigError(
             f"control_input is {given!r:.200}; it must be a list of 'speed' or 'accl', and 'steering_angle' or "
