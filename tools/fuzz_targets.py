@@ -28,8 +28,7 @@ from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing.envs.opponents import parse_opponents
-from pcs_racing.f1tenth.generation_a import GenerationA
-from pcs_racing.f1tenth.generation_b import GenerationB
+from pcs_racing.f1tenth.env import GenerationA, GenerationB
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.game.state import load_game, save_game
 from pcs_racing.planners.trained import DRIVER_FORMAT, read_driver
@@ -455,7 +454,7 @@ def old_program(generation: str, data: bytes) -> object:
         poses = np.array([[0.5 * i, 0.0, 1.0] for i in range(env.num_agents)])
         for _ in range(1 + draw.byte() % 6):
             what = draw.byte() % 8
-            if what < 2 or not env._started:
+            if what < 2 or not env.sim.started:
                 odd = draw.value(poses, poses, poses.tolist())
                 env.reset(odd) if generation == "a" else env.reset(seed=1, options=draw.value(None, {"poses": odd}))
             elif what < 5:

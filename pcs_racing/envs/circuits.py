@@ -30,7 +30,8 @@ class Circuits:
 
     def __init__(self, source: Any, episodes: int) -> None:
         listed = source if isinstance(source, list | tuple) else [source]
-        random = RandomCircuits() if source == RANDOM else source if isinstance(source, RandomCircuits) else None
+        named = isinstance(source, str) and source == RANDOM
+        random = RandomCircuits() if named else source if isinstance(source, RandomCircuits) else None
         if random is None and not (listed and all(isinstance(one, str | PathLike | Track) for one in listed)):
             raise InputError(
                 f"track is {source!r:.200}; it must be a circuit's name, its folder, a Track, a list of these, "

@@ -29,7 +29,7 @@ class DriveEnv(ScalarEnv):
     Two cars race on a closed circuit, or up to eight. The agent steers car 0; each other car is driven by a policy of a
     motion planner at its own rate (plans at 10 Hz, steering at 50 Hz). A step lasts ``time_step`` s with one action:
     0.1 s by default, at which a discount of 0.99 looks ten seconds ahead; 0.02 s is the rate at which the planners
-    steer.
+    steer, and 0.01 s that of the simulation, at which places along the race line are 0.01 s old in every second step.
 
     ## Action Space
 
@@ -76,7 +76,8 @@ class DriveEnv(ScalarEnv):
 
     ## Episode End
 
-    *Terminated* by a crash of any car, unless the rules' ``contact`` lets cars drive on.
+    *Terminated* by a crash of any car, unless the rules' ``contact`` lets cars drive on, and when a car has driven
+    ``laps`` from the start line.
     *Truncated* after the preset's duration (40 s); with a ``win_reward`` that is
     a termination, too, since the race is decided and nothing follows (take ``time_left`` then).
 
@@ -86,10 +87,12 @@ class DriveEnv(ScalarEnv):
     (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the agent is to blame for a crash;
     how many were its fault, where they do not end the race),
     ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a no-contest
-    crash; alone always 0), ``opponent``, the index of the episode's opponent (-1 if there is none), ``laps``
+    crash; alone 1 at the end, or 4), ``opponent``, the index of the episode's opponent (-1 if there is none), ``laps``
     (complete ones, from one crossing of the line s = 0 to the next), ``lap_time`` and ``best_lap`` (s, of the last and
     the shortest of them; -1 if there is none), and where episodes differ in it, ``track`` (its number), ``obstacles``
     (how many) and what ``randomize`` drew.
+    Arrays: ``poses`` (x, y, heading) and ``velocities`` (speed, yaw rate, slip) of all cars in m, rad and s, the own
+    one first, shape (N, 3).
     ``env.unwrapped.metadata["codes"]`` holds the words of all codes; ``env.unwrapped.outcome()`` is the info in words.
 
     ## Arguments
@@ -101,7 +104,8 @@ class DriveEnv(ScalarEnv):
         episode is driven on a newly generated circuit, or as
         :class:`pcs_racing.race.random_circuits.RandomCircuits` says.
     opponent : str, competitor, None, or a list of them
-        "lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a driver. Or an agent of the game of moves
+        "lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a driver; a model that was trained here, or its
+        file "model.zip" (:func:`pcs_racing.envs.models.model_policy`). Or an agent of the game of moves
         (:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an object, such as "cfr-argmax": it changes its policy of
         the archive every 8 s. Of a list, in which entries may be (weight, opponent), one is drawn for each episode; all
         must drive with the same planner. With None the agent is alone on the track: the second car is not simulated,
@@ -113,10 +117,14 @@ class DriveEnv(ScalarEnv):
         Rules of the race: "paper", "contest", a YAML file or a configuration.
     duration : float, optional
         Length of an episode in s, a multiple of 0.1 s; the preset's by default.
+    laps : int, optional
+        Laps from the start line after which the first car ends the race; none by default.
     time_step : float
-        Length of a step in s, a multiple of 0.02 s up to 1 s.
+        Length of a step in s, a multiple of 0.01 s up to 1 s.
     top_speed : float
         Target speed of the action 1, m/s.
+    normalized : bool
+        Whether actions are in [-1, 1]; else they are a steering angle in rad and a speed in m/s.
     beams : int
         Beams of the lidar; 0 for none.
     fov : float
@@ -129,6 +137,8 @@ class DriveEnv(ScalarEnv):
         Distances at which curvature, speed and widths are reported, m; () for none.
     own_state : bool
         Whether the elements 0 to 7 are observed.
+    own_pose : bool
+        Whether x, y (m) and heading (rad) of the own car on the map follow them.
     see_opponent : {"always", "in sight", "never"}
         When the opponent's elements are filled in. "in sight": they are 0 while a wall stands between the centres of
         the two cars, or they are further apart than `max_range`. "never": there are no such elements.
@@ -296,7 +306,7 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     - `cars` (2): cars in a race, 1 to 8. Agents are `car_0` to `car_7`.
     - `opponent` (`None`): what drives `car_1` in place of a second agent, as for `pcs_racing/Drive-v1`. Then `car_0` is
       the only agent. With more cars it drives the last one, and `opponents` as many.
-    - `time_step` (0.02): length of a step in s, a multiple of 0.02 s up to 1 s.
+    - `time_step` (0.02): length of a step in s, a multiple of 0.01 s up to 1 s.
     - `rivalry` (1.0): see *Rewards*.
     - `max_cycles` (`None`): steps after which an episode is truncated.
 

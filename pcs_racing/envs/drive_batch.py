@@ -13,7 +13,7 @@ from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import compiled_for, first_call
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.recently_used import RecentlyUsed
-from pcs_racing.car.lidar import WORK_SHAPE, Beams, Lidar
+from pcs_racing.car.lidar import WORK_SHAPE
 from pcs_racing.envs.batch import BatchStep, check_batch_size
 from pcs_racing.envs.drive_kernel import (
     SEEN_SHAPE,
@@ -24,8 +24,8 @@ from pcs_racing.envs.drive_kernel import (
     set_commands,
     step_races,
 )
-from pcs_racing.envs.drive_options import SEE_OPPONENT, DriveOptions, drive_elements
-from pcs_racing.envs.infos import Result, common_codes, race_info, race_infos, race_results
+from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, shares
+from pcs_racing.envs.infos import Result, all_poses, common_codes, pose_info, race_info, race_infos, race_results
 from pcs_racing.envs.moving_opponents import MovingOpponents
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import draw_opponent, drive_opponents, shared_planner
@@ -38,9 +38,9 @@ from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, hold_command, leave_path
 from pcs_racing.race.conditions import runs_of
 from pcs_racing.race.config import load_race_config
-from pcs_racing.race.driving import default_threads, pointers_of
+from pcs_racing.race.driving import default_threads, drive, pointers_of
 from pcs_racing.race.kernel import WORK_SIZE, KernelSettings
-from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
+from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
 from pcs_racing.race.state import RaceState, take
@@ -107,7 +107,7 @@ class DriveBatch:
         config = load_race_config(options.race, **changes)
         self.alone = self.cars == 1
         #: Of each car that no agent drives: the opponents of which one is drawn for an episode.
-        self.rivals = [drive_opponents(one, self._make_game) for one in given]
+        self.rivals = [drive_opponents(one, self._make_game, options, self.cars) for one in given]
         movers = [one for rivals in self.rivals for one in rivals if not one.policies]
         if self.cars > 2 and (movers or any(len(rivals) > 1 for rivals in self.rivals)):
             raise InputError(
@@ -141,7 +141,9 @@ class DriveBatch:
         self._prepare_races(threads)
         low, high = (bound * self._sight.gain + self._sight.shift for bound in (self._sight.low, self._sight.high))
         self.observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        turn, top = self._limits
+        ends = np.array([[-1.0, -1.0], [1.0, 1.0]] if options.normalized else [[-turn, 0.0], [turn, top]], np.float32)
+        self.action_space = spaces.Box(ends[0], ends[1], dtype=np.float32)
 
     def _make_game(self) -> RaceGame:
         """The game of moves that an opponent plays which changes its policy while it drives."""
@@ -160,28 +162,9 @@ class DriveBatch:
     def _make_sight(self) -> Sight:
         """What the players observe; ``ahead`` belongs to a circuit."""
         options = self.options
-        low = np.array([element.low for element in self.elements])
-        high = np.array([element.high for element in self.elements])
-        gain = 2.0 / (high - low) if options.normalize else np.ones(len(low))
-        nothing = np.empty(0)
-        nothing.flags.writeable = False  # as a lidar's are: both have the same compiled type then
-        beams = Beams(0.0, 1.0, float(options.max_range), nothing, nothing)
-        if options.beams > 0:
-            beams = Lidar(self.setup.track, options.beams, options.fov, options.max_range).kernel
-        return Sight(
-            players=self.players,
-            own_state=options.own_state,
-            ahead=np.empty(0, np.int64),
-            opponent=SEE_OPPONENT.index(options.see_opponent),
-            time_left=options.time_left,
-            end_tick=self.setup.config.ticks,
-            beams=beams,
-            noise=self.variety.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise))),
-            low=low,
-            high=high,
-            gain=gain,
-            shift=-1.0 - low * gain if options.normalize else np.zeros(len(low)),
-        )
+        noise = self.variety.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
+        sight = make_sight(options, self.cars, self.players, self.setup.track)
+        return sight._replace(end_tick=self.setup.config.ticks, noise=noise)
 
     def course(self, circuit: int) -> Course:
         """Return the course on a circuit, by its number; made when a race is first on it."""
@@ -189,13 +172,12 @@ class DriveBatch:
 
     def _make_course(self, circuit: int) -> Course:
         setup = replace(self.setup, track=self.variety.circuits.track(circuit))
-        line, ds = setup.track.arrays.line, setup.track.arrays.ds
-        ahead = np.array([round(distance / ds) % len(line) for distance in self.options.look_ahead], np.int64)
         lines = start_lines(setup.track, setup.config, 0, split="train")
         count = places_of_grid(self.cars)
         places = Starts(np.repeat(lines, count), np.tile(np.arange(count), len(lines)))
         grid = start_races(setup, places, np.zeros(len(places), np.uint64))
         settings = setup.settings
+        ahead = make_sight(self.options, self.cars, self.players, setup.track).ahead
         # Time to collision costs time, and only opponents that observe characteristics need it.
         if self._moving is None:
             settings = settings._replace(ittc_horizon=0.0)
@@ -217,11 +199,11 @@ class DriveBatch:
         #: shape (races, cars): Faults that agents have paid for, which one that ended a race never is.
         self._paid = np.zeros((races, self.cars), np.int8)
         self.vehicles = self.variety.vehicles
-        turn = max(vehicle.steer_max for vehicle in setup.vehicles[: self.players])
-        self._limits = (turn, float(options.top_speed))
+        self._limits = max(car.steer_max for car in setup.vehicles[: self.players]), float(options.top_speed)
+        self._laps = np.inf if options.laps is None else float(options.laps)
         paid = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
         fault_loses = setup.config.crash_rule == "fault-loses"
-        self._weights = (*(float(getattr(options, name)) for name in paid), fault_loses)
+        self._weights = (*(float(getattr(options, name)) for name in paid), fault_loses, self._laps)
         self._rows = np.arange(races)
         variety = self.variety
         self._uniform = not variety.circuits.several  # until an obstacle stands somewhere
@@ -370,7 +352,7 @@ class DriveBatch:
             i = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
             where = f" of environment {i}" if shape else ""
             raise InputError(f"action{where} is {rows[i].tolist()}; steering and speed must be finite, in [-1, 1]")
-        return values
+        return shares(values, self.options)
 
     def step(self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()) -> BatchStep:
         """Drive every race one step on."""
@@ -378,7 +360,7 @@ class DriveBatch:
         results = self._results()
         if self._in_python:
             # The kernel then pays and observes, but does not drive: 0 ticks.
-            set_commands(actions, *self._limits, self.state.memory, 0, races)
+            set_commands(actions, self._limits, self.state, self.vehicles, 0, races)
             self._advance_in_python(ticks)
             ticks = 0
         if self.threads == 1:
@@ -442,7 +424,9 @@ class DriveBatch:
         for first, last in runs_of(circuits.tolist()):
             part = RaceState._make(array[first:last] for array in self.state)
             conditions = self.variety.conditions(np.arange(first, last))
-            advance(self.course(int(circuits[first])).setup, part, self.theta[first:last], ticks, conditions=conditions)
+            setup = self.course(int(circuits[first])).setup
+            fixed = (setup.track, setup.settings, setup.planners, setup.vehicles)
+            drive(*fixed, part, self.theta[first:last], ticks, conditions=conditions)
 
     def infos(self) -> dict[str, NDArray[Any]]:
         """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
@@ -452,20 +436,27 @@ class DriveBatch:
         }
         return {
             **race_infos(self.state, self.players),
+            **all_poses(self.state.cars, range(self.players)),
             "result": self._outcomes().reshape(-1),
-            **{name: np.repeat(values, self.players) for name, values in of_races.items()},
+            **{name: np.repeat(values, self.players, axis=0) for name, values in of_races.items()},
         }
 
     def _outcomes(self) -> NDArray[np.int64]:
-        """How each race has ended for each player, shape (B, players); alone a car races nobody: its result is open."""
+        """How each race has ended for each player, shape (B, players); alone a car wins if it comes to the end."""
         state, config = self.state, self.setup.config
         result = np.zeros((self.episodes, self.players), np.int64)
         # In most steps no race is over, and nobody need be asked who won.
         over = state.crashed | (state.tick >= config.ticks)
-        if self.alone or not over.any():
+        if self.options.laps is not None:
+            lengths = np.array([scene.arrays.length for scene in self._scenes])
+            over |= state.progress.max(axis=1) >= self._laps * lengths
+        if not over.any():
             return result
         rows = np.flatnonzero(over)
         ended = take(state, rows)
+        if self.alone:
+            result[rows, 0] = np.where(ended.crashed, Result.CRASH, Result.WIN)
+            return result
         result[rows] = race_results(winners(config, ended), ended.crashed, self.players)
         return result
 
@@ -473,9 +464,13 @@ class DriveBatch:
         """Info of one player as plain numbers; faster than taking it from arrays of one."""
         race, car = divmod(environment, self.players)
         info = race_info(self.state, race, car)
-        over = self.state.crash[race].any() or self.state.tick.item(race) >= self.setup.config.ticks
+        over = any(self.state.crash[race].tolist()) or self.state.tick.item(race) >= self.setup.config.ticks
+        if self.options.laps is not None:
+            over = over or self.state.progress[race].max() >= self._laps * self._scenes[race].arrays.length
         info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
+        cars = self.state.cars[race]
+        info |= pose_info(cars if car == 0 else np.concatenate([cars[car : car + 1], np.delete(cars, car, axis=0)]))
         if self._varied:
             info.update(self.variety.info(race))
         return info

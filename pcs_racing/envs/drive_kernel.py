@@ -14,6 +14,7 @@ from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.lidar_kernel import Beams, scan_car, scan_walls
 from pcs_racing.game.reward import step_reward, win_sign
+from pcs_racing.race.config import CONTROL_EVERY
 from pcs_racing.race.kernel import advance_races
 from pcs_racing.race.positions import gap_to
 from pcs_racing.race.state import MOST_CARS
@@ -41,10 +42,12 @@ class Sight(NamedTuple):
 
     players: int  #: Cars that observe: the first ones.
     own_state: bool  #: Whether the numbers about the own car are there.
+    own_pose: bool  #: Whether its place and heading are.
     ahead: NDArray[Any]  #: int64: Look-ahead distances in samples of the race line, each in [0, N).
     #: ``NEVER``: there are no numbers about the opponent; ``IN_SIGHT``: they are 0 where a wall hides it or it is too
     #: far away; ``ALWAYS``.
     opponent: int
+    others: int  #: Opponents that there are numbers about.
     time_left: bool  #: Whether the share of the race that is left is there.
     end_tick: int  #: Steps of 0.01 s of a race.
     beams: Beams  #: Of the lidar; with no beams there is no scan.
@@ -137,7 +140,6 @@ def _in_sight(track, cars, race, car, other, reach):  # type: ignore[no-untyped-
 @inner_kernel
 def _sort_opponents(length, frenet, race, car, seen):  # type: ignore[no-untyped-def]
     """Write the gaps to the other cars, and the order in which they are observed: the nearest first."""
-    seen[_ORDER, 0] = 0.0  # alone nobody is observed
     count = 0
     for other in range(frenet.shape[1]):
         gap = gap_to(length, frenet, race, car, other)
@@ -160,14 +162,18 @@ def _observe(track, state, vehicles, sight, race, car, row, seen, work):  # type
     if sight.own_state:
         _see_own(track.line, track.ds, cars, frenet, state.memory, race, car, row, k)
         k += OWN_ELEMENTS
+    if sight.own_pose:
+        row[k], row[k + 1] = cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y]
+        row[k + 2] = angle_between(cars[race, car, _vehicle.PSI], 0.0)
+        k += 3
     _see_line(track.line, track.ds, frenet[race, car, 0], sight.ahead, row, k)
     k += STRETCH_ELEMENTS * sight.ahead.shape[0]
     if sight.opponent != NEVER:
         sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI])
         _sort_opponents(track.length, frenet, race, car, seen)
-        for nth in range(max(1, number - 1)):
-            other = int(seen[_ORDER, nth])
-            hidden = number == 1
+        for nth in range(sight.others):
+            hidden = nth >= number - 1
+            other = 0 if hidden else int(seen[_ORDER, nth])
             if sight.opponent == IN_SIGHT and not hidden:
                 hidden = not _in_sight(track, cars, race, car, other, sight.beams.max_range)
             if hidden:
@@ -229,6 +235,14 @@ def _noisy(scan, seed, car, tick, noise, most):  # type: ignore[no-untyped-def]
         scan[k] = min(max(scan[k] + noise * draw, 0.0), most)
 
 
+@inner_kernel
+def _see_velocities(cars, race, seen):  # type: ignore[no-untyped-def]
+    for car in range(cars.shape[1]):
+        sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI] + cars[race, car, _vehicle.BETA])
+        seen[_VX, car] = cars[race, car, _vehicle.V] * cosine
+        seen[_VY, car] = cars[race, car, _vehicle.V] * sine
+
+
 @kernel
 def observe_races(track, state, vehicles, sight, rows, first, last, row, seen, work, out):  # type: ignore[no-untyped-def]
     """Write the observations of the players of the races ``rows[first:last]``, each into its player's row of ``out``.
@@ -236,29 +250,43 @@ def observe_races(track, state, vehicles, sight, rows, first, last, row, seen, w
     The contents of ``row``, of shape (n,), ``seen``, of `SEEN_SHAPE`, and ``work``, of the lidar's ``WORK_SHAPE``, are
     undefined afterwards.
     """
-    cars = state.cars
     for i in range(first, last):
         race = rows[i]
-        for car in range(cars.shape[1]):
-            sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI] + cars[race, car, _vehicle.BETA])
-            seen[_VX, car] = cars[race, car, _vehicle.V] * cosine
-            seen[_VY, car] = cars[race, car, _vehicle.V] * sine
+        _see_velocities(state.cars, race, seen)
         for car in range(sight.players):
             _observe(track, state, vehicles, sight, race, car, row, seen, work)
             _write(row, sight, out[race * sight.players + car])
 
 
 @kernel
-def set_commands(actions, steer_max, top_speed, memory, first, last):  # type: ignore[no-untyped-def]
+def observe_car(track, state, vehicles, sight, rows, car, row, seen, work, out):  # type: ignore[no-untyped-def]
+    """Write what one car of the races ``rows`` observes, or would if a player drove it, into successive rows."""
+    for i in range(rows.shape[0]):
+        _see_velocities(state.cars, rows[i], seen)
+        _observe(track, state, vehicles, sight, rows[i], car, row, seen, work)
+        _write(row, sight, out[i])
+
+
+@kernel
+def set_commands(actions, limits, state, vehicles, first, last):  # type: ignore[no-untyped-def]
     """Turn actions in [-1, 1] into target steering angles and speeds, where the drivers of the players' cars read them.
 
-    ``actions`` has the shape (B, players, 2).
+    ``actions`` has the shape (B, players, 2); ``limits`` are the largest steering angle (rad) and the top speed (m/s).
     """
+    steer_max, top_speed = limits
     for race in range(first, last):
+        # Drivers are asked every second step; between two of them a command takes effect from here.
+        now = state.tick[race] % CONTROL_EVERY != 0
         for car in range(actions.shape[1]):
             # The driver of a player's car does nothing but hold what stands in its memory.
-            memory[race, car, 0] = steer_max * min(max(actions[race, car, 0], -1.0), 1.0)
-            memory[race, car, 1] = 0.5 * top_speed * (1.0 + min(max(actions[race, car, 1], -1.0), 1.0))
+            memory, command = state.memory[race, car], state.command[race, car]
+            memory[0] = steer_max * min(max(actions[race, car, 0], -1.0), 1.0)
+            memory[1] = 0.5 * top_speed * (1.0 + min(max(actions[race, car, 1], -1.0), 1.0))
+            if now:
+                command[1] = memory[1]
+                # Late commands keep to the beat of their queue.
+                if vehicles[race, car, _vehicle.STEER_DELAY] == 0.0:
+                    command[0] = memory[0] + state.disturbance[race, car]
 
 
 @compiled
@@ -312,18 +340,19 @@ def _won(state, race, car, crashed, fault_loses):  # type: ignore[no-untyped-def
 
 
 @inner_kernel
-def _end_step(state, end_tick, weights, sight, results, first, last):  # type: ignore[no-untyped-def]
+def _end_step(length, state, end_tick, weights, sight, results, first, last):  # type: ignore[no-untyped-def]
     """Rewards and ends after a step, from the progress before it and the state after it."""
-    per_metre, rivalry, penalty, win, fault_loses = weights
+    per_metre, rivalry, penalty, win, fault_loses, goal = weights
     progress, crash, fault, before = state.progress, state.crash, state.fault, results.before
     number = progress.shape[1]
     for race in range(first, last):
-        crashed = False
+        crashed, finished = False, False
         for car in range(number):
             crashed |= crash[race, car] != 0
+            finished |= progress[race, car] >= goal * length
         late = state.tick[race] >= end_tick
         # Where winning pays, nothing follows after the last moment of a race.
-        ended = crashed or (late and win > 0.0)
+        ended = crashed or finished or (late and win > 0.0)
         for car in range(sight.players):
             own = progress[race, car] - before[race, car]
             opponents = 0.0
@@ -333,7 +362,7 @@ def _end_step(state, end_tick, weights, sight, results, first, last):  # type: i
             rival = opponents / max(1, number - 1)
             blamed = 1 if fault[race, car] > results.faults[race, car] else 0
             reward = step_reward(own, rival, blamed, (per_metre, rivalry, penalty))
-            if win > 0.0 and number > 1 and (crashed or late):
+            if win > 0.0 and number > 1 and (ended or late):
                 reward += win * _won(state, race, car, crashed, fault_loses)
             player = race * sight.players + car
             results.reward[player] = reward
@@ -355,7 +384,8 @@ def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions,
         Largest steering angle (rad) and top speed (m/s).
     weights : tuple
         Reward for a metre, share of the opponent's progress that is taken off, penalty
-        (:func:`pcs_racing.game.reward.step_reward`); reward of a win, and whether a fault loses the race.
+        (:func:`pcs_racing.game.reward.step_reward`); reward of a win, whether a fault loses the race, and the laps
+        that end it.
     rows : ndarray of int64
         The numbers from 0 to B - 1.
     buffers : tuple of ndarray
@@ -364,7 +394,7 @@ def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions,
     results : StepResults
     """
     scratch, work, row, seen, scan_work = buffers
-    set_commands(actions, limits[0], limits[1], state.memory, first, last)
+    set_commands(actions, limits, state, vehicles, first, last)
     advance_races(track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work)
-    _end_step(state, settings.end_tick, weights, sight, results, first, last)
+    _end_step(track.length, state, settings.end_tick, weights, sight, results, first, last)
     observe_races(track, state, vehicles, sight, rows, first, last, row, seen, scan_work, results.observations)

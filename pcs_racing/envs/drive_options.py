@@ -7,18 +7,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Rule, Settings, checked, choice, flag, number, setting, whole
-from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_RANGE, MOST_BEAMS
+from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_RANGE, MOST_BEAMS, Lidar
+from pcs_racing.car.lidar_kernel import Beams
 from pcs_racing.car.vehicle import F1TENTH, load_vehicle
+from pcs_racing.envs.drive_kernel import Sight
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import ObservationElement as Element
-from pcs_racing.race.config import CONTROL_EVERY, DT, RaceConfig
+from pcs_racing.race.config import DT, RaceConfig
 from pcs_racing.race.state import MOST_CARS
+from pcs_racing.track.track import Track
 
 SEE_OPPONENT = ("never", "in sight", "always")
 """When the opponent is observed; each at the index that the kernel knows it by."""
@@ -41,9 +45,9 @@ def _anything(name: str, value: Any) -> Any:
 
 
 def _time_step(value: Any) -> float:
-    step = check_number("time_step", value, CONTROL_EVERY * DT, 1.0)
-    if abs(step / (CONTROL_EVERY * DT) - round(step / (CONTROL_EVERY * DT))) > 1e-9:
-        raise InputError(f"time_step is {step!r} s; it must be a multiple of {CONTROL_EVERY * DT:g} s")
+    step = check_number("time_step", value, DT, 1.0)
+    if abs(step / DT - round(step / DT)) > 1e-9:
+        raise InputError(f"time_step is {step!r} s; it must be a multiple of {DT:g} s")
     return step
 
 
@@ -77,8 +81,10 @@ class DriveOptions(Settings):
     )
     race: str | Path | RaceConfig = setting("paper", _source(RaceConfig), "Rules of the race.")
     duration: float | None = setting(None, Rule(_anything), "Length of a race, s; by default that of the rules.")
-    time_step: float = setting(0.1, checked(_time_step, "a multiple of 0.02, up to 1"), "Length of a step, s.")
+    laps: int | None = setting(None, whole(1, 1000), "Laps from the start after which the first car ends a race.")
+    time_step: float = setting(0.1, checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s.")
     top_speed: float = setting(8.0, number(0.1, F1TENTH.v_max), "Target speed that the action 1 asks for, m/s.")
+    normalized: bool = setting(True, flag(), "Whether actions are in [-1, 1]; else they are in rad and m/s.")
     beams: int = setting(0, whole(0, MOST_BEAMS), "Beams of the lidar; 0 for none.")
     fov: float = setting(4.7, FIELD_OF_VIEW, "Field of view of the lidar, rad.")
     max_range: float = setting(30.0, MAX_RANGE, "Range of the lidar, m.")
@@ -89,6 +95,7 @@ class DriveOptions(Settings):
         "Distances at which the race line is observed, m.",
     )
     own_state: bool = setting(True, flag(), "Whether the numbers about the own car are observed.")
+    own_pose: bool = setting(False, flag(), "Whether the own place and heading are observed.")
     see_opponent: str = setting("always", choice(SEE_OPPONENT), "When the opponent is observed.")
     time_left: bool = setting(False, flag(), "Whether the share of the race that is left is observed.")
     normalize: bool = setting(False, flag(), "Whether observations are scaled to [-1, 1].")
@@ -117,7 +124,13 @@ class DriveOptions(Settings):
     @property
     def ticks(self) -> int:
         """Simulation steps of 0.01 s in a step of the environment."""
-        return CONTROL_EVERY * round(self.time_step / (CONTROL_EVERY * DT))
+        return round(self.time_step / DT)
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Largest steering angle (rad) and top speed (m/s) that an action asks for."""
+        cars = self.vehicle if isinstance(self.vehicle, tuple) else (self.vehicle,)
+        return max(car.steer_max for car in cars), float(self.top_speed)
 
 
 def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
@@ -139,6 +152,9 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
             Element("offset", "m", -10.0, 10.0, "distance from the race line, positive to the left"),
             Element("heading error", "rad", -pi, pi, "own heading minus that of the race line"),
         ]
+    if options.own_pose:
+        elements += [Element(name, "m", -1e4, 1e4, "own place on the map") for name in ("x", "y")]
+        elements.append(Element("heading", "rad", -pi, pi, "own heading on the map, counter-clockwise from x"))
     for distance in options.look_ahead:
         at = f"{distance:g} m ahead"
         elements += [
@@ -176,3 +192,39 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
     if not elements:
         raise InputError("nothing is observed; leave own_state on, or take look_ahead, see_opponent or beams")
     return elements
+
+
+def make_sight(options: DriveOptions, cars: int, players: int, track: Track) -> Sight:
+    """What players observe in races of so many cars on a track; noise and the end of the race are not known here."""
+    elements = drive_elements(options, cars)
+    low, high = (np.array([getattr(element, end) for element in elements]) for end in ("low", "high"))
+    gain = 2.0 / (high - low) if options.normalize else np.ones(len(low))
+    nothing = np.empty(0)
+    nothing.flags.writeable = False  # as a lidar's are: both have the same compiled type then
+    beams = Beams(0.0, 1.0, float(options.max_range), nothing, nothing)
+    if options.beams > 0:
+        beams = Lidar(track, options.beams, options.fov, options.max_range).kernel
+    return Sight(
+        players=players,
+        own_state=options.own_state,
+        own_pose=options.own_pose,
+        ahead=np.array([round(one / track.arrays.ds) % len(track.arrays.line) for one in options.look_ahead], np.int64),
+        opponent=SEE_OPPONENT.index(options.see_opponent),
+        others=max(1, cars - 1),
+        time_left=options.time_left,
+        end_tick=0,
+        beams=beams,
+        noise=np.zeros(0),
+        low=low,
+        high=high,
+        gain=gain,
+        shift=-1.0 - low * gain if options.normalize else np.zeros(len(low)),
+    )
+
+
+def shares(actions: NDArray[np.float64], options: DriveOptions) -> NDArray[np.float64]:
+    """Actions as shares from -1 to 1 of the limits, shape (..., 2), whatever unit they are in."""
+    if options.normalized:
+        return actions
+    turn, top = options.limits
+    return (actions - (0.0, 0.5 * top)) / (turn, 0.5 * top)

@@ -18,6 +18,8 @@ Every environment uses the same names, and every value is a number or an array o
 | `policy` | index of the policy in the archive; -1 for a driver from outside |
 | `laps` | complete laps of the own car, from one forward crossing of the line s = 0 to the next |
 | `lap_time`, `best_lap` | s, of the last and the shortest of these laps; -1 if there is none |
+| `poses` | of the control level: x, y (m) and heading (rad) of every car, the own one first, shape (N, 3) |
+| `velocities` | likewise: speed (m/s), yaw rate (rad/s) and slip angle (rad) |
 | `track` | number of the episode's circuit, where there are several |
 | `obstacles` | how many stand on the track, if they are drawn |
 | `friction`, `mass`, `steering_delay`, `steering_noise`, `lidar_noise` | what was drawn for the episode, if it was |
@@ -33,6 +35,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.race.config import DT
 from pcs_racing.race.state import BEST_LAP, LAP_TIME, MOST_CROSSINGS, NO_LAP, RaceState
+
+_POSE, _MOTION = np.array([0, 1, 4]), np.array([3, 5, 6])  # columns of a car's state
 
 
 class Crash(IntEnum):
@@ -77,8 +81,9 @@ def most_of_others(values: NDArray[Any]) -> NDArray[Any]:
     number = values.shape[1]
     if number <= 2:
         return values[:, ::-1]
-    others = [np.delete(values, car, axis=1).max(axis=1) for car in range(number)]
-    return np.stack(others, axis=1)
+    ordered, out = np.sort(values, axis=1), np.repeat(values.max(axis=1)[:, None], number, axis=1)
+    out[np.arange(len(values)), values.argmax(axis=1)] = ordered[:, -2]
+    return out
 
 
 def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
@@ -97,6 +102,19 @@ def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
     }
     infos = {name: of_players(values, players) for name, values in of_cars.items()}
     return {"time": np.repeat(races.tick * DT, players), **infos}
+
+
+def all_poses(cars: NDArray[np.float64], players: Iterable[int]) -> dict[str, NDArray[np.float64]]:
+    """Where all cars of B races are and how they move, shape (B * players, N, 3) each: the player's own car first."""
+    number = cars.shape[1]
+    order = [[player, *(car for car in range(number) if car != player)] for player in players]
+    # The order of columns first: rows of three numbers are gathered faster than of seven.
+    return {name: values[:, order].reshape(-1, number, 3) for name, values in pose_info(cars).items()}
+
+
+def pose_info(cars: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """The same in the order of the cars, whose states have the shape (..., N, 7)."""
+    return {"poses": cars.take(_POSE, axis=-1), "velocities": cars.take(_MOTION, axis=-1)}
 
 
 def race_results(winner: NDArray[np.int8], crashed: NDArray[np.bool_], players: int) -> NDArray[np.int64]:

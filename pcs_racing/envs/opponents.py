@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,9 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.competitor import Competitor, check_competitor, competitor_name, driver_policies
+from pcs_racing.envs.drive_options import DriveOptions
+from pcs_racing.envs.models import model_policy, policy_of
+from pcs_racing.game.competitor import Competitor, check_competitor, competitor_name, driver_policies, is_model
 from pcs_racing.game.competitor_names import make_competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
@@ -73,14 +76,27 @@ def draw_opponent(edges: NDArray[np.float64], generator: np.random.Generator) ->
     return min(int(np.searchsorted(edges, generator.random(), "right")), len(edges) - 1)
 
 
-def drive_opponents(given: Any, make_game: Callable[[], RaceGame]) -> list[Opponent]:
-    """Read the argument ``opponent`` of Drive; the game is made only where an opponent is no policy."""
+def drive_opponents(given: Any, make_game: Callable[[], RaceGame], options: DriveOptions, cars: int) -> list[Opponent]:
+    """Read the argument ``opponent`` of Drive; the game is made only where an opponent is no policy.
+
+    A model sees what ``options`` say in races of so many cars, unless it brings its own arguments.
+    """
     entries = given if isinstance(given, list | tuple) else [given]
     # Policies need no game, which an archive would be loaded for.
-    policies = [parse_policy(one) if _is_policy_text(one) else one for one in entries]
+    policies = [_as_policy(one, options, cars) for one in entries]
     if policies and all(isinstance(policy, Policy) for policy in policies):
         return [Opponent(policy.name, 1.0, policy, (policy,)) for policy in policies]
-    return parse_opponents(given, make_game())
+    return parse_opponents(policies if isinstance(given, list | tuple) else policies[0], make_game())
+
+
+def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:
+    """The policy of a text or of a model; anything else as it is."""
+    if isinstance(given, tuple) and len(given) == 2:
+        return given[0], _as_policy(given[1], options, cars)
+    if is_model(given) and not isinstance(given, str | Path):
+        own = callable(getattr(given, "get_env", None)) and given.get_env() is not None
+        return model_policy(given) if own else policy_of(given, competitor_name(given), options, cars)
+    return parse_policy(given) if _is_policy_text(given) else given
 
 
 def _is_policy_text(given: Any) -> bool:

@@ -11,21 +11,19 @@ from typing import Any
 import gymnasium
 
 IDS = {
-    "f110-v0": "pcs_racing.f1tenth.generation_a:GenerationA",
-    "f1tenth-v0": "pcs_racing.f1tenth.generation_b:GenerationB",
+    "f110-v0": "pcs_racing.f1tenth.env:GenerationA",
+    "f1tenth-v0": "pcs_racing.f1tenth.env:GenerationB",
 }
 """Where the environment is, by its name in Gymnasium."""
 
-_NAMES = {
-    "env": "F110Env",
-    "generation_a": "GenerationA Integrator",
-    "generation_b": "GenerationB deep_update",
+_PLACES = {
+    "env": "F110Env GenerationA GenerationB Integrator deep_update DynamicModel IntegratorType LongitudinalActionEnum "
+    "SteerActionEnum",
     "simulator": "Simulator RaceCar",
     "lines": "Track TrackSpec Raceline CubicSpline2D nearest_point_on_trajectory",
-    "rendering": "EnvRenderer RenderSpec",
-    "old_names": "DynamicModel IntegratorType LongitudinalActionEnum SteerActionEnum get_vertices",
+    "rendering": "EnvRenderer RenderSpec TrackRenderer get_vertices",
 }
-_WHERE = {name: module for module, names in _NAMES.items() for name in names.split()}
+NAMES = {name: module for module, names in _PLACES.items() for name in names.split()}
 
 
 def register_environments() -> None:
@@ -40,6 +38,6 @@ def register_environments() -> None:
 
 def __getattr__(name: str) -> Any:
     """Import a class when it is asked for."""
-    if name in _WHERE:
-        return getattr(import_module(f"pcs_racing.f1tenth.{_WHERE[name]}"), name)
+    if name in NAMES:
+        return getattr(import_module(f"pcs_racing.f1tenth.{NAMES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,107 +1,308 @@
-"""What both generations of the F1TENTH gym's environment share: cars, laps, the end of an episode, callbacks."""
+"""Both generations of the F1TENTH gym's environment: ``f110_gym:f110-v0`` (0.2.1) and ``f1tenth_gym:f1tenth-v0``.
 
-from collections.abc import Callable
-from importlib import import_module
-from typing import Any, Self
+A takes keywords, has its poses at reset, and returns four values from a step; B (v1.0.0) takes a dictionary, and gives
+Gymnasium's five values.
+"""
+
+import os
+import warnings
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from enum import Enum
+from typing import Any, ClassVar, Self
 
 import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.base.checks import check_flag, check_number, check_seed, check_whole
+from pcs_racing.base.checks import check_choice, check_flag, check_number, check_seed, check_whole
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.f1tenth.kernel import count_laps, count_progress
-from pcs_racing.f1tenth.simulator import DEFAULT_PARAMS, MOST_CARS, Simulator, merged_params
+from pcs_racing.f1tenth import kernel as k
+from pcs_racing.f1tenth.lines import Track
+from pcs_racing.f1tenth.maps import load_map
+from pcs_racing.f1tenth.observations import ORIGINAL, observation
+from pcs_racing.f1tenth.rendering import EnvRenderer, RenderSpec, TrackRenderer
+from pcs_racing.f1tenth.resetting import starting_poses
+from pcs_racing.f1tenth.simulator import DEFAULT_PARAMS, MOST_CARS, Simulator, merged_params, warn_of_unknown
 
 Callback = Callable[[Any], None]
 
+_BOTH: dict[str, Any] = {
+    "seed": 12345, "params": DEFAULT_PARAMS, "num_agents": 2, "timestep": 0.01, "ego_idx": 0
+}  # fmt: skip
+_A: dict[str, Any] = {**_BOTH, "map": "vegas", "map_ext": ".png", "lidar_dist": 0.0}
+_B: dict[str, Any] = {
+    **_BOTH, "map": "Spielberg", "integrator": "rk4", "model": "st", "control_input": ["speed", "steering_angle"],
+    "observation_config": {"type": None}, "reset_config": {"type": None},
+}  # fmt: skip
+_PAIRS = ("accl", "steering_speed"), ("speed", "steering_angle")  # of which one is given without the other
+_BOUNDS = {"steering_angle": ("s_min", "s_max"), "steering_speed": ("sv_min", "sv_max")}
+_FACTS = {
+    "poses_x": k.AT_X, "poses_y": k.AT_Y, "poses_theta": k.AT_PSI, "collisions": k.CRASHED, "lap_times": k.LAP_TIME,
+    "lap_counts": k.LAPS, "toggle_list": k.TOGGLES, "start_xs": k.START_X, "start_ys": k.START_Y,
+    "start_thetas": k.START_PSI,
+}  # fmt: skip
+_MODES = ["human", "human_fast", "rgb_array"]
+
+Integrator = Enum("Integrator", "RK4 Euler")
+DynamicModel = Enum("DynamicModel", "KS ST")
+IntegratorType = Enum("IntegratorType", "RK4 Euler")
+LongitudinalActionEnum = Enum("LongitudinalActionEnum", "Accl Speed")
+SteerActionEnum = Enum("SteerActionEnum", "Steering_Angle Steering_Speed")
+
+
+def deep_update(mapping: dict[Any, Any], *updates: Mapping[Any, Any]) -> dict[Any, Any]:
+    """Return a dictionary with others merged into it, dictionaries within it likewise."""
+    out = dict(mapping)
+    for key, value in (pair for update in updates for pair in update.items()):
+        both = isinstance(out.get(key), dict) and isinstance(value, Mapping)
+        out[key] = deep_update(out[key], value) if both else value
+    return out
+
+
+def control_types(given: Any) -> tuple[str, str]:
+    """Return the longitudinal and the steering input; a single one gets its partner."""
+    for pair in _PAIRS:
+        if isinstance(given, str) and given in pair:
+            warnings.warn(f"control_input is {given!r}: taken for {list(pair)}", UserWarning, stacklevel=4)
+            return pair
+    listed = isinstance(given, list | tuple) and len(given) == 2 and all(isinstance(one, str) for one in given)
+    if not listed or given[0] not in ("accl", "speed") or given[1] not in ("steering_angle", "steering_speed"):
+        raise ConfigError(
+            f"control_input is {given!r:.200}; it must be a list of 'speed' or 'accl', and 'steering_angle' or "
+            "'steering_speed'"
+        )
+    return given[0], given[1]
+
 
 class F110Env(gymnasium.Env[Any, Any]):
-    """The F1TENTH gym's environment; made directly, of generation B with a ``config``, else of generation A."""
+    """What both generations share; made directly it is B with a ``config``, else A."""
 
     num_agents: int
     renderer: Any = None
-    render_obs: dict[str, Any] | None = None
+    current_obs: Any = None  # of the class, where programs of generation A reach for it
 
     def __new__(cls, *args: Any, **named: Any) -> Self:
         """Choose the generation by the arguments."""
-        if cls is F110Env:
-            letter = "b" if args or "config" in named else "a"
-            module = import_module(f"pcs_racing.f1tenth.generation_{letter}")
-            return object.__new__(getattr(module, f"Generation{letter.upper()}"))
-        return object.__new__(cls)
+        chosen: Any = GenerationB if args or "config" in named else GenerationA
+        made: Self = object.__new__(chosen if cls is F110Env else cls)
+        return made
 
-    def _set_up(
-        self, values: dict[str, Any], *, model: int, integrator: int, control: tuple[bool, bool], faithful: Any
-    ) -> None:
+    def _set_up(self, values: dict[str, Any], model: int, control: tuple[str, str], euler: bool, faithful: Any) -> None:
         """Check the arguments that both generations have, and make the cars."""
         self.num_agents = check_whole("num_agents", values["num_agents"], 1, MOST_CARS, ConfigError)
         self.ego_idx = check_whole("ego_idx", values["ego_idx"], 0, self.num_agents - 1, ConfigError)
         self.timestep = float(check_number("timestep", values["timestep"], 1e-4, 0.2, error=ConfigError))
-        self.lidar_dist = float(check_number("lidar_dist", values["lidar_dist"], -10.0, 10.0, error=ConfigError))
-        self.params = merged_params(DEFAULT_PARAMS, values["params"])
-        self.faithful = check_flag("faithful", faithful, ConfigError)
-        self.seed = check_seed(values["seed"])
-        self.sim = Simulator(
-            self.params,
-            self.num_agents,
-            self.seed,
-            ego_idx=self.ego_idx,
-            model=model,
-            integrator=integrator,
-            control=control,
-            time_step=self.timestep,
-            lidar_dist=self.lidar_dist,
-            faithful=self.faithful,
+        self.lidar_dist = float(
+            check_number("lidar_dist", values.get("lidar_dist", 0.0), -10.0, 10.0, error=ConfigError)
         )
-        self.lap_times, self.lap_counts = np.zeros(self.num_agents), np.zeros(self.num_agents)
-        self.current_time = 0.0
-        self._started = False
+        self.faithful, self.seed = check_flag("faithful", faithful, ConfigError), check_seed(values["seed"])
+        self.params, self._control = merged_params(DEFAULT_PARAMS, values["params"]), control
+        integrator, inputs = (
+            k.EULER if euler and self.faithful else k.RK4,
+            (control[0] == "accl", control[1][-1] == "d"),
+        )
+        setup = k.Setup(model, integrator, *inputs, self.timestep, self.lidar_dist, self.ego_idx, self.faithful, False)
+        self.sim = Simulator(self.params, self.num_agents, self.seed, setup)
+        self._find_action_space()
 
-    def _start(self, poses: ArrayLike, rng: np.random.Generator | None = None) -> None:
-        """Put the cars at poses and the laps to nothing."""
-        self.sim.reset(poses, rng)
-        at = self.sim.states[:, [0, 1, 4]]
-        self._starts = at
-        self.start_xs, self.start_ys, self.start_thetas = at.T
-        sine, cosine = np.sin(-at[self.ego_idx, 2]), np.cos(-at[self.ego_idx, 2])
-        self.start_rot = np.array([[cosine, -sine], [sine, cosine]])
-        self.current_time = 0.0
-        self.near_starts, self.toggle_list = np.ones(self.num_agents, np.bool_), np.zeros(self.num_agents)
-        self._by_progress = not self.faithful and self.sim.on_circuit
-        if self._by_progress:
-            self.lap_counts[:] = 0.0
-            self._progress, self._places = np.zeros(self.num_agents), self.sim.track.to_frenet(at[:, :2])[:, 0].copy()
-        self._started = True
+    def _find_action_space(self) -> None:
+        along, steering = self._control
+        most, low, high = self.params["a_max"], *_BOUNDS[steering]
+        rows = [[self.params[low], -most], [self.params[high], most]]
+        if along == "speed":
+            rows = [[self.params[low], self.params["v_min"]], [self.params[high], self.params["v_max"]]]
+        ends = np.repeat(np.array(rows, np.float32)[:, None], self.num_agents, axis=1)
+        self.action_space = gymnasium.spaces.Box(ends[0], ends[1], dtype=np.float32)
 
-    def _advance(self, action: ArrayLike) -> None:
-        if not self._started:
+    def _advance(self, action: ArrayLike) -> tuple[bool, dict[str, Any]]:
+        """Make a step; whether the episode has ended, and the infos."""
+        if not self.sim.started:
             raise InputError("step() before reset(): the cars have no place yet; call reset() first")
-        self.sim.step(action)
-
-    def _judge(self) -> tuple[bool, dict[str, Any]]:
-        """Count the time and the laps; whether the episode has ended, and the infos."""
-        self.current_time += self.timestep
-        poses, laps = self.sim.agent_poses, (self.toggle_list, self.lap_times, self.lap_counts, self.current_time)
-        if self._by_progress:
-            count_progress(self.sim.track.arrays, poses, self._places, self._progress, *laps)
-        else:
-            count_laps(self._starts, self.ego_idx, poses, self.near_starts, *laps)
-        self.poses_x, self.poses_y, self.poses_theta = poses.T
-        self.collisions, finished = self.sim.collisions, self.toggle_list >= 4.0
-        infos: dict[str, Any] = {"checkpoint_done": finished}
-        crashed = self.sim.collisions.tolist()
-        done = crashed[self.ego_idx] > 0.0
+        done = self.sim.step(action)
+        infos: dict[str, Any] = {"checkpoint_done": self.sim.cars[:, k.TOGGLES] >= 4.0}
         if not self.faithful:
-            # Any crash ends the race, and the infos say whose fault it was.
-            done, infos["at_fault"] = max(crashed) > 0.0, self.sim.at_fault
-        return done or all(finished.tolist()), infos
+            infos["at_fault"] = self.sim.cars[:, k.AT_FAULT] > 0.0
+        return done, infos
+
+    def __getattr__(self, name: str) -> Any:
+        """Facts of all cars under the gym's names, shape (N,), and the time."""
+        if "sim" not in self.__dict__ or name not in (*_FACTS, "current_time"):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return self.sim.cars[:, _FACTS[name]] if name in _FACTS else self.sim.time
+
+    @property
+    def render_obs(self) -> dict[str, Any] | None:
+        """What a renderer is told; None before the first reset."""
+        names = ("ego_idx", "poses_x", "poses_y", "poses_theta", "lap_times", "lap_counts", "collisions")
+        more = {"steering_angles": self.sim.agent_steerings, "sim_time": self.sim.time}
+        return {name: getattr(self, name) for name in names} | more if self.sim.started else None
 
     def update_params(self, params: Any, index: int = -1) -> None:
         """Change the parameters of all cars, or of the one with an index from 0."""
         self.sim.update_params(params, index)
 
-    def _bounded(self, low: tuple[float, float], high: tuple[float, float]) -> gymnasium.spaces.Box:
-        """Return the space of the actions of all cars by the bounds for one."""
-        ends = [np.tile(np.array(one, np.float32), (self.num_agents, 1)) for one in (low, high)]
-        return gymnasium.spaces.Box(ends[0], ends[1], dtype=np.float32)
+    def _shown(self, made: Callable[[], Any]) -> Any:
+        """The renderer, made when it is first needed."""
+        if not self.sim.started:
+            raise ConfigError("there is nothing to show: call reset() before render()")
+        return self.renderer or made()
+
+    def close(self) -> None:
+        """Close the window."""
+        if self.renderer is not None:
+            self.renderer.close()
+            type(self).renderer = self.renderer = None
+
+
+class GenerationA(F110Env):
+    """The environment. Its keywords are those of the gym: ``map`` (name, or path without ".yaml"), ``map_ext``,
+    ``num_agents``, ``params``, ``timestep``, ``ego_idx``, ``integrator``, ``lidar_dist`` (m) and ``seed``; and
+    ``faithful``: whether the gym's faults are kept (docs/coming_from_f1tenth_gym.md).
+    """
+
+    metadata = {"render.modes": _MODES, "render_modes": _MODES, "render_fps": 100}  # noqa: RUF012
+    render_callbacks: ClassVar[list[Callback]] = []
+
+    def __init__(self, *, faithful: bool = True, render_mode: str | None = None, **named: Any) -> None:
+        warn_of_unknown("f110-v0", named, [*_A, "integrator", "faithful"])
+        self.integrator, self.render_mode = named.get("integrator", Integrator["RK4"]), render_mode
+        integrator, values = getattr(self.integrator, "name", None), {**_A, **named}
+        if integrator not in ("RK4", "Euler"):
+            raise ConfigError(f"integrator is {self.integrator!r:.200}; it must be Integrator.RK4 or .Euler")
+        self._set_up(values, k.OLD_ST if faithful else k.ST, _PAIRS[1], integrator == "Euler", faithful)
+        self.update_map(values["map"], values["map_ext"])
+
+    def update_map(self, map_path: Any, map_ext: Any) -> None:
+        """Drive on another map: its path, and the ending of its picture."""
+        if not isinstance(map_path, str | os.PathLike) or not isinstance(map_ext, str):
+            raise ConfigError(f"map is {map_path!r:.200}, map_ext {map_ext!r:.80}; they must be a path and an ending")
+        self._map = load_map(map_path, map_ext)
+        self.sim.set_map(self._map)
+        self.map_name, self.map_ext, self.map_path = os.fspath(map_path), map_ext, str(self._map.file)
+
+    def reset(self, poses: ArrayLike) -> tuple[dict[str, Any], float, bool, dict[str, Any]]:  # type: ignore[override]
+        """Put the cars at poses, shape (N, 3) in m and rad, and make a step without action."""
+        # Without faults the noise goes on; in the gym every episode has the same.
+        self.sim.reset(poses, None)
+        return self.step(np.zeros((self.num_agents, 2)))
+
+    def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, dict[str, Any]]:  # type: ignore[override]
+        """Make a step with the steering angle (rad) and the speed (m/s) of each car, shape (N, 2)."""
+        done, infos = self._advance(action)
+        columns, scans = self.sim.cars.T, list(self.sim.agent_scans)
+        obs = {"ego_idx": self.ego_idx, "scans": scans, "linear_vels_y": [0.0] * self.num_agents}
+        obs |= {name: list(columns[column]) for name, column in ORIGINAL.items()}
+        obs |= {"lap_times": columns[k.LAP_TIME], "lap_counts": columns[k.LAPS], "collisions": columns[k.CRASHED]}
+        F110Env.current_obs = obs
+        return obs, self.timestep, done, infos
+
+    def add_render_callback(self, callback_func: Callback) -> None:
+        """Call a function with the renderer whenever a frame is drawn."""
+        GenerationA.render_callbacks.append(callback_func)
+
+    def render(self, mode: str = "human") -> Any:
+        """Show the cars in a window; where there is none, only the callbacks are called."""
+        check_choice("mode", mode, _MODES)
+        renderer = GenerationA.renderer = self._shown(lambda: EnvRenderer(self._map, window=mode != "rgb_array"))
+        renderer.show_map(self._map)
+        renderer.update_obs(self.render_obs, self.sim.states)
+        for callback in GenerationA.render_callbacks:
+            callback(renderer)
+        return renderer.draw(mode)
+
+
+class GenerationB(F110Env):
+    """The environment. ``config`` has keys of the gym's configuration, what is not named keeps its default
+    (:meth:`default_config`); ``render_mode`` is "human", "human_fast" or "rgb_array"; ``faithful`` says whether the
+    gym's faults are kept (docs/coming_from_f1tenth_gym.md).
+    """
+
+    metadata = {"render_modes": _MODES, "render_fps": 100}  # noqa: RUF012
+
+    def __init__(
+        self, config: Any = None, render_mode: str | None = None, *, faithful: bool = True, **named: Any
+    ) -> None:
+        warn_of_unknown("f1tenth-v0", named, ["config", "render_mode", "faithful"])
+        self.config = self.default_config()
+        self._merge(config)
+        values = self.config
+        if values["model"] not in ("st", "ks"):
+            raise ConfigError(
+                f"model is {values['model']!r:.200}; there are 'st' (dynamic) and 'ks' (kinematic), no multi-body model"
+            )
+        self.integrator = check_choice("integrator", values["integrator"], ("rk4", "euler"), ConfigError)
+        self.model, model = values["model"], k.KS if values["model"] == "ks" else k.ST
+        control = control_types(values["control_input"])
+        self._set_up(values, model, control, self.integrator == "euler", faithful)
+        self.map = values["map"]
+        self.update_map(self.map)
+        self.agent_ids = [f"agent_{i}" for i in range(self.num_agents)]
+        self.observation_config = values["observation_config"]
+        self.observation_space, self._observe = observation(self, self.observation_config)
+        if render_mode is not None:
+            check_choice("render_mode", render_mode, _MODES, ConfigError)
+        self.render_mode, self.render_spec = render_mode, RenderSpec()
+        self.metadata = {**self.metadata, "render_fps": int(1.0 / self.timestep)}
+        self._callbacks: list[Callback] = []
+
+    @classmethod
+    def default_config(cls) -> dict[str, Any]:
+        """Return the configuration that a given one changes."""
+        return deepcopy(_B)
+
+    def _merge(self, config: Any) -> None:
+        if config is not None and not isinstance(config, Mapping):
+            raise ConfigError(
+                f"config is of type {type(config).__name__}; give a dictionary such as {{'num_agents': 2}} (EnvConfig "
+                "belongs to the development line of the gym, which is not served)"
+            )
+        warn_of_unknown("config", config or {}, _B)
+        merged_params(DEFAULT_PARAMS, (config or {}).get("params", {}))
+        self.config = deep_update(self.config, config or {})
+
+    def configure(self, config: Any) -> None:
+        """Change the configuration of an environment; parameters of the cars take effect at once."""
+        self._merge(config)
+        self.sim.update_params(self.config["params"])
+        self.params = self.sim.params
+        self._find_action_space()
+
+    def update_map(self, map_name: Any) -> None:
+        """Drive on another map: its name, its path, or a :class:`Track`."""
+        self.track = map_name if isinstance(map_name, Track) else Track.from_track_name(map_name)
+        self.sim.set_map(self.track.loaded)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Put the cars at ``options["poses"]``, shape (N, 3), or as ``reset_config`` says, and step without action."""
+        super().reset(seed=seed)
+        if options is not None and not isinstance(options, Mapping):
+            raise InputError(f"options is {options!r:.200}; it must be a dictionary such as {{'poses': ...}}, or None")
+        poses = (options or {}).get("poses")
+        if poses is None:
+            poses = starting_poses(self.track, self.num_agents, self.config["reset_config"], self.np_random)
+        self.sim.reset(poses, None if self.faithful else np.random.default_rng(self.np_random.integers(2**62)))
+        obs, _, _, _, infos = self.step(np.zeros((self.num_agents, 2)))
+        return obs, infos
+
+    def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Make a step with the steering and the longitudinal input of each car, shape (N, 2), in this order."""
+        # What is observed of the laps is a step old.
+        laps = self.sim.cars if self.faithful else None
+        done, infos = self._advance(action)
+        return self._observe(laps), self.timestep, done, False, infos
+
+    def add_render_callback(self, callback_func: Callback) -> None:
+        """Call a function with the renderer whenever a frame is drawn."""
+        self._callbacks.append(callback_func)
+
+    def render(self, mode: str = "human") -> Any:
+        """Return a frame in mode "rgb_array"; else show it in a window, if there can be one."""
+        if self.render_mode is None:
+            return None
+        fps = self.metadata["render_fps"] * (10.0 if self.render_mode == "human_fast" else 1.0)
+        window = self.render_mode != "rgb_array"
+        self.renderer = self._shown(lambda: TrackRenderer(self.track.loaded, self.render_spec, window=window, fps=fps))
+        return self.renderer.draw(self.sim.states, self.sim.time, self._callbacks)

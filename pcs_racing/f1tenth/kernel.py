@@ -10,10 +10,10 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine, tangent
-from pcs_racing.car.collision import Rectangle, inside_wall, rectangles_overlap
-from pcs_racing.car.lidar_kernel import draw_rectangle, scan_into
+from pcs_racing.car.collision import Rectangle, contact_fault, inside_wall, rectangles_overlap
+from pcs_racing.car.lidar_kernel import Beams, draw_rectangle, scan_into
 from pcs_racing.car.vehicle import BETA, DELTA, GRAVITY, PSI, PSI_DOT, STATE_SIZE, Handling, V, X, Y, derivative
-from pcs_racing.track.frenet import locate
+from pcs_racing.track.frenet import TrackArrays, locate
 from pcs_racing.track.grid import cast
 
 # Columns of a car's parameters, which are those of the gym in its order.
@@ -21,9 +21,13 @@ from pcs_racing.track.grid import cast
     range(18)
 )
 
+# Columns of a car: its state, where it was before a wall stopped it, the steering that has not come into effect, with
+# which car it is in contact (-1 for none), laps, its start, and its place on the race line.
+(AT_X, AT_Y, AT_PSI, FIRST, SECOND, CRASHED, CONTACT, WALL, AT_FAULT, AWAY, TOGGLES, LAP_TIME, LAPS, START_X, START_Y,
+ START_PSI, PLACE, PROGRESS, COLUMNS) = range(STATE_SIZE, STATE_SIZE + 19)  # fmt: skip
+
 KS, ST, OLD_ST = range(3)  # vehicle models; OLD_ST is that of generation A, which differs below 0.5 m/s
 RK4, EULER = range(2)
-DELAY = 2  # steps by which steering is late
 STOP_TIME = 0.005  # s to a collision, below which a wall counts as hit
 NEAR = 3.0  # cells: a wall this far from a car's side is looked at with the gym's own march
 EPSILON = 1e-4  # m, at which that march ends
@@ -43,7 +47,7 @@ class MapGrid(NamedTuple):
 
 
 class Setup(NamedTuple):
-    """What does not change from step to step."""
+    """The numbers that do not change from step to step."""
 
     model: int
     integrator: int
@@ -51,8 +55,21 @@ class Setup(NamedTuple):
     steering_rate: bool  #: Whether the first is a steering rate, rad/s, and not an angle.
     dt: float  #: s
     lidar_dist: float  #: m from the centre of gravity to the lidar.
+    ego: int
     faithful: bool
     on_circuit: bool  #: Whether the track belongs to the map.
+
+
+class World(NamedTuple):
+    """All that a step reads."""
+
+    grid: MapGrid
+    track: TrackArrays
+    setup: Setup
+    beams: Beams
+    tables: np.ndarray  #: shape (2, DIRECTIONS): Sine and cosine of the directions of the gym's march.
+    sides: np.ndarray  #: shape (beams,), m: From the lidar to the car's side along each beam, as the gym takes it.
+    params: np.ndarray  #: shape (N, 18)
 
 
 @inner_kernel
@@ -122,74 +139,51 @@ def _drive(state, steer, longitudinal, p, setup, work):  # type: ignore[no-untyp
 
 
 @inner_kernel
-def _look_up(grid, x, y):  # type: ignore[no-untyped-def]
-    """Distance to the nearest wall in the gym's table, m; outside the map it is that of the last cell."""
-    rows, columns = grid.distance.shape
-    u, v = x - grid.origin_x, y - grid.origin_y
-    if u < 0.0 or u >= (columns - 2) * grid.cell or v < 0.0 or v >= (rows - 2) * grid.cell:
-        return grid.distance[rows - 2, columns - 2]
-    return grid.distance[min(int(v / grid.cell), rows - 3) + 1, min(int(u / grid.cell), columns - 3) + 1]
-
-
-@inner_kernel
 def _march(grid, x, y, sine, cosine, reach):  # type: ignore[no-untyped-def]
-    """Range of a beam as the gym's ray march finds it, m."""
-    near = _look_up(grid, x, y)
-    total = near
-    while near > EPSILON and total <= reach:
+    """Range of a beam as the gym's ray march finds it, m; outside the map it reads the last cell."""
+    rows, columns = grid.distance.shape
+    near = total = 0.0
+    while True:
         x += near * cosine
         y += near * sine
-        near = _look_up(grid, x, y)
+        u, v = x - grid.origin_x, y - grid.origin_y
+        i, j = rows - 2, columns - 2
+        if 0.0 <= u < (columns - 2) * grid.cell and 0.0 <= v < (rows - 2) * grid.cell:
+            i, j = min(int(v / grid.cell) + 1, i), min(int(u / grid.cell) + 1, j)
+        near = grid.distance[i, j]
         total += near
-    return min(total, reach)
+        if near <= EPSILON or total > reach:
+            return min(total, reach)
 
 
 @inner_kernel
-def _exact_range(grid, x, y, sine, cosine, reach):  # type: ignore[no-untyped-def]
-    """Distance along a beam to the first face of a wall cell, m: leaps over open ground, cell by cell near walls."""
-    rows, columns = grid.free.shape
-    gone = 0.0
-    while gone < reach:
-        u = (x + gone * cosine - grid.origin_x) / grid.cell + 1.0
-        v = (y + gone * sine - grid.origin_y) / grid.cell + 1.0
-        if not (1.0 <= u < columns - 1.0 and 1.0 <= v < rows - 1.0):
-            return reach if grid.open_outside else gone
-        leap = grid.distance[int(v), int(u)] - 1.5 * grid.cell
-        if leap > grid.cell:
-            gone += leap
-            continue
-        cells, i, j, side = cast(grid.free, u, v, cosine, sine, min(8.0, (reach - gone) / grid.cell))
-        gone += cells * grid.cell
-        if side >= 0:
-            i += (side == 2) - (side == 0)
-            j += (side == 1) - (side == 3)
-            framed = i == 0 or j == 0 or i == rows - 1 or j == columns - 1
-            return reach if framed and grid.open_outside else min(gone, reach)
-        if cells == 0.0:
-            return gone
-        gone += 1e-9  # off the line between two cells
-    return reach
-
-
-@inner_kernel
-def _scan(grid, track, on_circuit, beams, x, y, psi, work, out):  # type: ignore[no-untyped-def]
+def _scan(world, x, y, psi, work, out):  # type: ignore[no-untyped-def]
     """Write the exact ranges to the walls, m, shape (beams,)."""
-    if on_circuit and not inside_wall(track, x, y):
-        s, _ = locate(track, x, y)
-        scan_into(track, beams, x, y, psi, s, False, 0.0, 0.0, 0.0, 0.1, 0.1, work, out)
+    beams, grid, reach = world.beams, world.grid, world.beams.max_range
+    if world.setup.on_circuit and not inside_wall(world.track, x, y):
+        s, _ = locate(world.track, x, y)
+        scan_into(world.track, beams, x, y, psi, s, False, 0.0, 0.0, 0.0, 0.1, 0.1, work, out)
         return
     sine, cosine = sine_cosine(psi)
-    for k in range(out.shape[0]):
-        c, s = beams.cos[k], beams.sin[k]
-        out[k] = _exact_range(grid, x, y, sine * c + cosine * s, cosine * c - sine * s, beams.max_range)
+    rows, columns = grid.free.shape
+    u, v = (x - grid.origin_x) / grid.cell + 1.0, (y - grid.origin_y) / grid.cell + 1.0
+    inside = 1.0 <= u < columns - 1.0 and 1.0 <= v < rows - 1.0
+    out[:] = reach if grid.open_outside else 0.0
+    for k in range(out.shape[0] if inside else 0):
+        s, c = sine * beams.cos[k] + cosine * beams.sin[k], cosine * beams.cos[k] - sine * beams.sin[k]
+        cells, i, j, side = cast(grid.free, u, v, c, s, reach / grid.cell)
+        i, j = i + (side == 2) - (side == 0), j + (side == 1) - (side == 3)
+        framed = side >= 0 and (i == 0 or j == 0 or i == rows - 1 or j == columns - 1)
+        out[k] = reach if framed and grid.open_outside else min(cells * grid.cell, reach)
 
 
 @inner_kernel
-def _stops(grid, beams, tables, sides, x, y, psi, v, noise, scan):  # type: ignore[no-untyped-def]
+def _stops(world, x, y, psi, v, noise, scan):  # type: ignore[no-untyped-def]
     """Whether the gym sees a car hit a wall: a beam's range beyond the car's side is below the way of STOP_TIME.
 
     Only walls near the car can be meant, so only their beams are marched as the gym does, to decide as it decides.
     """
+    grid, beams, sides = world.grid, world.beams, world.sides
     if v == 0.0:
         return False
     near = STOP_TIME * abs(v) + NEAR * grid.cell
@@ -204,7 +198,7 @@ def _stops(grid, beams, tables, sides, x, y, psi, v, noise, scan):  # type: igno
     for k in range(scan.shape[0]):
         if abs(scan[k] + noise[k] - sides[k]) < near:
             i = int(index)
-            found = _march(grid, x, y, tables[0, i], tables[1, i], beams.max_range) + noise[k]
+            found = _march(grid, x, y, world.tables[0, i], world.tables[1, i], beams.max_range) + noise[k]
             time = (found - sides[k]) / (v * beams.cos[k])
             if 0.0 <= time < STOP_TIME:
                 return True
@@ -234,136 +228,109 @@ def _touches_wall(grid, body):  # type: ignore[no-untyped-def]
     return False
 
 
-@kernel
-def advance(  # type: ignore[no-untyped-def]
-    grid,
-    track,
-    setup,
-    beams,
-    tables,
-    sides,
-    params,
-    states,
-    actions,
-    waiting,
-    noise,
-    poses,
-    scans,
-    crashed,
-    contact,
-    walls,
-    inverse,
-    work,
-):
-    """Advance all cars in place by one step, and write what their lidars measure.
-
-    Parameters
-    ----------
-    tables : ndarray, shape (2, 2000)
-        Sine and cosine of the directions of the gym's march.
-    sides : ndarray, shape (beams,)
-        Distance from the lidar to the car's side along each beam, m, as the gym takes it.
-    params : ndarray, shape (N, 18)
-    states : ndarray, shape (N, 7)
-    actions : ndarray, shape (N, 2)
-        Steering, then speed or acceleration.
-    waiting : ndarray, shape (N, 2)
-        Steering commands that have not come into effect, the older first; shifted in place.
-    noise : ndarray, shape (1 or N, beams)
-        What is added to the ranges, m: the same for all cars, or to each its own.
-    poses : ndarray, shape (N, 3)
-        Where the cars are, before a wall stops them; written.
-    scans : ndarray, shape (N, beams)
-        Written, m.
-    crashed : ndarray, shape (N,)
-        Written: 1 for cars in contact with a wall or a car.
-    contact : ndarray, shape (N,)
-        Written: with which car each is in contact, -1 for none.
-    walls : ndarray of bool, shape (N,)
-        Written: which cars hit a wall.
-    inverse, work : ndarray, shapes (beams,) and WORK_SHAPE
-        Room to work in.
-    """
-    count = states.shape[0]
-    for i in range(count):
-        steer = waiting[i, 0]
-        waiting[i, 0], waiting[i, 1] = waiting[i, 1], actions[i, 0]
-        _drive(states[i], steer, actions[i, 1], params[i], setup, work)
-        poses[i, 0], poses[i, 1], poses[i, 2] = states[i, X], states[i, Y], states[i, PSI]
-        contact[i] = -1.0
-    for i in range(count):
-        a = Rectangle(poses[i, 0], poses[i, 1], poses[i, 2], 0.5 * params[i, LENGTH], 0.5 * params[i, WIDTH])
-        for j in range(i + 1, count):
-            b = Rectangle(poses[j, 0], poses[j, 1], poses[j, 2], 0.5 * params[j, LENGTH], 0.5 * params[j, WIDTH])
-            if rectangles_overlap(a, b):
-                contact[i] = j
-                contact[j] = i
-        row = min(i, noise.shape[0] - 1)
-        sine, cosine = sine_cosine(a.psi)
-        x, y = a.x + setup.lidar_dist * cosine, a.y + setup.lidar_dist * sine
-        _scan(grid, track, setup.on_circuit, beams, x, y, a.psi, work, scans[i])
-        if setup.faithful:
-            walls[i] = _stops(grid, beams, tables, sides, x, y, a.psi, states[i, V], noise[row], scans[i])
-        else:
-            walls[i] = _touches_wall(grid, a)
-        if walls[i]:
-            states[i, V] = 0.0
-            states[i, PSI_DOT] = 0.0
-            states[i, BETA] = 0.0
-            if setup.faithful:
-                states[i, PSI] = 0.0
-        for k in range(np.uint64(scans.shape[1])):
-            scans[i, k] += noise[row, k]
-        crashed[i] = 1.0 if walls[i] or contact[i] >= 0.0 else 0.0
-        # The gym looks for other cars from the centre of gravity, and with the heading that a wall has left.
-        sine, cosine = sine_cosine(states[i, PSI])
-        if not setup.faithful:
-            a = Rectangle(x, y, a.psi, a.half_length, a.half_width)
-        _narrow(beams, a, sine, cosine, i, params, poses, inverse, work, scans)
+@inner_kernel
+def _body(cars, params, i):  # type: ignore[no-untyped-def]
+    """Outline of a car where it was before a wall stopped it."""
+    return Rectangle(cars[i, AT_X], cars[i, AT_Y], cars[i, AT_PSI], 0.5 * params[i, LENGTH], 0.5 * params[i, WIDTH])
 
 
 @inner_kernel
-def _narrow(beams, at, sine, cosine, i, params, poses, inverse, work, scans):  # type: ignore[no-untyped-def]
-    """Shorten the ranges of car i to the other cars, as they are seen from a place."""
+def _measure(world, cars, i, noise, inverse, work, scan):  # type: ignore[no-untyped-def]
+    """Write what a car's lidar measures, and stop the car if it has hit a wall."""
+    setup, car = world.setup, cars[i]
+    body = _body(cars, world.params, i)
+    sine, cosine = sine_cosine(body.psi)
+    x, y = body.x + setup.lidar_dist * cosine, body.y + setup.lidar_dist * sine
+    _scan(world, x, y, body.psi, work, scan)
+    if setup.faithful:
+        hit = _stops(world, x, y, body.psi, car[V], noise, scan)
+        # The gym looks for other cars from the centre of gravity, and with the heading that a wall has left.
+        x, y = body.x, body.y
+    else:
+        hit = _touches_wall(world.grid, body)
+    car[WALL] = hit
+    if hit:
+        car[V] = car[PSI_DOT] = car[BETA] = 0.0
+        if setup.faithful:
+            car[PSI] = 0.0
+            sine, cosine = 0.0, 1.0
     inverse[:] = 0.0
-    for j in range(poses.shape[0]):
+    for j in range(cars.shape[0]):
         if j != i:
-            x, y = poses[j, 0] - at.x, poses[j, 1] - at.y
-            half_length, half_width = 0.5 * params[j, LENGTH], 0.5 * params[j, WIDTH]
-            draw_rectangle(beams, x, y, poses[j, 2], half_length, half_width, cosine, sine, work, inverse)
-    for k in range(np.uint64(inverse.shape[0])):
-        scans[i, k] = 1.0 / inverse[k] if inverse[k] * scans[i, k] > 1.0 else scans[i, k]
+            other = _body(cars, world.params, j)
+            draw_rectangle(
+                world.beams, other.x - x, other.y - y, other.psi, other.half_length, other.half_width, cosine, sine,
+                work, inverse,
+            )  # fmt: skip
+    for k in range(np.uint64(scan.shape[0])):
+        scan[k] += noise[k]
+        scan[k] = 1.0 / inverse[k] if inverse[k] * scan[k] > 1.0 else scan[k]
+        if not setup.faithful:
+            scan[k] = min(max(scan[k], 0.0), world.beams.max_range)
 
 
-@kernel
-def count_laps(starts, ego, poses, near, toggles, times, counts, now):  # type: ignore[no-untyped-def]
-    """Count laps as the gym does, in place: every second time that a car enters or leaves the box around its start.
+@inner_kernel
+def _count_lap(world, cars, i):  # type: ignore[no-untyped-def]
+    """Count laps as the gym does: every second time that a car enters or leaves the box around its start.
 
-    The box lies across the heading of the ego's start. Times stop when a car has two laps.
+    The box lies across the heading of the ego's start. Without faults it is the way driven along the race line, from
+    which the way back is taken off.
     """
-    sine, cosine = sine_cosine(-starts[ego, 2])
-    for i in range(poses.shape[0]):
-        dx, dy = poses[i, 0] - starts[i, 0], poses[i, 1] - starts[i, 1]
+    car, track = cars[i], world.track
+    if world.setup.on_circuit and not world.setup.faithful:
+        s, _ = locate(track, car[AT_X], car[AT_Y])
+        step = s - car[PLACE]
+        car[PROGRESS] += step - track.length * np.floor(step / track.length + 0.5)
+        car[PLACE] = s
+        car[TOGGLES] = 2.0 * max(car[LAPS], np.floor(car[PROGRESS] / track.length))
+    else:
+        sine, cosine = sine_cosine(-cars[world.setup.ego, START_PSI])
+        dx, dy = car[AT_X] - car[START_X], car[AT_Y] - car[START_Y]
         along, across = cosine * dx - sine * dy, abs(sine * dx + cosine * dy)
         beyond = max(across - BESIDE, 0.0)
-        close = along * along + beyond * beyond <= AROUND
-        if close != near[i]:
-            near[i] = close
-            toggles[i] += 1.0
-        counts[i] = toggles[i] // 2.0
-        if toggles[i] < 4.0:
-            times[i] = now
+        away = 1.0 if along * along + beyond * beyond > AROUND else 0.0
+        if away != car[AWAY]:
+            car[AWAY] = away
+            car[TOGGLES] += 1.0
+    car[LAPS] = car[TOGGLES] // 2.0
 
 
 @kernel
-def count_progress(track, poses, places, progress, toggles, times, counts, now):  # type: ignore[no-untyped-def]
-    """Count laps by the way driven along the race line, in place; the way back is taken off."""
-    for i in range(poses.shape[0]):
-        s, _ = locate(track, poses[i, 0], poses[i, 1])
-        step = s - places[i]
-        progress[i] += step - track.length * np.floor(step / track.length + 0.5)
-        places[i] = s
-        counts[i] = max(counts[i], np.floor(progress[i] / track.length))
-        toggles[i] = 2.0 * counts[i]
-        if toggles[i] < 4.0:
-            times[i] = now
+def advance(world, cars, actions, noise, now, scans, inverse, work):  # type: ignore[no-untyped-def]
+    """Advance all cars in place by one step, and write what their lidars measure; returns whether the episode ends.
+
+    Shapes are those of ``cars`` (N, COLUMNS), ``actions`` (N, 2): steering, then speed or acceleration; ``noise`` (1 or
+    N, beams), m, the same for all cars or each its own; ``scans`` (N, beams), written, m; ``inverse`` (beams,) and
+    ``work``, of the lidar's WORK_SHAPE, which are scratch. ``now`` is the time after the step, s; times of laps stop
+    when a car has two.
+    """
+    count, setup = cars.shape[0], world.setup
+    for i in range(count):
+        car = cars[i]
+        steer = car[FIRST]
+        car[FIRST], car[SECOND] = car[SECOND], actions[i, 0]
+        _drive(car, steer, actions[i, 1], world.params[i], setup, work)
+        car[AT_X], car[AT_Y], car[AT_PSI] = car[X], car[Y], car[PSI]
+        car[CONTACT], car[AT_FAULT] = -1.0, 0.0
+    crashed, finished = False, True
+    for i in range(count):
+        a = _body(cars, world.params, i)
+        for j in range(i + 1, count):
+            b = _body(cars, world.params, j)
+            if rectangles_overlap(a, b):
+                cars[i, CONTACT], cars[j, CONTACT] = j, i
+                if not setup.faithful:
+                    first, second = contact_fault(cars[i], cars[j], a, b)
+                    cars[i, AT_FAULT] = max(cars[i, AT_FAULT], first)
+                    cars[j, AT_FAULT] = max(cars[j, AT_FAULT], second)
+        _measure(world, cars, i, noise[min(i, noise.shape[0] - 1)], inverse, work, scans[i])
+        car = cars[i]
+        car[AT_FAULT] = max(car[AT_FAULT], car[WALL])
+        car[CRASHED] = 1.0 if car[WALL] > 0.0 or car[CONTACT] >= 0.0 else 0.0
+        # In the gym the crash of the ego alone ends the episode.
+        crashed |= car[CRASHED] > 0.0 and (i == setup.ego or not setup.faithful)
+        _count_lap(world, cars, i)
+        if car[TOGGLES] < 4.0:
+            car[LAP_TIME] = now
+            finished = False
+    return crashed or finished

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_array
 from pcs_racing.base.errors import InputError, MapError
-from pcs_racing.f1tenth.maps import GymMap, empty_map, load_map
+from pcs_racing.f1tenth.maps import GymMap, framed, load_map
 from pcs_racing.track.frenet import KAPPA, PSI, SPEED
 from pcs_racing.track.map_files import CENTERLINE_COLUMNS, RACELINE_COLUMNS, parse_csv
 from pcs_racing.track.maps import MAX_LINE, find_map
@@ -18,6 +18,7 @@ from pcs_racing.track.maps import MAX_LINE, find_map
 Floats = NDArray[Any]
 
 SPACING = 0.1  # of the points of a line that is not given by a file, m
+CELL = 0.05  # of a map without walls, m
 
 
 def nearest_point_on_trajectory(point: ArrayLike, trajectory: ArrayLike) -> tuple[Floats, float, float, int]:
@@ -72,28 +73,20 @@ class Raceline:
     """A line to follow: ``xs``, ``ys``, ``yaws``, ``ks``, ``vxs``, ``axs``, ``ss`` (float32), ``n``, ``length`` (m)."""
 
     def __init__(
-        self,
-        xs: Floats,
-        ys: Floats,
-        velxs: Floats,
-        ss: Floats | None = None,
-        psis: Floats | None = None,
-        kappas: Floats | None = None,
-        accxs: Floats | None = None,
-        spline: CubicSpline2D | None = None,
-    ) -> None:
+        self, xs: Floats, ys: Floats, velxs: Floats, ss: Any = None, psis: Any = None, kappas: Any = None,
+        accxs: Any = None, spline: CubicSpline2D | None = None,
+    ) -> None:  # fmt: skip
         if not xs.shape == ys.shape == velxs.shape:
             raise InputError(f"xs, ys and velxs have shapes {xs.shape}, {ys.shape}, {velxs.shape}; they must be equal")
-        self.n, self.xs, self.ys, self.vxs = len(xs), xs, ys, velxs
-        self.ss, self.yaws, self.ks, self.axs = ss, psis, kappas, accxs
-        self.length = float(np.sqrt(np.diff(xs) ** 2 + np.diff(ys) ** 2).sum())
+        self.xs, self.ys, self.vxs, self.ss, self.yaws, self.ks, self.axs = xs, ys, velxs, ss, psis, kappas, accxs
+        self.n, self.length = len(xs), float(np.hypot(np.diff(xs), np.diff(ys)).sum())
         self.spline = spline or CubicSpline2D(xs, ys)
 
     @classmethod
-    def from_columns(cls, columns: ArrayLike) -> "Raceline":
+    def from_columns(cls, columns: ArrayLike, spline: CubicSpline2D | None = None) -> "Raceline":
         """Make a line of s, x, y, heading, curvature, speed and acceleration, shape (N, 7)."""
         s, x, y, psi, kappa, speed, acceleration = np.asarray(columns).astype(np.float32).T
-        return cls(x, y, speed, s, psi, kappa, acceleration)
+        return cls(x, y, speed, s, psi, kappa, acceleration, spline)
 
     @classmethod
     def through(cls, x: ArrayLike, y: ArrayLike, speeds: ArrayLike) -> "Raceline":
@@ -102,10 +95,8 @@ class Raceline:
         s = np.arange(0.0, spline.s[-1], SPACING)
         at = spline.spline(s)
         nearest = [int(np.argmin(np.hypot(np.asarray(x) - px, np.asarray(y) - py))) for px, py in at]
-        rows = [s, at[:, 0], at[:, 1], [spline.calc_yaw(k) for k in s], [spline.calc_curvature(k) for k in s]]
-        line = cls.from_columns(np.stack([*rows, np.asarray(speeds)[nearest], 0.0 * s], axis=1))
-        line.spline = spline
-        return line
+        rows = [s, *at.T, [spline.calc_yaw(k) for k in s], [spline.calc_curvature(k) for k in s]]
+        return cls.from_columns(np.stack([*rows, np.asarray(speeds)[nearest], 0.0 * s], axis=1), spline)
 
     def render_waypoints(self, e: Any) -> None:
         """Draw the line: a render callback."""
@@ -153,12 +144,9 @@ class Track:
         if files.raceline is not None:
             race = Raceline.from_columns(_rows(files.raceline, RACELINE_COLUMNS, ";"))
         elif loaded.circuit is not None and center is None:
-            own = loaded.circuit.line
-            s = np.arange(len(own)) * loaded.circuit.arrays.ds
-            speed = own[:, SPEED]
-            race = Raceline.from_columns(
-                np.stack([s, own[:, 0], own[:, 1], own[:, PSI], own[:, KAPPA], speed, 0.0 * s], axis=1)
-            )
+            line = loaded.circuit.line
+            s = np.arange(len(line)) * loaded.circuit.arrays.ds
+            race = Raceline.from_columns(np.stack([s, *line[:, [0, 1, PSI, KAPPA, SPEED]].T, 0.0 * s], axis=1))
         path, ending = loaded.picture.with_suffix(""), loaded.picture.suffix
         return cls(spec, str(path), ending, _levels(loaded.free), center or race, race or center, loaded)
 
@@ -173,15 +161,14 @@ class Track:
         if not 4 <= len(xs) <= 100_000 or not len(xs) == len(ys) == len(speeds):
             raise InputError(f"x, y, velx hold {len(xs)}, {len(ys)}, {len(speeds)} numbers; give 4 or more of each")
         line = Raceline.through(xs, ys, speeds)
-        low = np.array([line.xs.min(), line.ys.min()], np.float64)
-        size = np.array([line.xs.max(), line.ys.max()]) - low
+        low, high = np.array([[of(line.xs), of(line.ys)] for of in (np.min, np.max)], np.float64)
+        size = high - low
         if float(size.max()) > 500.0:
             raise InputError(f"the line is {size.max():g} m across; it must be at most 500")
-        origin, cell = low - 0.1 * size, 0.05
-        free = np.ones(np.maximum(1.2 * size[::-1] / cell, 1.0).astype(int), np.bool_)
-        spec = TrackSpec(None, None, cell, (float(origin[0]), float(origin[1]), 0.0))
-        loaded = empty_map(free, cell, (float(origin[0]), float(origin[1])))
-        return cls(spec, None, None, _levels(free), line, line, loaded)
+        x0, y0 = (low - 0.1 * size).tolist()
+        free = np.ones(np.maximum(1.2 * size[::-1] / CELL, 1.0).astype(int), np.bool_)
+        loaded = GymMap("empty", None, None, CELL, (x0, y0), free, framed(free, CELL, (x0, y0)), None)
+        return cls(TrackSpec(None, None, CELL, (x0, y0, 0.0)), None, None, _levels(free), line, line, loaded)
 
     def frenet_to_cartesian(self, s: float, ey: float, ephi: float) -> tuple[float, float, float]:
         """Return x, y (m) and heading (rad) at a length along the centre line, beside it and turned from it."""

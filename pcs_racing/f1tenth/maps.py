@@ -1,6 +1,7 @@
 """Maps as the F1TENTH gym reads them, found by name or by path."""
 
 import os
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -62,15 +63,8 @@ def find_yaml(name: str | os.PathLike[str]) -> Path:
 def load_map(name: str | os.PathLike[str], ending: str | None = None) -> GymMap:
     """Load a map; ``ending`` is that of the picture beside the yaml file, which else names its picture itself."""
     file = find_yaml(name)
-    if ending is None:
-        return _load(file, None, file.stat().st_mtime_ns)
-    beside = f"{file.with_suffix('')}.{ending.removeprefix('.')}"
-    return _load(file, Path(beside) if os.path.isfile(beside) else None, file.stat().st_mtime_ns)
-
-
-def empty_map(free: NDArray[np.bool_], resolution: float, origin: tuple[float, float]) -> GymMap:
-    """Return the map of a grid that belongs to no file."""
-    return GymMap("empty", None, None, resolution, origin, free, framed(free, resolution, origin), None)
+    beside = Path(f"{file.with_suffix('')}.{(ending or '').removeprefix('.')}")
+    return _load(file, beside if ending and os.path.isfile(beside) else None, file.stat().st_mtime_ns)
 
 
 def framed(free: NDArray[np.bool_], resolution: float, origin: tuple[float, float]) -> MapGrid:
@@ -97,14 +91,9 @@ def _load(file: Path, picture: Path | None, stamp: int) -> GymMap:
     level = (255 - FREE_ABOVE - 0.5) / 255.0
     rule = ros | {"negate": False, "occupied_thresh": level, "free_thresh": level}
     free = ~parse_grid(picture, read_limited(picture, MAX_BYTES, "the picture of a map", MapError), rule)
-    grid = framed(free, ros["resolution"], ros["origin"])
+    grid, circuit = framed(free, ros["resolution"], ros["origin"]), None
+    # The circuit of a map has the walls that the gym sees: its lidar is many times as fast.
+    with suppress(MapError, ModuleNotFoundError):
+        circuit = with_walls(load_track(file), ~free, ros["resolution"], ros["origin"])
     name = file.stem.removesuffix("_map")
-    return GymMap(name, file, picture, ros["resolution"], ros["origin"], free, grid, _circuit(file, free, ros))
-
-
-def _circuit(file: Path, free: NDArray[np.bool_], ros: dict[str, Any]) -> Track | None:
-    """Return the circuit of a map, with the walls that the gym sees: its lidar is many times as fast."""
-    try:
-        return with_walls(load_track(file), ~free, ros["resolution"], ros["origin"])
-    except (MapError, ModuleNotFoundError):
-        return None
+    return GymMap(name, file, picture, ros["resolution"], ros["origin"], free, grid, circuit)

@@ -8,6 +8,7 @@ from gymnasium import spaces
 
 from pcs_racing.base.checks import check_names
 from pcs_racing.base.errors import ConfigError
+from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.simulator import BEAMS, RANGE
 
 FEATURES = (
@@ -20,9 +21,13 @@ TYPES: dict[str, tuple[str, ...]] = {
     "dynamic_state": (*_KINEMATIC, "ang_vel_z", "beta"),
     "frenet_dynamic_state": (*_KINEMATIC[:4], "linear_vel_y", "pose_theta", "ang_vel_z", "beta"),
 }
+ORIGINAL = {
+    "poses_x": k.X, "poses_y": k.Y, "poses_theta": k.PSI, "linear_vels_x": k.V, "ang_vels_z": k.PSI_DOT,
+    "collisions": k.CRASHED,
+}  # fmt: skip
 _LARGE = 1e30
 
-Observe = Callable[[], dict[str, Any]]
+Observe = Callable[[Any], dict[str, Any]]  # of the cars by which laps are told, if they are others
 
 
 def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
@@ -31,7 +36,7 @@ def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
         raise ConfigError(f"observation_config is {config!r:.200}; it must be a dictionary with a 'type'")
     kind = config["type"] or "original"
     if kind == "original":
-        return _original_space(env.num_agents), lambda: _original(env)
+        return _original_space(env.num_agents), lambda laps: _original(env, laps)
     if kind == "features":
         features = check_names("observation_config: features", config.get("features"), error=ConfigError)
         for name in features:
@@ -42,64 +47,48 @@ def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
     else:
         known = ", ".join(["original", "features", *TYPES])
         raise ConfigError(f"observation_config: type is {kind!r:.80}; it must be one of {known}")
-    one: dict[str, spaces.Space[Any]] = {name: _feature_space(name) for name in features}
-    space = spaces.Dict({name: spaces.Dict(one) for name in env.agent_ids})
-    return space, lambda: _features(env, features)
+    one = {name: _bounds(name) for name in features}
+    return spaces.Dict({name: spaces.Dict(one) for name in env.agent_ids}), lambda laps: _features(env, laps, features)
 
 
-def _box(low: float, high: float, shape: tuple[int, ...]) -> spaces.Box:
+def _box(low: float, high: float, *shape: int) -> spaces.Space[Any]:
     return spaces.Box(low, high, shape, np.float32)
 
 
-def _feature_space(name: str) -> spaces.Box:
-    if name == "scan":
-        return _box(0.0, RANGE, (BEAMS,))
-    low, high = {"collision": (0.0, 1.0), "lap_time": (0.0, _LARGE), "lap_count": (0.0, _LARGE)}.get(
-        name, (-_LARGE, _LARGE)
-    )
-    return _box(low, high, ())
+def _bounds(name: str, *cars: int) -> spaces.Space[Any]:
+    """Space of a feature, or of one of the original numbers of all cars."""
+    if name.startswith("scan"):
+        return _box(0.0, RANGE + 0.5 * len(cars), *cars, BEAMS)
+    return _box(0.0 if name[:3] in ("col", "lap") else -_LARGE, 1.0 if name[:3] == "col" else _LARGE, *cars)
 
 
 def _original_space(cars: int) -> spaces.Dict:
-    names = ("poses_x", "poses_y", "poses_theta", "linear_vels_x", "linear_vels_y", "ang_vels_z")
-    return spaces.Dict(
-        {"ego_idx": spaces.Discrete(cars), "scans": _box(0.0, RANGE + 0.5, (cars, BEAMS))}
-        | {name: _box(-_LARGE, _LARGE, (cars,)) for name in names}
-        | {"collisions": _box(0.0, 1.0, (cars,))}
-        | {name: _box(0.0, _LARGE, (cars,)) for name in ("lap_times", "lap_counts")}
-    )
+    names = ("scans", "linear_vels_y", "lap_times", "lap_counts", *ORIGINAL)
+    return spaces.Dict({"ego_idx": spaces.Discrete(cars)} | {name: _bounds(name, cars) for name in names})
 
 
-def _original(env: Any) -> dict[str, Any]:
-    sim = env.sim
-    columns = sim.states.T.astype(np.float32)
-    return {
-        "ego_idx": env.ego_idx,
-        "scans": sim.agent_scans.astype(np.float32),
-        "poses_x": columns[0],
-        "poses_y": columns[1],
-        "poses_theta": columns[4],
-        "linear_vels_x": columns[3],
-        "linear_vels_y": np.zeros(env.num_agents, np.float32),
-        "ang_vels_z": columns[5],
-        "collisions": sim.collisions.astype(np.float32),
-        "lap_times": env.lap_times.astype(np.float32),
-        "lap_counts": env.lap_counts.astype(np.float32),
-    }
+def _original(env: Any, laps: Any) -> dict[str, Any]:
+    columns = env.sim.cars.T.astype(np.float32, order="C")
+    counted = columns if laps is None else laps.T.astype(np.float32, order="C")
+    obs = {"ego_idx": env.ego_idx, "scans": env.sim.agent_scans.astype(np.float32)}
+    obs |= {name: columns[column] for name, column in ORIGINAL.items()}
+    obs |= {"linear_vels_y": np.zeros(env.num_agents, np.float32)}
+    return obs | {"lap_times": counted[k.LAP_TIME], "lap_counts": counted[k.LAPS]}
 
 
-def _features(env: Any, features: tuple[str, ...]) -> dict[str, Any]:
-    sim = env.sim
-    out = {}
+def _features(env: Any, laps: Any, features: tuple[str, ...]) -> dict[str, Any]:
+    sim, out = env.sim, {}
+    cars = sim.cars.astype(np.float32)
+    laps = cars if laps is None else laps.astype(np.float32)
     for i, name in enumerate(env.agent_ids):
-        x, y, delta, v, theta, rate, beta = sim.states[i].astype(np.float32)
+        x, y, delta, v, theta, rate, beta = cars[i, :7]
         values = {
             "scan": sim.agent_scans[i].astype(np.float32) if "scan" in features else None,
             "pose_x": x, "pose_y": y, "pose_theta": theta, "ang_vel_z": rate, "delta": delta, "beta": beta,
             "linear_vel_x": v * np.cos(beta), "linear_vel_y": v * np.sin(beta),
             # The gym forgets the contacts of cars here.
-            "collision": int(sim.walls[i] if env.faithful else sim.collisions[i]),
-            "lap_time": np.float32(env.lap_times[i]), "lap_count": np.float32(env.lap_counts[i]),
+            "collision": int(cars[i, k.WALL if env.faithful else k.CRASHED]),
+            "lap_time": laps[i, k.LAP_TIME], "lap_count": laps[i, k.LAPS],
         }  # fmt: skip
         out[name] = {feature: values[feature] for feature in features}
     return out

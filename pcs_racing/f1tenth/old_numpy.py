@@ -12,8 +12,7 @@ _REMOVED = {
     "float": float, "int": int, "complex": complex, "object": object, "str": str, "float_": np.float64, "Inf": np.inf,
     "infty": np.inf, "NaN": np.nan, "product": np.prod, "in1d": np.isin, "row_stack": np.vstack, "bool8": np.bool_,
 }  # fmt: skip
-_ONE = "acos asin atan ceil cos degrees exp fabs floor log radians sin sqrt tan"
-_TWO = "atan2 copysign fmod pow"
+_TAKE_ARRAYS = "acos asin atan ceil cos degrees exp fabs floor log radians sin sqrt tan atan2 copysign fmod pow"
 
 
 def install() -> None:
@@ -29,12 +28,11 @@ def install() -> None:
     module = ModuleType("math", math.__doc__)
     module.__dict__.update({name: value for name, value in vars(math).items() if not name.startswith("__")})
     sys.modules["math"] = module
-    for names, count in ((_ONE, 1), (_TWO, 2)):
-        for name in names.split():
-            _replace(module, name, getattr(math, name), count)
+    for name in _TAKE_ARRAYS.split():
+        _replace(module, name, getattr(math, name))
 
 
-def _replace(module: ModuleType, name: str, function: Callable[..., Any], count: int) -> None:
+def _replace(module: ModuleType, name: str, function: Callable[..., Any]) -> None:
     from numba.extending import overload
 
     def call(*values: Any) -> Any:
@@ -49,4 +47,4 @@ def _replace(module: ModuleType, name: str, function: Callable[..., Any], count:
 
     call.__name__, call.__module__ = name, "math"
     setattr(module, name, call)
-    overload(call)(one if count == 1 else two)
+    overload(call)(two if name in ("atan2", "copysign", "fmod", "pow") else one)

@@ -5,6 +5,8 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.util import find_spec
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.f1tenth.maps import GymMap
-from pcs_racing.f1tenth.old_names import get_vertices
 from pcs_racing.race.painting import FINER, Camera, paint_car, theme_colours
 from pcs_racing.race.rendering import Window
 
@@ -24,24 +25,28 @@ Frame = NDArray[np.uint8]
 Colour = tuple[int, ...]
 
 
+def get_vertices(pose: ArrayLike, length: float, width: float) -> NDArray[np.float64]:
+    """Return the corners of a car at x, y, heading: rear left, rear right, front right, front left, shape (4, 2)."""
+    x, y, theta = np.asarray(pose, np.float64)
+    sine, cosine = np.sin(theta), np.cos(theta)
+    corners = 0.5 * np.array([[-length, width], [-length, -width], [length, -width], [length, width]])
+    return corners @ np.array([[cosine, sine], [-sine, cosine]]) + (x, y)
+
+
 def has_display() -> bool:
     """Whether a window can be opened."""
-    try:
-        import pygame  # noqa: F401
-    except ImportError:
-        return False
-    return not sys.platform.startswith("linux") or any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER")
-    )
+    named = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))
+    return find_spec("pygame") is not None and (named or not sys.platform.startswith("linux"))
 
 
 class _Painter:
-    """The ground and the cars."""
+    """The ground, the cars, and the window if there is one."""
 
     def __init__(self, loaded: GymMap, width: int, height: int, window: bool, fps: float) -> None:
         self.width, self.height = width, height
         self._colours, self._font = theme_colours("light"), ImageFont.load_default(16)
         self._window = Window(width, height, fps) if window and has_display() else None
+        self._pen: ImageDraw.ImageDraw | None = None  # while a frame is drawn
         self.show_map(loaded)
 
     def show_map(self, loaded: GymMap) -> None:
@@ -49,30 +54,45 @@ class _Painter:
         self._map = loaded
         self._picture = Image.fromarray(np.where(loaded.free[::-1], np.uint8(255), np.uint8(110)))
 
-    def _ground(self, camera: Camera) -> Image.Image:
-        half = np.array([camera.width, camera.height]) / camera.scale * 0.5
-        low = (np.array([camera.x, camera.y]) - half - self._map.origin) / self._map.resolution
-        high = low + 2.0 * half / self._map.resolution
-        rows = self._picture.height
+    def _begin(self, x: float, y: float, scale: float) -> Image.Image:
+        """The ground around a place (m), with so many fine pixels to the metre."""
+        camera = self._camera = Camera(x, y, scale, self.width * FINER, self.height * FINER)
+        half = np.array([camera.width, camera.height]) / scale * 0.5
+        low = (np.array([x, y]) - half - self._map.origin) / self._map.resolution
+        high, rows = low + 2.0 * half / self._map.resolution, self._picture.height
         box = (low[0], rows - high[1], high[0], rows - low[1])
         size = (camera.width, camera.height)
-        return self._picture.transform(size, Image.Transform.EXTENT, box, fillcolor=255).convert("RGB")
+        image = self._picture.transform(size, Image.Transform.EXTENT, box, fillcolor=255).convert("RGB")
+        self._pen = ImageDraw.Draw(image, "RGBA")
+        return image
 
-    def _cars(self, pen: ImageDraw.ImageDraw, camera: Camera, states: NDArray[np.float64]) -> None:
+    def _draw_cars(self, states: NDArray[np.float64]) -> None:
+        colours = self._colours
+        assert self._pen is not None
         for i, state in enumerate(states):
-            paint_car(pen, camera, self._colours[f"car{min(i, 1)}"], self._colours["tyre"], state, HALF_SIZE)
+            paint_car(self._pen, self._camera, colours[f"car{min(i, 1)}"], colours["tyre"], state, HALF_SIZE)
 
-    def _finish(self, image: Image.Image, text: str) -> Frame:
+    def _points(self, points: NDArray[np.float64], colour: Colour, radius: float) -> None:
+        for x, y in self._camera.pixels(points) if self._pen is not None else ():
+            self._pen.ellipse((x - radius, y - radius, x + radius, y + radius), fill=tuple(colour))  # type: ignore[union-attr]
+
+    def _line(self, points: NDArray[np.float64], colour: Colour, width: int) -> None:
+        if self._pen is not None and len(points) > 1:
+            self._pen.line(self._camera.pixels(points).ravel().tolist(), fill=tuple(colour), width=width)
+
+    def _end(self, image: Image.Image, text: str, show: bool) -> Frame | None:
+        """Return the frame, or show it."""
+        self._pen = None
         small = image.reduce(FINER)
         ImageDraw.Draw(small).text((14, 10), text, fill=self._colours["ink"], font=self._font)
-        return np.array(small)
-
-    def _present(self, frame: Frame) -> None:
+        frame = np.array(small)
+        if not show or self._window is None:
+            return frame
         try:
-            assert self._window is not None
             self._window.show(frame)
         except RuntimeError:  # a display that is named but not there
             self._window = None
+        return None
 
     def close(self) -> None:
         """Close the window, if there is one."""
@@ -95,104 +115,70 @@ class TrackRenderer(_Painter):
     def __init__(self, loaded: GymMap, spec: RenderSpec, *, window: bool, fps: float) -> None:
         super().__init__(loaded, spec.window_size, spec.window_size, window, fps)
         self.render_spec, self._shown = spec, window
-        self._pen: ImageDraw.ImageDraw | None = None
 
-    def draw(
-        self, states: NDArray[np.float64], collisions: ArrayLike, now: float, callbacks: list[Callable[[Any], None]]
-    ) -> Frame | None:
+    def draw(self, states: NDArray[np.float64], now: float, callbacks: list[Callable[[Any], None]]) -> Frame | None:
         """Draw the cars and what the callbacks add; return the frame unless it is shown."""
         self.cars, self.sim_time = states, now
-        if self._shown and self._window is None:
-            for callback in callbacks:
-                callback(self)
-            return None
-        size = self.width * FINER
-        focus = self.render_spec.focus_on
-        whole = np.array(self._picture.size) * self._map.resolution
-        x, y = self._map.origin + 0.5 * whole
-        scale = size / float(whole.max())
-        if focus is not None:
-            x, y = states[min(int(focus.rpartition("_")[2]), len(states) - 1), :2]
-            scale = FINER * self.render_spec.zoom_in_factor / self._map.resolution
-        self._camera = Camera(float(x), float(y), scale, size, size)
-        image = self._ground(self._camera)
-        self._pen = ImageDraw.Draw(image, "RGBA")
-        self._cars(self._pen, self._camera, states)
+        visible, focus = self._window is not None or not self._shown, self.render_spec.focus_on
+        if visible:
+            whole = np.array(self._picture.size) * self._map.resolution
+            x, y = self._map.origin + 0.5 * whole
+            scale = self.width * FINER / float(whole.max())
+            if focus is not None:
+                x, y = states[min(int(focus.rpartition("_")[2]), len(states) - 1), :2]
+                scale = FINER * self.render_spec.zoom_in_factor / self._map.resolution
+            image = self._begin(float(x), float(y), scale)
+            self._draw_cars(states)
         for callback in callbacks:
             callback(self)
-        self._pen = None
-        frame = self._finish(image, f"{now:.2f} s")
-        if self._window is None:
-            return frame
-        self._present(frame)
-        return None
+        return self._end(image, f"{now:.2f} s", self._shown) if visible else None
 
     def render_points(self, points: ArrayLike, color: Colour = (0, 0, 255), size: float = 1) -> None:
         """Draw points, shape (N, 2), m."""
-        if self._pen is not None:
-            for x, y in self._camera.pixels(np.asarray(points, np.float64).reshape(-1, np.shape(points)[-1])):
-                r = FINER * max(float(size), 1.0)
-                self._pen.ellipse((x - r, y - r, x + r, y + r), fill=tuple(color))
+        self._points(np.asarray(points, np.float64).reshape(-1, np.shape(points)[-1]), color, FINER * max(size, 1.0))
 
     def render_lines(self, points: ArrayLike, color: Colour = (0, 0, 255), size: float = 1) -> None:
         """Draw a line through points, shape (N, 2), m."""
-        if self._pen is not None and len(np.asarray(points)) > 1:
-            corners = self._camera.pixels(np.asarray(points, np.float64)).ravel().tolist()
-            self._pen.line(corners, fill=tuple(color), width=FINER * max(int(size), 1))
+        self._line(np.asarray(points, np.float64), color, FINER * max(int(size), 1))
 
     def render_closed_lines(self, points: ArrayLike, color: Colour = (0, 0, 255), size: float = 1) -> None:
         """Draw a line through points and back to the first."""
-        if len(np.asarray(points)):
-            self.render_lines(np.vstack([points, np.asarray(points)[:1]]), color, size)
+        self.render_lines(np.concatenate([points, np.asarray(points)[:1]]), color, size)
 
 
-class VertexList:
-    """Points of one drawing, ``vertices`` in pixels of :data:`PIXELS` to the metre; both lists may be replaced."""
+class Drawing(SimpleNamespace):
+    """Something that a callback of generation A has made: its attributes may be changed, and the renderer draws it.
 
-    def __init__(self, batch: "Batch", count: int, mode: int, data: tuple[Any, ...]) -> None:
-        self._batch, self.count, self.mode = batch, count, mode
-        self.vertices: Any = []
-        self.colors: Any = []
-        self.width = 2
-        for item in data:
-            name, values = (item[0], item[1]) if isinstance(item, tuple | list) else (item, [0.0] * 3 * count)
-            if name.startswith("v"):
-                self.width, self.vertices = int(name[1]), list(values)
-            elif name.startswith("c"):
-                self.colors = list(values)
+    A list of points has ``vertices`` in pixels of :data:`PIXELS` to the metre, ``width`` numbers for each.
+    """
+
+    def __init__(self, text: str = "", *args: Any, **named: Any) -> None:
+        super().__init__(**{"text": text, "x": 0.0, "y": 0.0, "lists": {}} | named)
+
+    __eq__, __hash__ = object.__eq__, object.__hash__  # type: ignore[assignment]
+
+    def draw(self) -> None:
+        """Nothing: the renderer draws."""
 
     def delete(self) -> None:
         """Draw it no more."""
-        self._batch.lists.pop(self, None)
+        self.lists.pop(id(self), None)
 
 
-class Batch:
-    """What callbacks of generation A add their drawings to."""
+class Batch(Drawing):
+    """What callbacks of generation A add their points to."""
 
-    def __init__(self) -> None:
-        self.lists: dict[VertexList, None] = {}
-
-    def add(self, count: int, mode: int, group: Any, *data: Any) -> VertexList:
+    def add(self, count: int, mode: int, group: Any, *data: Any) -> Drawing:
         """Add points; ``data`` are ("v2f" or "v3f", numbers) and ("c3B", numbers)."""
-        made = VertexList(self, count, mode, data)
-        self.lists[made] = None
+        made = Drawing(mode=mode, vertices=[], colors=[], width=2, lists=self.lists)
+        for item in data:
+            name, values = item if isinstance(item, tuple | list) else (item, [0.0] * 3 * count)
+            if name.startswith("v"):
+                made.width, made.vertices = int(name[1]), list(values)
+            elif name.startswith("c"):
+                made.colors = list(values)
+        self.lists[id(made)] = made
         return made
-
-    def draw(self) -> None:
-        """Nothing: the renderer draws."""
-
-
-class Label:
-    """A text; where it stands is not looked at."""
-
-    def __init__(self, text: str = "", *args: Any, **named: Any) -> None:
-        self.text, self.x, self.y = text, 0.0, 0.0
-        self.__dict__.update(named)
-
-    def draw(self) -> None:
-        """Nothing: the renderer draws."""
-
-    delete = draw
 
 
 class EnvRenderer(_Painter):
@@ -201,8 +187,8 @@ class EnvRenderer(_Painter):
     def __init__(self, loaded: GymMap, *, window: bool, width: int = 1000, height: int = 800) -> None:
         super().__init__(loaded, width, height, window, 1000.0)
         self.left, self.right, self.bottom, self.top = -0.5 * width, 0.5 * width, -0.5 * height, 0.5 * height
-        self.zoom_level, self.batch, self.score_label = 1.2, Batch(), Label()
-        self.cars: list[VertexList] = []
+        self.zoom_level, self.batch, self.score_label = 1.2, Batch(), Drawing()
+        self.cars: list[Drawing] = []
         self.poses: Any = None
 
     def get_size(self) -> tuple[int, int]:
@@ -213,8 +199,8 @@ class EnvRenderer(_Painter):
         """Take the cars' places."""
         self.ego_idx, self._states = obs["ego_idx"], states
         self.poses = np.stack((obs["poses_x"], obs["poses_y"], obs["poses_theta"]), axis=1)
-        while len(self.cars) != len(self.poses):
-            self.cars = [VertexList(self.batch, 4, 0, ()) for _ in self.poses]
+        if len(self.cars) != len(self.poses):
+            self.cars = [Drawing() for _ in self.poses]
         for car, pose in zip(self.cars, self.poses, strict=True):
             car.vertices = (PIXELS * get_vertices(pose, F1TENTH.length, F1TENTH.width)).ravel().tolist()
         count = obs["lap_counts"][self.ego_idx]
@@ -225,36 +211,25 @@ class EnvRenderer(_Painter):
         if mode != "rgb_array" and self._window is None:
             return None
         across, high = max(self.right - self.left, 1.0) / PIXELS, max(self.top - self.bottom, 1.0) / PIXELS
-        width, height = self.width * FINER, self.height * FINER
         x, y = 0.5 * (self.left + self.right) / PIXELS, 0.5 * (self.bottom + self.top) / PIXELS
-        camera = Camera(x, y, min(width / across, height / high), width, height)
-        image = self._ground(camera)
-        pen = ImageDraw.Draw(image, "RGBA")
-        for drawing in self.batch.lists:
-            self._paint(pen, camera, drawing)
-        self._cars(pen, camera, self._states)
-        frame = self._finish(image, str(self.score_label.text))
-        if mode == "rgb_array":
-            return frame
-        self._present(frame)
+        image = self._begin(x, y, FINER * min(self.width / across, self.height / high))
+        for drawing in self.batch.lists.values():
+            self._draw_list(drawing)
+        self._draw_cars(self._states)
         if mode == "human":
             time.sleep(0.005)
-        return None
+        return self._end(image, str(self.score_label.text), mode != "rgb_array")
 
-    def _paint(self, pen: ImageDraw.ImageDraw, camera: Camera, drawing: VertexList) -> None:
-        points = np.asarray(drawing.vertices, np.float64)
-        points = camera.pixels(
-            points[: points.size // drawing.width * drawing.width].reshape(-1, drawing.width) / PIXELS
-        )
+    def _draw_list(self, drawing: Drawing) -> None:
+        numbers, width = np.asarray(drawing.vertices, np.float64), drawing.width
+        points = numbers[: numbers.size // width * width].reshape(-1, width)[:, :2] / PIXELS
         colour = tuple(int(value) for value in list(drawing.colors)[:3]) or (183, 193, 222)
-        flat = points.ravel().tolist()
-        if drawing.mode == 0:  # points
-            for px, py in points:
-                pen.ellipse((px - FINER, py - FINER, px + FINER, py + FINER), fill=colour)
-        elif drawing.mode in (2, 3) and len(points) > 1:  # a closed line, a line
-            pen.line(flat + flat[:2] if drawing.mode == 2 else flat, fill=colour, width=FINER)
+        if drawing.mode == 0:
+            self._points(points, colour, FINER)
+        elif drawing.mode in (2, 3):  # a closed line, a line
+            self._line(np.concatenate([points, points[:1]]) if drawing.mode == 2 else points, colour, FINER)
         elif drawing.mode == 1:  # pairs
-            for k in range(0, len(flat) - 3, 4):
-                pen.line(flat[k : k + 4], fill=colour, width=FINER)
-        elif len(points) > 2:
-            pen.polygon(flat, fill=colour)
+            for pair in points[: len(points) // 2 * 2].reshape(-1, 2, 2):
+                self._line(pair, colour, FINER)
+        elif len(points) > 2 and self._pen is not None:
+            self._pen.polygon(self._camera.pixels(points).ravel().tolist(), fill=colour)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.f1tenth.lines import Raceline, Track
+from pcs_racing.f1tenth.lines import Track
 
 _LENGTHS = {"min_dist": 1.5, "max_dist": 2.5, "start_width": 1.0}  # m
 
@@ -34,27 +34,20 @@ def starting_poses(track: Track, cars: int, config: Any, rng: np.random.Generato
     line = track.centerline if words[0] == "cl" else track.raceline
     if line is None:
         raise InputError("this map has no centre line and no race line: give poses, reset(options={'poses': ...})")
-    among = line.n if words[1] == "random" else max(int(width / (line.length / line.n)), 1)
-    poses = _one_after_another(line, int(rng.integers(among)), cars, (low, high), words[0] == "cl", rng)
-    if words[2] == "random":
-        rng.shuffle(poses)
-    return poses
-
-
-def _one_after_another(
-    line: Raceline, first: int, cars: int, gaps: tuple[float, float], aside: bool, rng: np.random.Generator
-) -> NDArray[np.float64]:
-    """Poses from a point of a line onwards, each a drawn distance ahead of the one before, on both sides in turn."""
+    # From a point of the line onwards, each a drawn distance ahead of the one before, on both sides in turn.
+    at = int(rng.integers(line.n if words[1] == "random" else max(int(width / (line.length / line.n)), 1)))
     points = np.stack([line.xs, line.ys], axis=1).astype(np.float64)
     ways = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
-    side = float(rng.choice([-1.0, 1.0])) / cars if aside and cars > 1 else 0.0
-    poses, at = np.empty((cars, 3)), first
+    side = float(rng.choice([-1.0, 1.0])) / cars if words[0] == "cl" and cars > 1 else 0.0
+    poses = np.empty((cars, 3))
     for i in range(cars):
         ahead = points[(at + 1) % line.n] - points[at]
         theta = np.arctan2(ahead[1], ahead[0])
         poses[i] = (*points[at] + side * np.array([-np.sin(theta), np.cos(theta)]), theta)
         side = -side
         gone = np.cumsum(np.roll(ways, -at))
-        near, far = np.searchsorted(gone, gaps[0]), np.searchsorted(gone, gaps[1], "right")
+        near, far = np.searchsorted(gone, low), np.searchsorted(gone, high, "right")
         at = (at + 1 + int(rng.integers(near, max(far, near + 1)))) % line.n
+    if words[2] == "random":
+        rng.shuffle(poses)
     return poses

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Iterable, Mapping
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,10 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import all_finite, check_array, check_number, check_whole, did_you_mean
 from pcs_racing.base.compilation import compiled_for, first_call
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.car.collision import Rectangle, contact_fault
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.lidar_kernel import WORK_SHAPE
-from pcs_racing.f1tenth.kernel import DELAY, DIRECTIONS, KS, LENGTH, LF, LR, WIDTH, Setup, advance
+from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.maps import GymMap
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
@@ -26,7 +24,7 @@ DEFAULT_PARAMS = {
     "s_min": -0.4189, "s_max": 0.4189, "sv_min": -3.2, "sv_max": 3.2, "v_switch": 7.319, "a_max": 9.51, "v_min": -5.0,
     "v_max": 20.0, "width": 0.31, "length": 0.58,
 }  # fmt: skip
-_POSITIVE = {"mu", "C_Sf", "C_Sr", "lf", "lr", "h", "m", "I", "v_switch", "a_max", "v_max", "width", "length"}
+_POSITIVE = (1e-6, 1e5)
 _ENDS = {"s_min": (-1.5, 0.0), "s_max": (0.0, 1.5), "sv_min": (-1e3, 0.0), "sv_max": (0.0, 1e3), "v_min": (-1e3, -1e-3)}
 NOISE = 0.01  # m
 BEAMS, FIELD_OF_VIEW, RANGE = 1080, 4.7, 30.0
@@ -37,43 +35,33 @@ def merged_params(base: Mapping[str, float], params: Any) -> dict[str, float]:
     """Return parameters of a car with some of them changed, after a check."""
     if not isinstance(params, Mapping):
         raise ConfigError(f"params is {params!r:.200}; it must be a dictionary of a car's parameters, such as mu: 1.0")
-    known = {name: value for name, value in params.items() if name in DEFAULT_PARAMS}
     warn_of_unknown("params", params, DEFAULT_PARAMS)
+    known = {name: value for name, value in params.items() if name in DEFAULT_PARAMS}
     for name, value in known.items():
-        least, most = (1e-6, 1e5) if name in _POSITIVE else _ENDS[name]
-        check_number(f"params: {name}", value, least, most, error=ConfigError)
-    return {**base, **{name: float(value) for name, value in known.items()}}
+        known[name] = float(check_number(f"params: {name}", value, *_ENDS.get(name, _POSITIVE), error=ConfigError))
+    return {**base, **known}
 
 
 def warn_of_unknown(where: str, given: Mapping[Any, Any], known: Iterable[str]) -> None:
     """Name what is not known in one warning: programs of the gym run on, for the gym ignored it."""
-    for name in given:
-        if name not in known:
-            close = did_you_mean(name, known)
-            warnings.warn(
-                f"{where}: {name!r:.100} is ignored, as in the gym{close}; there are {', '.join(known)}",
-                UserWarning,
-                stacklevel=4,
-            )
+    for name in (name for name in given if name not in known):
+        text = (
+            f"{where}: {name!r:.100} is ignored, as in the gym{did_you_mean(name, known)}; there are {', '.join(known)}"
+        )
+        warnings.warn(text, UserWarning, stacklevel=4)
 
 
 class RaceCar:
     """One car of a simulator, as programs look at it."""
 
-    num_beams, fov = BEAMS, FIELD_OF_VIEW
-    scan_simulator = SimpleNamespace(
-        num_beams=BEAMS, fov=FIELD_OF_VIEW, max_range=RANGE, get_increment=lambda: FIELD_OF_VIEW / (BEAMS - 1)
-    )
-
     def __init__(self, simulator: "Simulator", index: int) -> None:
-        self._simulator, self._index = simulator, index
-        self.is_ego = index == simulator.ego_idx
-        self.params = dict(simulator.params)
+        self._simulator, self._index, self.params = simulator, index, dict(simulator.params)
+        self.num_beams, self.fov, self.scan_angles = BEAMS, FIELD_OF_VIEW, simulator.lidar.angles
 
     @property
     def state(self) -> Floats:
         """x, y, steering angle, speed, heading and, but for model KS, yaw rate and slip; shape (7,) or (5,)."""
-        return self._simulator.states[self._index, : 5 if self._simulator.model == KS else 7]
+        return self._simulator.cars[self._index, : 5 if self._simulator.setup.model == k.KS else 7]
 
     @state.setter
     def state(self, value: ArrayLike) -> None:
@@ -82,40 +70,26 @@ class RaceCar:
     @property
     def in_collision(self) -> bool:
         """Whether the car has hit a wall in the last step."""
-        return bool(self._simulator.walls[self._index])
-
-    @property
-    def scan_angles(self) -> Floats:
-        """Angles of the beams, shape (1080,), rad."""
-        return self._simulator.lidar.angles
+        return bool(self._simulator.cars[self._index, k.WALL])
 
 
 class SameNoise:
-    """The noise of one seed, which every episode of the gym begins anew and all its cars share."""
+    """The noise of one seed, which every episode of the gym begins anew and all its cars share: blocks of 64 steps."""
 
     BLOCK, KEPT = 64, 32  # steps drawn at once, and blocks that are kept: 18 MB
 
     def __init__(self, seed: int) -> None:
-        self._rng, self._last = np.random.default_rng(seed), np.empty((1, 1, 0))
-        self._kept: list[Floats] = []
-        self._after: Any = None
+        self._rng, self._kept, self._after = np.random.default_rng(seed), list[Floats](), None
 
-    def of_step(self, step: int) -> Floats:
-        """Return what is added to the ranges in a step, shape (1, 1080), m; steps are asked for in order."""
-        block, k = divmod(step, self.BLOCK)
-        if k == 0:
-            self._last = self._block(block)
-        return self._last[k]
-
-    def _block(self, block: int) -> Floats:
-        if block < len(self._kept):
-            return self._kept[block]
-        if block == self.KEPT:  # of this episode or of an earlier one
-            self._after = self._after or self._rng.bit_generator.state
-            self._rng.bit_generator.state = self._after
+    def block(self, number: int) -> Floats:
+        """Return what is added to the ranges, shape (64, 1, 1080), m; blocks are asked for in order."""
+        if number < len(self._kept):
+            return self._kept[number]
+        if number == self.KEPT:  # of this episode or of an earlier one
+            self._after = self._after or self._rng.bit_generator.state  # type: ignore[assignment]
+            self._rng.bit_generator.state = self._after  # type: ignore[assignment]
         drawn = NOISE * self._rng.standard_normal((self.BLOCK, 1, BEAMS))
-        if block < self.KEPT:
-            self._kept.append(drawn)
+        self._kept += [drawn] if number < self.KEPT else []
         return drawn
 
 
@@ -125,49 +99,34 @@ class Simulator:
     Nothing is shared between simulators (in the gym a second one changed the map of the first).
     """
 
-    def __init__(
-        self,
-        params: dict[str, float],
-        num_agents: int,
-        seed: int,
-        *,
-        ego_idx: int,
-        model: int,
-        integrator: int,
-        control: tuple[bool, bool],
-        time_step: float,
-        lidar_dist: float,
-        faithful: bool,
-    ) -> None:
-        self.params, self.num_agents, self.seed = params, num_agents, seed
-        self.ego_idx, self.model, self.time_step = ego_idx, model, time_step
-        self._fixed = (model, integrator, *control, time_step, lidar_dist, faithful)
-        self.faithful = faithful
+    #: shape (N, COLUMNS): A new array in each step, as programs keep what they were given.
+    cars: Floats
+    agent_scans: Floats  #: shape (N, 1080), m
+
+    def __init__(self, params: dict[str, float], cars: int, seed: int, setup: k.Setup) -> None:
+        self.params, self.num_agents, self.seed, self.setup = params, cars, seed, setup
         self._some_track = load_track(list_tracks()[0])  # read by nobody, but compiled code wants one
         self.lidar = Lidar(self._some_track, BEAMS, FIELD_OF_VIEW, RANGE)
-        turn = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS)
+        turn = np.linspace(0.0, 2.0 * np.pi, k.DIRECTIONS)
         self._tables = np.stack([np.sin(turn), np.cos(turn)])
         self._work, self._inverse = np.empty(WORK_SHAPE), np.empty(BEAMS)
-        self.states = np.zeros((num_agents, 7))
-        self.agent_poses, self._waiting = np.zeros((num_agents, 3)), np.zeros((num_agents, DELAY))
-        self.agent_scans = np.zeros((num_agents, BEAMS))
-        self.collision_idx, self.walls = np.full(num_agents, -1.0), np.zeros(num_agents, np.bool_)
-        self.collisions, self.at_fault = np.zeros(num_agents), np.zeros(num_agents, np.bool_)
-        self.agents = [RaceCar(self, i) for i in range(num_agents)]
+        self.cars, self.agent_scans = np.zeros((cars, k.COLUMNS)), np.zeros((cars, BEAMS))
+        self.agents = [RaceCar(self, i) for i in range(cars)]
         self.rng, self._noise, self._steps = np.random.default_rng(seed), SameNoise(seed), 0
-        self._take_params()
+        self.time, self.started = 0.0, False  # s
 
-    @property
-    def agent_steerings(self) -> Floats:
-        """Steering angles, shape (N,), rad."""
-        return self.states[:, 2]
+    states = property(lambda self: self.cars[:, :7])
+    agent_poses = property(lambda self: self.cars[:, k.AT_X : k.AT_PSI + 1])
+    agent_steerings = property(lambda self: self.cars[:, 2])
+    collisions = property(lambda self: self.cars[:, k.CRASHED])
+    collision_idx = property(lambda self: self.cars[:, k.CONTACT])
 
     def set_map(self, loaded: GymMap) -> None:
         """Drive on another map from now on."""
         self.track = loaded.circuit or self._some_track
-        self.on_circuit = loaded.circuit is not None
-        self._grid = loaded.grid if self.faithful else loaded.grid._replace(open_outside=False)
-        self._setup = Setup(*self._fixed, self.on_circuit)
+        self.setup = self.setup._replace(on_circuit=loaded.circuit is not None)
+        self._grid = loaded.grid if self.setup.faithful else loaded.grid._replace(open_outside=False)
+        self._build()
 
     def update_params(self, params: Any, agent_idx: int = -1) -> None:
         """Change parameters of all cars, or of one."""
@@ -176,77 +135,59 @@ class Simulator:
             self.params = merged_params(self.params, params)
         for car in self.agents if index < 0 else [self.agents[index]]:
             car.params = merged_params(car.params, params)
-        self._take_params()
+        self._build()
 
-    def _take_params(self) -> None:
-        self._params = np.array([[car.params[name] for name in DEFAULT_PARAMS] for car in self.agents])
-        half_width, half_length = 0.5 * self._params[0, WIDTH], 0.5 * (self._params[0, LF] + self._params[0, LR])
+    def _build(self) -> None:
+        rows = np.array([[car.params[name] for name in DEFAULT_PARAMS] for car in self.agents])
+        half_width, half_length = 0.5 * rows[0, k.WIDTH], 0.5 * (rows[0, k.LF] + rows[0, k.LR])
         angles = self.lidar.angles
         with np.errstate(divide="ignore"):
             # The gym takes the axles for the ends of the car.
-            self._sides = np.minimum(half_width / np.abs(np.sin(angles)), half_length / np.abs(np.cos(angles)))
+            sides = np.minimum(half_width / np.abs(np.sin(angles)), half_length / np.abs(np.cos(angles)))
+        arrays, beams = self.track.arrays, self.lidar.kernel
+        self._world = k.World(self._grid, arrays, self.setup, beams, self._tables, sides, rows)
 
     def reset(self, poses: ArrayLike, rng: np.random.Generator | None = None) -> None:
         """Put the cars at poses, shape (N, 3), at rest; without the gym's faults the noise is drawn from ``rng``."""
         at = check_array("poses", poses, (self.num_agents, 3), least=-1e6, most=1e6)
         if (np.abs(at[:, 2]) > 900.0).any():
             raise InputError(f"poses: heading {np.abs(at[:, 2]).max():g} rad; it must be from -900 to 900")
-        self.states = np.zeros((self.num_agents, 7))
-        self.states[:, [0, 1, 4]] = at
-        self._waiting[:] = 0.0
-        self.collisions = np.zeros(self.num_agents)
-        self.walls[:] = False
-        self._steps = 0
+        before, self.cars = self.cars, np.zeros((self.num_agents, k.COLUMNS))
+        self.cars[:, [0, 1, 4]] = self.cars[:, k.AT_X : k.AT_PSI + 1] = self.cars[:, k.START_X : k.START_PSI + 1] = at
+        if self.setup.faithful:  # the gym shows them once more
+            self.cars[:, k.LAP_TIME : k.LAPS + 1] = before[:, k.LAP_TIME : k.LAPS + 1]
+        elif self.setup.on_circuit:
+            self.cars[:, k.PLACE] = self.track.to_frenet(at[:, :2])[:, 0]
+        self._steps, self.time, self.started = 0, 0.0, True
         self.rng = rng or self.rng
 
-    def step(self, control_inputs: ArrayLike) -> None:
-        """Advance all cars by one step with actions of shape (N, 2): steering, then speed or acceleration."""
-        actions = checked_actions(control_inputs, self.num_agents)
-        if self.faithful:
-            noise = self._noise.of_step(self._steps)
+    def step(self, control_inputs: ArrayLike) -> bool:
+        """Advance all cars by one step with actions of shape (N, 2): steering, then speed or acceleration.
+
+        Whether the episode ends is returned.
+        """
+        try:
+            actions = np.array(control_inputs, np.float64, order="C")
+        except (TypeError, ValueError, OverflowError):
+            actions = np.empty(0)
+        if actions.shape != (self.num_agents, 2) or not all_finite(actions):
+            given = " ".join(repr(control_inputs).split())
+            raise InputError(
+                f"action is {given:.200}; it must be finite numbers of shape ({self.num_agents}, 2), steering and speed"
+            )
+        if self.setup.faithful:
+            number, at = divmod(self._steps, SameNoise.BLOCK)
+            if at == 0:
+                self._drawn = self._noise.block(number)
+            noise = self._drawn[at]
         else:
             noise = NOISE * self.rng.standard_normal((self.num_agents, BEAMS))
-        self._steps += 1
-        # New arrays: programs keep what they were given.
-        self.states, self.agent_poses = self.states.copy(), np.empty((self.num_agents, 3))
-        self.agent_scans, self.collisions = np.empty((self.num_agents, BEAMS)), np.empty(self.num_agents)
-        arguments = (
-            self._grid, self.track.arrays, self._setup, self.lidar.kernel, self._tables, self._sides, self._params,
-            self.states, actions, self._waiting, noise, self.agent_poses, self.agent_scans, self.collisions,
-            self.collision_idx, self.walls, self._inverse, self._work,
-        )  # fmt: skip
+        self._steps, self.time = self._steps + 1, self.time + self.setup.dt
+        self.cars, self.agent_scans = self.cars.copy(), np.empty((self.num_agents, BEAMS))
+        arguments = (self._world, self.cars, actions, noise, self.time, self.agent_scans, self._inverse, self._work)
         if _advance is None:
             _compile(arguments)
-        _advance(*arguments)
-        if not self.faithful:
-            np.clip(self.agent_scans, 0.0, RANGE, out=self.agent_scans)
-            self._find_faults()
-
-    def _find_faults(self) -> None:
-        """Say who hit a wall, and who is at fault for the contacts of cars."""
-        self.at_fault = self.walls.copy()
-        bodies = [
-            Rectangle(pose[0], pose[1], pose[2], 0.5 * row[LENGTH], 0.5 * row[WIDTH])
-            for pose, row in zip(self.agent_poses.tolist(), self._params.tolist(), strict=True)
-        ]
-        for i, j in enumerate(self.collision_idx.astype(int).tolist()):
-            if j > i or (j >= 0 and int(self.collision_idx[j]) != i):
-                first, second = contact_fault(self.states[i], self.states[j], bodies[i], bodies[j])
-                self.at_fault[i] |= first
-                self.at_fault[j] |= second
-
-
-def checked_actions(value: ArrayLike, cars: int) -> Floats:
-    """Return actions, shape (N, 2), as finite numbers."""
-    try:
-        actions = np.array(value, np.float64, order="C")
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"action is {value!r:.200}; it must hold numbers") from None
-    if actions.shape != (cars, 2):
-        raise InputError(f"action has shape {actions.shape}; it must have ({cars}, 2): steering and speed of each car")
-    if not all_finite(actions):
-        raise InputError(f"action is {actions.tolist()!r:.200}; it must be finite")
-    return actions
+        return bool(_advance(*arguments))
 
 
 _advance: Any = None
@@ -254,5 +195,5 @@ _advance: Any = None
 
 def _compile(arguments: tuple[Any, ...]) -> None:
     global _advance
-    with first_call(advance, "the F1TENTH gym's step", 30):
-        _advance = compiled_for(advance, arguments)
+    with first_call(k.advance, "the F1TENTH gym's step", 30):
+        _advance = compiled_for(k.advance, arguments)

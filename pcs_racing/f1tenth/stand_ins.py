@@ -15,92 +15,68 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from pcs_racing import f1tenth
 from pcs_racing.base.errors import InputError
-from pcs_racing.f1tenth import (
-    env,
-    generation_a,
-    generation_b,
-    lines,
-    old_names,
-    old_numpy,
-    register_environments,
-    rendering,
-)
-from pcs_racing.f1tenth import observations as seen
-from pcs_racing.f1tenth import simulator as cars
+from pcs_racing.f1tenth import env, old_numpy, rendering
 from pcs_racing.f1tenth.maps import find_yaml
+from pcs_racing.f1tenth.observations import FEATURES
 
 
 class NotServedError(InputError, ImportError):
     """A name of the gym that is not here."""
 
+    def __init__(self, module: str, name: str) -> None:
+        hint = " (EnvConfig and its like belong to the gym's development line: use a dictionary as config)"
+        hint = hint if "f1tenth_gym" in module else ""
+        super().__init__(f"{module} has no {name!r} here: pcs_racing.f1tenth serves what racing programs use{hint}")
+
 
 class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """A wrapper as in gym: it shows the attributes of what it wraps, and hands on any values."""
+    """A wrapper as in gym: it shows the attributes of what it wraps, hands on any values, and may change three."""
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
             raise AttributeError(name)
         return getattr(self.env, name)
 
+    def observation(self, observation: Any) -> Any:
+        """Return the changed observation, wherever it stands in front of other values."""
+        return observation
+
+    def action(self, action: Any) -> Any:
+        """Return the changed action."""
+        return action
+
+    def reward(self, reward: Any) -> Any:
+        """Return the changed reward."""
+        return reward
+
     def reset(self, *args: Any, **named: Any) -> Any:
         """Reset what is wrapped, with any arguments."""
-        return self.env.reset(*args, **named)
+        answer = self.env.reset(*args, **named)
+        return (self.observation(answer[0]), *answer[1:]) if isinstance(answer, tuple) else self.observation(answer)
+
+    def step(self, action: Any) -> Any:
+        """Step what is wrapped."""
+        obs, reward, *rest = self.env.step(self.action(action))
+        return (self.observation(obs), self.reward(reward), *rest)
 
     def render(self, *args: Any, **named: Any) -> Any:
         """Render what is wrapped, with any arguments."""
         return self.env.render(*args, **named)
 
 
-class ObservationWrapper(Wrapper):
-    """Changes observations by ``observation``, wherever they stand in front of other values."""
-
-    def observation(self, observation: Any) -> Any:
-        """Return the changed observation."""
-        raise NotImplementedError
-
-    def reset(self, *args: Any, **named: Any) -> Any:
-        """Reset, and change the observation."""
-        obs, *rest = self.env.reset(*args, **named)
-        return (self.observation(obs), *rest)
-
-    def step(self, action: Any) -> Any:
-        """Step, and change the observation."""
-        obs, *rest = self.env.step(action)
-        return (self.observation(obs), *rest)
-
-
-class RewardWrapper(Wrapper):
-    """Changes rewards by ``reward``."""
-
-    def reward(self, reward: Any) -> Any:
-        """Return the changed reward."""
-        raise NotImplementedError
-
-    def step(self, action: Any) -> Any:
-        """Step, and change the reward."""
-        obs, reward, *rest = self.env.step(action)
-        return (obs, self.reward(reward), *rest)
-
-
-class ActionWrapper(Wrapper):
-    """Changes actions by ``action``."""
-
-    def action(self, action: Any) -> Any:
-        """Return the changed action."""
-        raise NotImplementedError
-
-    def step(self, action: Any) -> Any:
-        """Change the action, and step."""
-        return self.env.step(self.action(action))
-
-
+_A = "f110_env base_classes dynamic_models collision_models laser_models rendering"
+_B = (
+    "f110_env base_classes action integrator dynamic_models collision_models laser_models observation reset utils "
+    "rendering rendering.renderer track track.track track.raceline track.cubic_spline track.utils"
+)
 _GL = (
     "GL_POINTS GL_LINES GL_LINE_LOOP GL_LINE_STRIP GL_TRIANGLES GL_TRIANGLE_STRIP GL_TRIANGLE_FAN GL_QUADS "
-    "GL_QUAD_STRIP GL_POLYGON"
+    "GL_QUAD_STRIP GL_POLYGON GL_BLEND GL_SRC_ALPHA GL_ONE_MINUS_SRC_ALPHA GL_LINE_SMOOTH GL_POINT_SMOOTH "
+    "GL_LINE_SMOOTH_HINT GL_NICEST"
 )
 _CALLS = "glPointSize glLineWidth glEnable glDisable glBlendFunc glClearColor glHint glColor3f glColor4f"
-_MORE_GL = "GL_BLEND GL_SRC_ALPHA GL_ONE_MINUS_SRC_ALPHA GL_LINE_SMOOTH GL_POINT_SMOOTH GL_LINE_SMOOTH_HINT GL_NICEST"
 
 
 def _ignored(*args: Any, **named: Any) -> None:
@@ -108,58 +84,26 @@ def _ignored(*args: Any, **named: Any) -> None:
 
 
 def _contents() -> dict[str, dict[str, Any]]:
-    """What each module holds."""
-    a: dict[str, Any] = {"F110Env": generation_a.GenerationA, "Integrator": generation_a.Integrator}
-    parts = {"Simulator": cars.Simulator, "RaceCar": cars.RaceCar, "get_vertices": old_names.get_vertices}
-    a |= parts | {"gym": gymnasium, "np": np}
-    b: dict[str, Any] = {"F110Env": generation_b.GenerationB, "deep_update": generation_b.deep_update, **parts}
-    track = {name: getattr(lines, name) for name in ("Track", "TrackSpec", "Raceline", "CubicSpline2D")}
-    track["nearest_point_on_trajectory"] = lines.nearest_point_on_trajectory
-    track["find_track_dir"] = lambda name: find_yaml(name).parent
-    enums = {name: value for name, value in vars(old_names).items() if name[0].isupper()}
-    draw = {"EnvRenderer": rendering.EnvRenderer, "RenderSpec": rendering.RenderSpec}
-    gl = {name: k for k, name in enumerate((*_GL.split(), *_MORE_GL.split()))} | dict.fromkeys(_CALLS.split(), _ignored)
-    wrappers = {cls.__name__: cls for cls in (Wrapper, ObservationWrapper, RewardWrapper, ActionWrapper)}
-    gym = {
-        name: getattr(gymnasium, name) for name in ("Env", "Space", "make", "register", "spaces", "vector", "logger")
-    }
-    b_parts = "base_classes action integrator dynamic_models collision_models laser_models observation reset utils"
+    """What each module holds: those of the gym all names of it that are here."""
+    known = {name: getattr(f1tenth, name) for name in f1tenth.NAMES} | {"gym": gymnasium, "np": np}
+    track = {"find_track_dir": lambda name: find_yaml(name).parent, "FEATURES": FEATURES}
+    shared = "Env Space make register spaces vector logger"
+    gym = {name: getattr(gymnasium, name) for name in shared.split()} | {"__version__": "0.21.0"}
+    gym |= dict.fromkeys(("Wrapper", "ObservationWrapper", "RewardWrapper", "ActionWrapper"), Wrapper)
+    own = ("gym.spaces", "gym.error", "gym.utils", "gym.utils.seeding", "gym.envs.registration")
+    a, b = known | {"F110Env": env.GenerationA}, known | track | {"F110Env": env.GenerationB}
     return {
-        "gym": gym | wrappers | {"__version__": "0.21.0"},
-        "gym.spaces": vars(gymnasium.spaces),
-        "gym.core": gym | wrappers,
-        "gym.wrappers": {},
-        "gym.error": vars(gymnasium.error),
-        "gym.envs": {},
-        "gym.envs.registration": vars(gymnasium.envs.registration),
-        "gym.utils": vars(gymnasium.utils),
-        "gym.utils.seeding": vars(gymnasium.utils.seeding),
-        "f110_gym": {},
-        "f110_gym.envs": a,
-        **{f"f110_gym.envs.{name}": a for name in ("f110_env", "base_classes", "dynamic_models", "collision_models")},
-        "f110_gym.envs.laser_models": a,
-        "f110_gym.envs.rendering": draw,
-        "f1tenth_gym": {},
-        "f1tenth_gym.envs": b,
-        "f1tenth_gym.envs.f110_env": b,
-        **{f"f1tenth_gym.envs.{name}": {**b, **enums, "FEATURES": seen.FEATURES} for name in b_parts.split()},
-        "f1tenth_gym.envs.rendering": draw | {"TrackRenderer": rendering.TrackRenderer},
-        "f1tenth_gym.envs.rendering.renderer": draw,
-        "f1tenth_gym.envs.track": track,
-        **{f"f1tenth_gym.envs.track.{name}": track for name in ("track", "raceline", "cubic_spline", "utils")},
+        **dict.fromkeys(("gym", "gym.core", "gym.wrappers", "gym.envs"), gym),
+        **{name: vars(import_module(name.replace("gym", "gymnasium", 1))) for name in own},
+        **dict.fromkeys(("f110_gym", "f110_gym.envs", *(f"f110_gym.envs.{name}" for name in _A.split())), a),
+        **dict.fromkeys(("f1tenth_gym", "f1tenth_gym.envs", *(f"f1tenth_gym.envs.{name}" for name in _B.split())), b),
         "pyglet": {"options": {}, "version": "1.4"},
-        "pyglet.gl": gl,
+        "pyglet.gl": dict(zip(_GL.split(), range(17), strict=True)) | dict.fromkeys(_CALLS.split(), _ignored),
         "pyglet.graphics": {"Batch": rendering.Batch},
-        "pyglet.text": {"Label": rendering.Label},
+        "pyglet.text": {"Label": rendering.Drawing},
         "pyglet.window": {},
         "pyglet.shapes": {},
     }
-
-
-def _refuse(module: str, name: str) -> NotServedError:
-    old = "f1tenth_gym" in module
-    hint = " (EnvConfig and its like belong to the gym's development line: use a dictionary as config)" if old else ""
-    return NotServedError(f"{module} has no {name!r} here: pcs_racing.f1tenth serves what racing programs use{hint}")
 
 
 class _Refuser(MetaPathFinder):
@@ -174,14 +118,13 @@ class _Refuser(MetaPathFinder):
             sys.modules[fullname] = import_module(f"gymnasium.{rest}")
             return sys.modules[fullname].__spec__
         if package in ("gym", "f110_gym", "f1tenth_gym") and rest:
-            raise _refuse(*fullname.rsplit(".", 1))
+            raise NotServedError(*fullname.rsplit(".", 1))
         return None
 
 
 def install() -> None:
     """Provide the modules in this process, and what an older numpy had."""
-    register_environments()
-    env.F110Env.current_obs = None  # type: ignore[attr-defined]
+    f1tenth.register_environments()
     contents = _contents()
     # A pyglet that is installed would open windows of its own: everything is drawn by our renderer.
     for name, values in contents.items():
@@ -205,6 +148,6 @@ def _missing(module: str) -> Any:
             raise AttributeError(name)
         if module.startswith("gym"):
             return getattr(import_module(module.replace("gym", "gymnasium", 1)), name)
-        raise _refuse(module, name)
+        raise NotServedError(module, name)
 
     return get

@@ -13,8 +13,10 @@ A competitor is one of these:
 Competitors may always stay, whatever moves the rules offer: :attr:`pcs_racing.game.rules.RaceGame.competitor_moves`.
 """
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -109,6 +111,16 @@ def driver_policies(competitor: Any) -> tuple[Policy, ...]:
     if isinstance(competitor, Policy):
         return (competitor,)
     return competitor.policies if isinstance(competitor, PolicySet) else ()
+
+
+def is_model(candidate: Any) -> bool:
+    """Whether something is a model for steering and speed: a ``.zip``, a torch module, or of two numbers an action."""
+    if isinstance(candidate, str | Path):
+        return str(candidate).endswith(".zip")
+    torch = sys.modules.get("torch")
+    space = getattr(candidate, "action_space", None)
+    plain = torch is not None and isinstance(candidate, torch.nn.Module) and not hasattr(candidate, "predict")
+    return plain or (hasattr(candidate, "predict") and getattr(space, "shape", None) == (2,))
 
 
 def check_competitor(game: RaceGame, competitor: Any) -> None:

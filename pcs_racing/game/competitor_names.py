@@ -11,7 +11,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
-from pcs_racing.game.competitor import Competitor, PolicySet, RandomMoves, SameMove
+from pcs_racing.game.competitor import Competitor, PolicySet, RandomMoves, SameMove, is_model
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.registry import parse_policy, planner_names
 
@@ -55,7 +55,8 @@ def make_competitor(text: str, game: RaceGame) -> Competitor:
     ----------
     text : str
         "never-switch": a policy of the archive, drawn for each game and kept; "random-moves"; "always-<move>"; a policy
-        such as "lattice:pace=0.8"; or the name of a registered competitor, such as "cfr-argmax", with its options.
+        such as "lattice:pace=0.8"; or the name of a registered competitor, such as "cfr-argmax", with its options, or
+        a model's file, "model.zip".
     """
     if text == RANDOM_MOVES:
         return RandomMoves()
@@ -71,7 +72,7 @@ def make_competitor(text: str, game: RaceGame) -> Competitor:
         return parse_policy(text)
     # Last: what other packages bring is only imported for names that are not ours.
     for collection in _collections():
-        if name in collection.names(game.archive, game.config):
+        if is_model(text) or name in collection.names(game.archive, game.config):
             made: Competitor = collection.make(text, game.archive, game.config)
             return made
     raise UnknownNameError(f"opponent {text!r} is unknown; {choices(text, competitor_names(game))}")

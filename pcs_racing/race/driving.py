@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from pcs_racing.base.compilation import first_call
 from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lanes import LANES
-from pcs_racing.car.vehicle import VehicleParams
+from pcs_racing.car.vehicle import STEER_DELAY, VehicleParams
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import VIEW_SIZE
@@ -30,6 +30,21 @@ PIECE = 3000  # that a thread drives at a time
 WORTH_A_THREAD = 500  # that are worth handing over
 
 FEW_ROUNDS = 4
+
+
+@runtime_checkable
+class BatchDriver(Protocol):
+    """A ``drive`` of a planner that is asked for all races in one call, in place of once for each race."""
+
+    hold: int  #: Simulation steps for which a command holds.
+
+    def commands(
+        self, track: Track, state: RaceState, rows: Any, car: int, vehicles: Any, settings: KernelSettings
+    ) -> NDArray[np.float64]:
+        """Return steering angles (rad) and speeds (m/s) for a car of the races ``rows``, shape (n, 2).
+
+        ``vehicles`` are the parameter rows of all cars, shape (B, N, 18).
+        """
 
 
 def default_threads() -> int:
@@ -83,16 +98,18 @@ def drive(
     It is :func:`pcs_racing.race.races.advance` for cars, planners and settings of the loop that belong to no setup.
     """
     cars, runs = conditions.rows(vehicles, state.races), conditions.runs(track, state.races)
-    if ticks < 0 or ticks % CONTROL_EVERY:
-        raise InputError(f"ticks is {ticks}; it must be an even number from 0")
     if all(planner.drive is None for planner in planners):
         _drive_compiled(runs, settings, planners, cars, state, theta, ticks, threads)
         return
     # The compiled loop stops before every command, so that Python can give it.
-    for _ in range(ticks // CONTROL_EVERY):
+    holds = [getattr(planner.drive, "hold", CONTROL_EVERY) for planner in planners if planner.drive is not None]
+    while ticks > 0:
         for run in runs:
             _ask_python_drivers(run, settings, planners, cars, state, theta)
-        _drive_compiled(runs, settings, planners, cars, state, theta, CONTROL_EVERY, 1)
+        going = state.tick[(state.tick < settings.end_tick) & ~state.crash.any(axis=1)]
+        due = min([int((hold - going % hold).min()) for hold in holds]) if len(going) else ticks
+        _drive_compiled(runs, settings, planners, cars, state, theta, min(due, ticks), 1)
+        ticks -= due
 
 
 def _drive_compiled(
@@ -172,13 +189,25 @@ def _ask_python_drivers(
     theta: NDArray[np.float64],
 ) -> None:
     track, first, last = run
-    view = np.zeros(VIEW_SIZE)
-    for race in range(first, last):
-        if state.tick[race] % CONTROL_EVERY or state.tick[race] >= settings.end_tick or state.crash[race].any():
+    view, part = np.zeros(VIEW_SIZE), slice(first, last)
+    going = (state.tick[part] < settings.end_tick) & ~state.crash[part].any(axis=1)
+    for car, planner in enumerate(planners):
+        if planner.drive is None:
             continue
-        for car, planner in enumerate(planners):
-            if planner.drive is None:
+        hold = getattr(planner.drive, "hold", CONTROL_EVERY)
+        rows = first + np.flatnonzero(going & (state.tick[part] % hold == 0))
+        if isinstance(planner.drive, BatchDriver):
+            if len(rows) == 0:
                 continue
+            given = planner.drive.commands(track, state, rows, car, cars, settings)
+            state.memory[rows, car, :COMMAND_SLOTS] = given
+            # Between two of the loop's commands this one takes effect from here, unless it is late anyway.
+            now = state.tick[rows] % CONTROL_EVERY != 0
+            state.command[rows[now], car, 1] = given[now, 1]
+            now &= cars[rows, car, STEER_DELAY] == 0.0
+            state.command[rows[now], car, 0] = given[now, 0] + state.disturbance[rows[now], car]
+            continue
+        for race in rows:
             fill_view(track.arrays, state, race, car, cars[race], settings, view)
             memory = state.memory[race, car]
             # The first numbers hold the command until the next one; the driver's own memory follows.

@@ -264,6 +264,9 @@ def advance_races(  # type: ignore[no-untyped-def]
                 crashed |= crash[race, car] != 0
                 lane = number * (race - start) + car
                 load_car(work, lane, cars[race, car], vehicles[race, car])
+                if state.tick[race] % CONTROL_EVERY != 0:  # it was stopped between two commands
+                    set_target(work, lane, commands[race, car, 0], commands[race, car, 1])
+                    work[_STEERING_BEFORE + lane] = cars[race, car, _vehicle.DELTA]
                 view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
                 _fill_fixed(vehicles[race, car], settings, view)
             work[_LEFT + race - start] = 0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])

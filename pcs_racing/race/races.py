@@ -14,7 +14,7 @@ from pcs_racing.car.vehicle import COMMAND_PERIOD, F1TENTH, VehicleParams
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
-from pcs_racing.race.config import DT, PAPER, RaceConfig
+from pcs_racing.race.config import CONTROL_EVERY, DT, PAPER, RaceConfig
 from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.start_grid import Starts, place_on_grid, places_of_grid
@@ -181,6 +181,8 @@ def advance(
     InputError
         If ``ticks`` is odd or negative, or ``theta`` or the conditions do not fit the batch.
     """
+    if ticks < 0 or ticks % CONTROL_EVERY:
+        raise InputError(f"ticks is {ticks}; it must be an even number from 0")
     settings = setup.settings if ittc else setup.settings._replace(ittc_horizon=0.0)
     drive(
         setup.track,

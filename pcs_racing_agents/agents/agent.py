@@ -9,6 +9,7 @@ simulated again to the last bit. To an opponent who does not know the seed the m
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_text, check_whole
 from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor
+from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor, is_model
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner, planner_names
@@ -179,6 +180,7 @@ class Driver(PolicySet):
     def content_hash(self) -> str:
         """SHA-256 of its planner's name, its parameters and its network's weights, without its name."""
         weights = [self.facts["weights sha256"]] if "weights sha256" in self.facts else []
+        weights += [one for one in [getattr(self.planner.drive, "content_hash", None)] if one is not None]
         return fingerprint(
             self.planner.name, self.planner.parameter_names, [p.parameters for p in self.policies], *weights
         )
@@ -203,15 +205,33 @@ class Named:
         return self.model.predict(observation, state, episode_start, deterministic)
 
 
+def driver_of_model(model: Any, name: str | None = None) -> Driver:
+    """Return the driver of a model that steers, or of its file."""
+    from pcs_racing.envs.models import model_policy
+    from pcs_racing_agents.agents.sb3_files import load_model, plain_model
+
+    if isinstance(model, str | Path):
+        policy = load_model(model)
+    else:
+        name = name or getattr(model, "name", None) or type(model).__name__
+        like = model.get_env() if callable(getattr(model, "get_env", None)) else None
+        policy = model_policy(plain_model(model, name), name=name, like=like)
+    return Driver(policy.name, (policy,))
+
+
 def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
     """Return a competitor for a policy (a driver), for a model (which gets a name) or for a competitor.
 
     Parameters
     ----------
     candidate : Agent, Driver, Policy, object with ``predict`` or with ``decide``
+        A model whose actions are steering and speed becomes a driver
+        (:func:`pcs_racing.envs.models.model_policy`).
     name : str, optional
         Name in place of its own.
     """
+    if is_model(candidate) and not isinstance(candidate, str):
+        return driver_of_model(candidate, name)
     if isinstance(candidate, Policy):
         return Driver(name or candidate.name, (candidate,))
     if isinstance(candidate, type) or not isinstance(candidate, Agent | Driver | Predictor | Decider):

@@ -20,10 +20,11 @@ from typing import Any
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.files import plain_yaml
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.competitor import is_model
 from pcs_racing.game.config import GameConfig
 from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.race.config import RaceConfig
-from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor
+from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor, driver_of_model
 from pcs_racing_agents.agents.setting import Setting, make_setting
 
 ENTRY_POINTS = "pcs_racing.agents"
@@ -126,7 +127,8 @@ def make(
     Parameters
     ----------
     name : str
-        One of :func:`names`; or a policy as text, such as ``"lattice:pace=0.8"``.
+        One of :func:`names`; a policy as text, such as ``"lattice:pace=0.8"``; or the ``.zip`` of a model that drives
+        (:func:`pcs_racing_agents.agents.sb3_files.save_model`).
     archive, race
         The game that it is for, as in :func:`pcs_racing.make_game`.
     seed : int
@@ -163,6 +165,8 @@ def build(name: str, setting: Setting, *, seed: int = 0, **options: Any) -> Any:
         for key in options:
             raise InputError(f"agent {name!r} has no option {key!r}; it has none")
         return resolve_name(_ALWAYS)(setting, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed)
+    if is_model(name):
+        return driver_of_model(name)
     # An agent may have the name of a planner; anything else that begins with one is a policy.
     if name not in available:
         if name.partition(":")[0] in planner_names() and not options:

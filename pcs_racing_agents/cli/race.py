@@ -8,6 +8,7 @@ from typing import Annotated
 
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.game.competitor import is_model
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.recording import LAST_INDEX, record_race
@@ -70,6 +71,10 @@ def run(
 
 def _policy(option: str, text: str) -> Policy:
     """Read a policy; an agent, which is none, is told where it can race."""
+    if is_model(text):
+        from pcs_racing_agents.agents.sb3_files import load_model
+
+        return load_model(text)
     try:
         return parse_policy(text)
     except UnknownNameError:

@@ -360,4 +360,4 @@ def test_the_info_of_many_races_is_that_of_each_one(coarse_oval):
     assert batch.codes["opponent"][0] == "hold"
     for race in range(5):
         one = batch.info(race)
-        assert one == {name: values[race] for name, values in facts.items()}
+        np.testing.assert_equal(one, {name: values[race] for name, values in facts.items()})

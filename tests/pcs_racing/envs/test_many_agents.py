@@ -41,20 +41,6 @@ def test_the_checkers_are_content(oval, count):
     parallel_seed_test(lambda: DriveHeadToHeadEnv(oval, **arguments), num_cycles=10)
 
 
-def test_stable_baselines3_learns_from_all_agents(oval):
-    sb3 = pytest.importorskip("pcs_racing.envs.sb3")
-    envs = sb3.make_sb3_vec_env("drive-self-play", 8, track=oval, cars=4, **SHORT)
-    envs.seed(3)
-    assert envs.reset().shape == (8, 59)
-    for _ in range(12):
-        _, rewards, done, infos = envs.step(np.tile([0.0, -0.5], (8, 1)))
-        if done.any():
-            break
-    assert rewards.shape == (8,)
-    assert done.reshape(2, 4).all(axis=1).any()  # the agents of a race end together
-    assert "terminal_observation" in infos[int(np.flatnonzero(done)[0])]
-
-
 def test_opponents_are_observed_the_nearest_first(oval):
     """Behind counts as ahead does, also over the start line; each has the same nine numbers."""
     one = DriveEnv(oval, opponents=DRIVERS)
@@ -166,3 +152,45 @@ def test_a_contact_need_not_end_an_episode(oval, contact):
 def test_what_is_refused(oval, kind, arguments, error, message):
     with pytest.raises(error, match=message):
         kind(oval, **arguments)
+
+
+def test_commands_take_effect_every_hundredth_of_a_second(oval):
+    """Two steps of 0.01 s are one of 0.02 s, the noise of steering included; another command between them counts."""
+    given = {"race": "contest", "opponent": "lattice"}
+    slow, fast, other = (DriveEnv(oval, time_step=step, **given) for step in (0.02, 0.01, 0.01))
+    for one in (slow, fast, other):
+        one.reset(seed=4)
+    for k in range(20):
+        action = [0.5 - 0.05 * k, 0.1]
+        *_, info = slow.step(action)
+        for each, second in ((fast, action), (other, [-1.0, 1.0])):
+            each.step(action)
+            *_, half = each.step(second)
+        np.testing.assert_array_equal(fast.batch.state.cars, slow.batch.state.cars)
+    assert info["poses"][0] != pytest.approx(half["poses"][0], abs=1e-3)
+
+
+def test_actions_in_units_and_the_own_pose(oval):
+    units = DriveEnv(oval, opponent=None, normalized=False, own_pose=True, top_speed=6.0)
+    plain = DriveEnv(oval, opponent=None, top_speed=6.0)
+    np.testing.assert_allclose([units.action_space.low, units.action_space.high], [[-0.4189, 0.0], [0.4189, 6.0]])
+    units.reset(seed=1), plain.reset(seed=1)
+    for _ in range(5):
+        seen, *_, info = units.step([0.2, 1.5])
+        other, *_ = plain.step([0.2 / 0.4189, -0.5])
+    np.testing.assert_allclose(np.delete(seen, [8, 9, 10]), other, atol=1e-6)
+    assert named(units, seen)["heading"] == pytest.approx(info["poses"][0, 2], abs=1e-5)
+    np.testing.assert_allclose(seen[8:10], info["poses"][0, :2], rtol=1e-5)
+    np.testing.assert_allclose(info["velocities"][0], seen[[0, 2, 3]], atol=1e-5)
+
+
+@pytest.mark.parametrize("opponent", [None, "lattice:pace=0.3"])
+def test_laps_from_the_start_end_a_race(oval, opponent):
+    one = DriveEnv(oval, opponent, laps=2, win_reward=3.0, progress_reward=0.0)
+    one.reset(seed=1)
+    assert not one.step([0.0, -1.0])[2]
+    one.batch.state.progress[0, 0] = 2.0 * oval.length
+    _, reward, over, late, info = one.step([0.0, -1.0])
+    assert (over, late, info["result"]) == (True, False, Result.WIN)
+    assert one.batch.infos()["result"][0] == Result.WIN
+    assert reward == (3.0 if opponent else 0.0)

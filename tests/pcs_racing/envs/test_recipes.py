@@ -31,8 +31,9 @@ def need_imports(code):
 
 
 @pytest.mark.parametrize("code", list(blocks()))
-def test_blocks_run_as_they_stand(code):
+def test_blocks_run_as_they_stand(code, tmp_path, monkeypatch):
     need_imports(code)
+    monkeypatch.chdir(tmp_path)  # where some write to
     run_block(code)
 
 

@@ -31,7 +31,7 @@ PLAIN = [
     (PAIRS, {"max_cycles": (0,)}),
     (GAMES, {"epsilon": (NAN, -1.0)}),
     (MATCHES, {"races": (0,), "race_moves": (2,)}),
-    (STEERING, {"time_step": (0.03, NAN), "beams": (-1, 2.5), "top_speed": (0.0,), "see_opponent": ("sometimes",)}),
+    (STEERING, {"time_step": (0.015, NAN), "beams": (-1, 2.5), "top_speed": (0.0,), "see_opponent": ("sometimes",)}),
     (STEERING, {"crash_penalty": (-1.0,), "win_reward": (-1.0,), "normalize": ("yes",)}),
 ]
 """Values of which the error says no more than that the name has this value."""

@@ -31,7 +31,7 @@ def learn(kind, **arguments):
         ("duel", SHORT),
         ("self-play", SHORT),
         ("pcs_racing/Drive-v1", {"opponent": None, "duration": 1.0}),
-        ("drive-self-play", {"time_step": 0.1, "duration": 1.0}),
+        ("drive-self-play", {"cars": 4, "time_step": 0.1, "duration": 1.0}),
     ],
 )
 def test_ppo_learns_without_a_warning_and_repeatably(kind, arguments):

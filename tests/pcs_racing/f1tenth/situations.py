@@ -49,14 +49,14 @@ def steer_round(poses: np.ndarray) -> np.ndarray:
 
 def situations() -> Iterator[tuple[str, dict[str, Any], list[list[float]], Any]]:
     """Yield names, changes of the configuration, start poses, and actions or speeds at which to go round."""
-    to_and_fro = [np.sign(np.sin(np.arange(1000) / 60.0)) * 1.5] * 2
+    to_and_fro = np.stack([np.full(1000, 0.07), 1.5 * np.sign(np.sin(np.arange(1000) / 60.0))], axis=1)
     yield "wall ahead", {}, [place(0.0, turned=-0.6)], hold(1000, (0.0, 4.0))
     yield "wall at the side", {}, [place(0.0, 5.6)], hold(1000, (0.02, 3.0))
     yield "wall behind", {}, [place(0.0, turned=0.9)], hold(1000, (0.1, -2.0))
     yield "rear-end", {}, [place(0.2), place(0.5)], np.array([3.0, 1.0])
     yield "side by side", {}, [place(0.0, 4.7), place(0.0, 4.2)], hold(1000, (0.0, 2.0), (-0.1, 2.0))
     yield "two laps", {}, [place(0.0), place(-1.0)], np.array([6.3, 6.2])
-    yield "to and fro over the line", {}, [place(0.0)], np.stack([np.full(1000, 0.07), to_and_fro[0]], axis=1)[:, None]
+    yield "to and fro over the line", {}, [place(0.0)], to_and_fro[:, None]
     yield "three cars", {"ego_idx": 1}, [place(0.0), place(1.0), place(2.0)], np.array([4.0, 3.0, 2.0])
     inputs = np.stack([0.4 * np.sin(np.arange(1000) / 40.0), np.sin(np.arange(1000) / 90.0)], axis=1)[:, None]
     rates = {"control_input": ["accl", "steering_speed"]}

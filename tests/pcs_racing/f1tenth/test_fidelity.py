@@ -12,8 +12,7 @@ import pytest
 from situations import CELL, RADIUS, place, run_theirs, situations, steer_round, write_ring
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.f1tenth.generation_a import GenerationA
-from pcs_racing.f1tenth.generation_b import GenerationB
+from pcs_racing.f1tenth.env import GenerationA, GenerationB
 from pcs_racing.f1tenth.lines import Track
 
 STEPS = 1000
@@ -77,14 +76,14 @@ def test_states_are_those_that_the_gym_recorded(reference):
 def test_scans_are_exact_to_half_a_cell(ring):
     """The fast lidar of circuits beside exact rays through the cells, from anywhere on the ring."""
     env = gymnasium.make("pcs_racing:f1tenth-v0", config={"map": str(ring), "num_agents": 1})
-    assert env.sim.on_circuit
+    assert env.sim.setup.on_circuit
     for k in range(8):
         poses = np.array([place(0.8 * k, RADIUS + 0.1 * k - 0.4, 0.5 * k)])
         env.reset(options={"poses": poses})
-        fast = env.sim.agent_scans[0]
-        env.sim._setup = env.sim._setup._replace(on_circuit=False)
+        fast, world = env.sim.agent_scans[0], env.sim._world
+        env.sim._world = world._replace(setup=world.setup._replace(on_circuit=False))
         env.reset(options={"poses": poses})
-        env.sim._setup = env.sim._setup._replace(on_circuit=True)
+        env.sim._world = world
         # Of beams along a wall the range changes faster than the place of the wall.
         assert np.median(np.abs(fast - env.sim.agent_scans[0])) < 0.5 * CELL
 
@@ -103,26 +102,18 @@ def until_the_end(env, poses, actions, steps=300):
     return infos, steps
 
 
-def test_a_wall_keeps_the_heading_and_the_flag_without_the_faults(ring):
-    headings = {}
+def test_crashes_without_the_faults(ring):
+    """The heading and the flag stay, anybody's crash ends the race, and the infos say whose fault it was."""
+    into, along = place(0.0, turned=-0.8), place(3.0)
     for faithful in (True, False):
         env = made(ring, 2, faithful=faithful)
-        infos, _ = until_the_end(env, [place(0.0, turned=-0.8), place(3.0)], [[0.0, 4.0], [0.0, 0.0]])
-        headings[faithful] = env.sim.agents[0].state[4]
+        infos, _ = until_the_end(env, [into, along], [[0.0, 4.0], [0.0, 0.0]])
+        assert (env.sim.agents[0].state[4] == 0.0) == faithful
         env.step(np.zeros((2, 2)))
         assert env.sim.collisions[0] == (0.0 if faithful else 1.0)
-        assert ("at_fault" in infos) is not faithful
-    assert headings[True] == 0.0
-    assert headings[False] != 0.0
-    assert infos["at_fault"].tolist() == [True, False]
-
-
-def test_a_crash_of_others_ends_the_race_without_the_faults(ring):
-    poses, actions = [place(0.0), place(3.0, turned=-0.8)], [[0.0, 0.0], [0.0, 4.0]]
-    assert until_the_end(made(ring, 2), poses, actions)[1] == 300
-    infos, steps = until_the_end(made(ring, 2, faithful=False), poses, actions)
-    assert steps < 300
-    assert infos["at_fault"].tolist() == [False, True]
+        others, steps = until_the_end(env, [along, into], [[0.0, 0.0], [0.0, 4.0]])
+        assert (steps == 300) == faithful
+    assert (infos["at_fault"].tolist(), others["at_fault"].tolist()) == ([True, False], [False, True])
 
 
 def test_cars_have_noise_of_their_own_without_the_faults(ring):
@@ -138,25 +129,40 @@ def test_cars_have_noise_of_their_own_without_the_faults(ring):
         assert np.allclose(*(seen[2] - seen[1]), rtol=0.0, atol=1e-3) is faithful
 
 
-def test_laps_are_counted_by_the_way_without_the_faults(ring):
-    """To and fro over the line twice: two laps in the gym, none here."""
-    for faithful, laps in ((True, 2.0), (False, 0.0)):
+def test_laps_are_counted_by_the_way_and_steering_arrives_without_the_faults(ring):
+    """To and fro over the line twice: two laps in the gym, none here; and no steering beyond its limit."""
+    for faithful in (True, False):
         env = made(ring, 1, faithful=faithful)
         env.reset(options={"poses": np.array([place(0.0)])})
         for speed in (2.0, -2.0, 2.0, -2.0, 2.0):
             for _ in range(180):
                 env.step(np.array([[0.07, speed]]))
-        assert (env.lap_counts[0] >= laps) if laps else env.lap_counts[0] == 0.0
-
-
-def test_steering_arrives_without_the_faults(ring):
-    for faithful in (True, False):
-        env = made(ring, 1, faithful=faithful)
-        env.reset(options={"poses": np.array([place(0.0)])})
+        assert (env.lap_counts[0] >= 2.0) == faithful
         for _ in range(40):
             env.step(np.array([[0.5, 0.0]]))
         delta = env.sim.agent_steerings[0]
         assert (delta > 0.4189) if faithful else delta == pytest.approx(0.4189, abs=1e-12)
+
+
+def test_euler_contacts_and_the_border_without_the_faults(ring):
+    """Euler is Runge-Kutta, the feature tells contacts of cars, and beams end where the map does."""
+    features = {"type": "features", "features": ["collision", "scan"]}
+    angle = np.linspace(0.0, 6.0, 60)
+    empty = Track.from_refline(3.0 * np.cos(angle), 3.0 * np.sin(angle), np.ones(60))
+    ends = {}
+    for faithful in (True, False):
+        for integrator in ("rk4", "euler"):
+            config = {"map": empty, "num_agents": 2, "integrator": integrator, "observation_config": features}
+            env = GenerationB(config, faithful=faithful)
+            env.reset(options={"poses": np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])})
+            for _ in range(10):
+                obs, *_ = env.step(np.array([[0.3, 1.0], [0.0, 0.0]]))
+            ends[faithful, integrator] = env.sim.states[0]
+        assert obs["agent_0"]["collision"] == (0 if faithful else 1)
+        # There are no walls: what is seen beside the other car is the border, a few metres away.
+        assert (obs["agent_1"]["scan"] > 25.0).any() == faithful
+    assert np.array_equal(ends[False, "rk4"], ends[False, "euler"])
+    assert not np.array_equal(ends[True, "rk4"], ends[True, "euler"])
 
 
 def test_observations_fit_their_space_and_types_of_reset(ring):

@@ -20,7 +20,7 @@ from pcs_racing_agents.benchmark.card import (
     read_cards,
     write_card,
 )
-from pcs_racing_agents.benchmark.entrants import load_entrant, load_sb3_policy
+from pcs_racing_agents.benchmark.entrants import load_entrant
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
 from pcs_racing_agents.benchmark.scoring import CardScore, decision_cost, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main
@@ -135,35 +135,6 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
     assert load_entrant("ppo-drive", protocol.setting, drive=True).planner.name == "ppo-drive"
     for text in ("brought:nothing", "nobody", "gone.zip"):
         refused(text, load_entrant, text, protocol.setting)
-
-
-def test_a_policy_of_stable_baselines3_is_read_without_running_its_code(protocol, tmp_path):
-    sb3 = pytest.importorskip("stable_baselines3")
-    torch, gym = pytest.importorskip("torch"), pytest.importorskip("gymnasium")
-    size, moves = len(protocol.setting.elements), protocol.setting.offered
-
-    class Spaces(gym.Env):
-        observation_space = gym.spaces.Box(-5.0, 5.0, (size,), np.float32)
-        action_space = gym.spaces.Discrete(moves)
-
-    observations = np.random.default_rng(0).uniform(-1.0, 1.0, (50, size)).astype(np.float32)
-    for activation in (torch.nn.Tanh, torch.nn.ReLU):
-        kwargs = {"activation_fn": activation, "net_arch": [9, 7]}
-        model = sb3.PPO("MlpPolicy", Spaces(), seed=3, policy_kwargs=kwargs, device="cpu")
-        for weights in model.policy.parameters():  # biases among them, which begin with 0
-            torch.nn.init.uniform_(weights, -1.0, 1.0)
-        model.save(tmp_path / "mine.zip")
-        policy = load_sb3_policy(tmp_path / "mine.zip")
-        expected = model.predict(observations, deterministic=True)[0]
-        np.testing.assert_array_equal(policy.predict(observations)[0], expected)
-        assert len(set(expected.tolist())) > 1
-    refused(f"of {size} numbers; here they have {size - 1}", policy.predict, observations[:, 1:])
-    with torch.no_grad():
-        model.policy.action_net.bias[1] = float("nan")
-    model.save(tmp_path / "broken.zip")
-    (tmp_path / "other.zip").write_bytes(b"not a zip")
-    for name, message in (("broken", "a weight is not finite"), ("other", r"other\.zip")):
-        refused(message, load_sb3_policy, tmp_path / f"{name}.zip")
 
 
 # Cards

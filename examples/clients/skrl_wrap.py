@@ -1,0 +1,40 @@
+# /// script
+# dependencies = ["skrl==2.1.1", "torch"]
+# ///
+"""skrl: its wrapper on vector environments and on races of agents, with one, two and four cars.
+
+    python examples/clients/skrl_wrap.py
+
+Actions are drawn from the spaces that the wrapper shows, and a memory could be filled with the tensors that it returns.
+"""
+
+import gymnasium as gym
+from skrl.envs.wrappers.torch import wrap_env
+
+import pcs_racing  # noqa: F401  registers the environments
+from pcs_racing.envs import drive
+
+DRIVERS = ["lattice:pace=0.3", "pure-pursuit", "lattice:pace=0.2"]
+
+
+def main() -> None:
+    for cars in (1, 2, 4):
+        made = gym.make_vec("pcs_racing/Drive-v1", num_envs=4, opponents=DRIVERS[: cars - 1], beams=9)
+        vector = wrap_env(made, wrapper="gymnasium", verbose=False)
+        seen, _ = vector.reset()
+        for _ in range(20):
+            actions = seen.new_tensor(made.action_space.sample())
+            seen, rewards, terminated, *_ = vector.step(actions)
+        print(f"{cars} cars, vector:", tuple(seen.shape), tuple(rewards.shape), tuple(terminated.shape))
+        vector.close()
+        race = wrap_env(drive.parallel_env(cars=cars, beams=9), wrapper="pettingzoo", verbose=False)
+        observed, _ = race.reset()
+        while race.agents:
+            actions = {name: observed[name].new_tensor([[0.0, -0.6]]) for name in race.agents}
+            observed, paid, *_ = race.step(actions)
+        print(f"{cars} cars, parallel:", {name: tuple(one.shape) for name, one in observed.items()}, tuple(paid))
+        race.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,187 @@
+"""Policies of Stable-Baselines3 as plain layers, read from a file or a model without running any code of the file.
+
+Of a model that drives, the file has the arguments of its environment beside it: :func:`save_model`, :func:`load_model`.
+
+``PPO.load`` unpickles parts of a file, so that it runs code from it. Here the weights are read by torch with
+``weights_only=True``, and the activation function from the text of the settings.
+"""
+
+import hashlib
+import io
+import json
+import re
+import zipfile
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from pcs_racing.base.compilation import kernel
+from pcs_racing.base.dense import DenseLayers, dense_forward, weight_count
+from pcs_racing.base.elementary import hyperbolic_tangent
+from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
+from pcs_racing.envs.models import kept_arguments, model_policy
+from pcs_racing.planners.planner import Policy
+
+MAX_BYTES = 50_000_000
+ACTIVATIONS = ("Tanh", "ReLU")
+# Hidden layers and the last one: of PPO and A2C, of SAC, of TD3 and DDPG, whose last two end in a tanh.
+_ACTORS = (
+    ("mlp_extractor.policy_net", "action_net", "Tanh", False),
+    ("actor.latent_pi", "actor.mu", "ReLU", True),
+    ("actor.mu", "", "ReLU", True),
+)
+
+
+@kernel
+def _actor_rows(rows, flat, sizes, at, tanh, squash, scratch, out):  # type: ignore[no-untyped-def]
+    """Pass each row through the layers, of which the last begins at ``flat[at]``: a row's result is its own alone."""
+    layers = len(sizes) - 1
+    for r in range(len(rows)):
+        for i in range(sizes[0]):
+            scratch[0, i] = rows[r, i]
+        x, y = scratch[0], scratch[1]
+        if tanh and layers > 1:
+            dense_forward(flat, sizes[:-1], x, y, True)
+            if layers % 2 == 0:
+                x, y = scratch[1], scratch[0]
+            dense_forward(flat[at:], sizes[-2:], x, y, False)
+        else:
+            dense_forward(flat, sizes, x, y, False)
+        for j in range(out.shape[1]):
+            value = scratch[layers % 2, j]
+            out[r, j] = hyperbolic_tangent(value) if squash else value
+
+
+@dataclass(frozen=True, eq=False)
+class Sb3Policy:
+    """The actor of a trained policy: fully connected layers from an observation to moves, or to steering and speed."""
+
+    name: str
+    layers: DenseLayers
+    activation: str  #: One of :data:`ACTIVATIONS`.
+    moves: bool  #: Whether the outputs are the logits of moves.
+    squash: bool = False  #: Whether a tanh follows the last layer.
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 of the layers."""
+        about = f"{self.layers.sizes} {self.activation} {self.moves} {self.squash}".encode()
+        return hashlib.sha256(about + self._flat.tobytes()).hexdigest()
+
+    @cached_property
+    def _flat(self) -> NDArray[np.float32]:
+        return self.layers.flat()
+
+    def predict(
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[Any], None]:
+        """Return the most probable action for each observation, whatever ``deterministic`` says."""
+        rows, sizes = np.asarray(observation, np.float32), np.array(self.layers.sizes)
+        if rows.shape[-1] != sizes[0]:
+            raise InputError(
+                f"policy {self.name!r} takes observations of {sizes[0]} numbers; here they have {rows.shape[-1]}"
+            )
+        flat_rows = np.ascontiguousarray(rows.reshape(-1, sizes[0]))
+        out = np.empty((len(flat_rows), sizes[-1]), np.float32)
+        scratch, last = np.empty((2, sizes.max()), np.float32), weight_count(self.layers.sizes[:-1])
+        _actor_rows(flat_rows, self._flat, sizes, last, self.activation == "Tanh", self.squash, scratch, out)
+        out = out.reshape(*rows.shape[:-1], -1)
+        return (np.argmax(out, axis=-1) if self.moves else out), None
+
+
+def load_sb3_policy(path: Path) -> Sb3Policy:
+    """Read a policy that ``model.save(path)`` wrote, of PPO, A2C, MaskablePPO, SAC, TD3 or DDPG with an MlpPolicy."""
+    require("torch", extra="learning")
+    import torch
+
+    try:
+        with zipfile.ZipFile(path) as file:
+            # Sizes as the archive states them: reading stops there, so a small file can't unpack to a huge one.
+            if sum(entry.file_size for entry in file.infolist()) > MAX_BYTES:
+                raise InputError(
+                    f"{path} holds more than {MAX_BYTES} bytes; that is no policy of fully connected layers"
+                )
+            settings = json.loads(file.read("data"))
+            state = torch.load(io.BytesIO(file.read("policy.pth")), map_location="cpu", weights_only=True)
+    except FileNotFoundError:
+        raise InputError(f"there is no file {path}") from None
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile, RuntimeError) as error:
+        raise InputError(f"{path} is no file of Stable-Baselines3: {str(error)[:200]}") from None
+    # The settings hold the classes by their names in texts; unpickling them would run code from the file.
+    words = str(settings.get("policy_kwargs", ""))
+    found = re.search(r"torch\.nn\.modules\.activation\.(\w+)", words)
+    if "features_extractor_class" in words:
+        raise InputError(f"{path} has a feature extractor of its own, which is code; give the model itself instead")
+    return actor_of(str(path), state, found.group(1) if found else None)
+
+
+def actor_of(name: str, state: Mapping[str, Any], activation: str | None) -> Sb3Policy:
+    """Return the actor of a policy's tensors; with None its activation is the algorithm's default."""
+    layers: list[str] = []
+    for before, end, usual, squash in _ACTORS:  # noqa: B007
+        found = [re.fullmatch(rf"{re.escape(before)}\.(\d+)\.weight", key) for key in state]
+        numbers = sorted(int(match.group(1)) for match in found if match)
+        layers = [*(f"{before}.{number}" for number in numbers), *([end] if end else [])]
+        if numbers and f"{layers[-1]}.weight" in state:
+            break
+        layers = []
+    if not layers or any(part in key for key in state for part in ("lstm", "cnn", "features_extractor.")):
+        raise InputError(
+            f"{name} has no actor of fully connected layers; train PPO, A2C, MaskablePPO, SAC or TD3 with MlpPolicy, "
+            "or give the model itself"
+        )
+    activation = activation or usual
+    if activation not in ACTIVATIONS:
+        raise InputError(f"{name}: the activation is {activation}; it must be one of {', '.join(ACTIVATIONS)}")
+    parts = [tuple(state[f"{layer}.{kind}"].cpu().numpy() for layer in layers) for kind in ("weight", "bias")]
+    if not all(np.isfinite(values).all() for part in parts for values in part):
+        raise InputError(f"{name}: a weight is not finite")
+    return Sb3Policy(Path(name).stem, DenseLayers(*parts), activation, not squash and "log_std" not in state, squash)
+
+
+def plain_model(model: Any, name: str) -> Any:
+    """Return the layers of a model of Stable-Baselines3, which other processes can be sent; any other as it is."""
+    state = getattr(getattr(model, "policy", None), "state_dict", None)
+    if callable(state) and "features_extractor_class" not in getattr(model, "policy_kwargs", ()):
+        activation = getattr(getattr(model.policy, "activation_fn", None), "__name__", None)
+        with suppress(InputError):
+            return actor_of(name, state(), activation)
+    return model
+
+
+def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
+    """Save a model of Stable-Baselines3, and beside the zip the arguments of its environment as ``.yaml``.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of the zip.
+    model : BaseAlgorithm
+    env : Env, VecEnv or VectorEnv, optional
+        The environment that it was trained in; by default that which it is connected to.
+    """
+    target = Path(path).with_suffix(".zip")
+    text = yaml.safe_dump(kept_arguments(model.get_env() if env is None else env), sort_keys=False).encode()
+    model.save(target)
+    write_atomically(target.with_suffix(".yaml"), lambda file: file.write(text))
+    return target
+
+
+def load_model(path: str | Path) -> Policy:
+    """Return the driver of a zip that :func:`save_model` wrote."""
+    file = Path(path).with_suffix(".yaml")
+    if Path(path).is_file() and not file.is_file():
+        raise InputError(
+            f"there is no file {file} with the arguments of the model's environment; save_model(path, model) writes it"
+        )
+    model = load_sb3_policy(Path(path))
+    arguments = parse_yaml(file, read_limited(file, MAX_YAML, "the arguments of a model", InputError))
+    return model_policy(model, name=str(path), **arguments)

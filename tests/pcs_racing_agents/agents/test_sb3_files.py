@@ -1,0 +1,62 @@
+"""Policies of Stable-Baselines3 are read without running their code; those that drive race wherever a policy does."""
+
+import numpy as np
+import pytest
+from refusal import refused
+
+from pcs_racing import load_race_config, load_track, parse_policy, run_races
+from pcs_racing.envs.drive import DriveEnv
+from pcs_racing_agents.agents import as_competitor, make
+from pcs_racing_agents.agents.sb3_files import load_model, load_sb3_policy, save_model
+from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.benchmark.entrants import load_entrant
+
+sb3, torch, gym = (pytest.importorskip(name) for name in ("stable_baselines3", "torch", "gymnasium"))
+RIVAL = "lattice:pace=0.3"
+ROWS = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 46)).astype(np.float32)
+
+
+@pytest.mark.parametrize("activation", [torch.nn.Tanh, torch.nn.ReLU])
+def test_moves_are_those_of_the_model(tmp_path, activation):
+    class Spaces(gym.Env):
+        observation_space = gym.spaces.Box(-5.0, 5.0, (46,), np.float32)
+        action_space = gym.spaces.Discrete(7)
+
+    kwargs = {"activation_fn": activation, "net_arch": [9, 7]}
+    model = sb3.PPO("MlpPolicy", Spaces(), seed=3, policy_kwargs=kwargs, device="cpu")
+    for weights in model.policy.parameters():  # biases among them, which begin with 0
+        torch.nn.init.uniform_(weights, -1.0, 1.0)
+    model.save(tmp_path / "mine.zip")
+    policy, expected = load_sb3_policy(tmp_path / "mine.zip"), model.predict(ROWS, deterministic=True)[0]
+    np.testing.assert_array_equal(policy.predict(ROWS)[0], expected)
+    assert len(set(expected.tolist())) > 1
+    refused("of 46 numbers; here they have 45", policy.predict, ROWS[:, 1:])
+    with torch.no_grad():
+        model.policy.action_net.bias[1] = float("nan")
+    model.save(tmp_path / "broken.zip")
+    refused("a weight is not finite", load_sb3_policy, tmp_path / "broken.zip")
+    (tmp_path / "other.zip").write_bytes(b"not a zip")
+    refused(r"other\.zip", load_sb3_policy, tmp_path / "other.zip")
+
+
+@pytest.mark.parametrize(("kind", "more"), [("PPO", {}), ("SAC", {"buffer_size": 9}), ("TD3", {"buffer_size": 9})])
+def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more):
+    track, config = load_track("Pipkin"), load_race_config("paper", duration=2.0)
+    env = DriveEnv(track, RIVAL, beams=5, time_step=0.2, vehicle={"mu": 0.9})
+    model = getattr(sb3, kind)("MlpPolicy", env, seed=1, device="cpu", **more)
+    file = str(save_model(tmp_path / "model", model))
+    kept, named = load_model(file).planner.drive, as_competitor(model, "mine")
+    answer = np.clip(kept.model.predict(ROWS)[0], -1.0, 1.0)
+    np.testing.assert_allclose(answer, model.predict(ROWS, deterministic=True)[0], atol=1e-5)
+    assert (kept.hold, kept.options.beams, kept.options.vehicle[0].mu) == (20, 5, 0.9)
+    assert load_entrant(file, make_setting("default", "paper")).planner.drive.hold == 20
+    assert make(file).planner.drive.content_hash == named.planner.drive.content_hash
+    ends = [run_races(track, one, parse_policy(RIVAL), config, seed=2) for one in (load_model(file), *named.policies)]
+    np.testing.assert_array_equal(ends[0].state.cars, ends[1].state.cars)
+    for opponent in (file, model):
+        rival = DriveEnv(track, opponent, config)
+        rival.reset(seed=1)
+        rival.step([0.0, -1.0])
+        assert rival.batch.state.memory[0, 1, :2].any()
+    (tmp_path / "model.yaml").unlink()
+    refused(r"model\.yaml with the arguments", load_model, file)
