@@ -754,27 +754,27 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
     first = chosen
     best = 1e30
     for k in range(-1, CANDIDATES):
-        c = first if k < 0 else k
+        c = np.int64(first if k < 0 else k)
         cost = scratch[_LEAST + c]
         if cost >= best + slack:
             continue
         scratch[_LEAST + c] = np.inf
         if meets:
-            f = c // GOALS
+            driven_at = c // GOALS
             cost += _meet_opponent(
                 scratch,
-                f,
+                driven_at,
                 c % GOALS,
                 s0,
                 gap,
                 d - view[_view.OPP_D],
                 long_reach,
-                0.0 if f == FOLLOWS else UNSURE,
+                0.0 if driven_at == FOLLOWS else UNSURE,
                 body + margin,
                 body,
                 reject_steps,
-                WRONG_WAY if gives_way != (f == FOLLOWS) else 1.0,  # in a pinch one falls back and the other goes on
-                later if f != FOLLOWS else 0.0,
+                WRONG_WAY if gives_way != (driven_at == FOLLOWS) else 1.0,  # in a pinch one falls back and the other goes on
+                later if driven_at != FOLLOWS else 0.0,
                 w_proximity,
                 best + slack - cost,
             )
