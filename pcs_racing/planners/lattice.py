@@ -773,7 +773,9 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
                 body + margin,
                 body,
                 reject_steps,
-                WRONG_WAY if gives_way != (driven_at == FOLLOWS) else 1.0,  # in a pinch one falls back and the other goes on
+                WRONG_WAY
+                if gives_way != (driven_at == FOLLOWS)
+                else 1.0,  # in a pinch one falls back and the other goes on
                 later if driven_at != FOLLOWS else 0.0,
                 w_proximity,
                 best + slack - cost,
