@@ -23,6 +23,7 @@ from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.make import make_game
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState
+from pcs_racing.planners.imported import drivers_from
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.registry import get_planner, parse_policy, planner_names, register_planner
 from pcs_racing.race.config import CONTEST, PAPER, RaceConfig, load_race_config
@@ -63,6 +64,7 @@ __all__ = [
     "advance",
     "build_track",
     "draw_starts",
+    "drivers_from",
     "env",
     "get_planner",
     "list_archives",
