@@ -17,6 +17,7 @@ FAILED = 2
 FILES = {
     "race": "race",
     "tournament": "tournament",
+    "overtaking": "overtaking",
     "track": "track",
     "agents": "agents",
     "policies": "agents",
