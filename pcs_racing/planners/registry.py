@@ -14,8 +14,6 @@ from typing import Any
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.planner import Planner, Policy
 
-__all__ = ["ENTRY_POINTS", "get_planner", "parse_policy", "planner_names", "register_planner"]
-
 ENTRY_POINTS = "pcs_racing.planners"
 """Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
 

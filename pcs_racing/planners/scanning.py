@@ -51,15 +51,12 @@ def beam_at(angle):  # type: ignore[no-untyped-def]
 
 @kernel
 def steer_for(view, steering, speed, lateral, path):  # type: ignore[no-untyped-def]
-    """Write the arc of a steering angle (rad), at a speed (m/s) that keeps to a lateral acceleration (m/s^2).
-
-    It begins along the course of that bend, from which the pursuit takes its own arc: it steers what was asked for.
-    """
+    """Write the arc of a steering angle (rad), at a speed (m/s) that keeps to a lateral acceleration (m/s^2)."""
     limit = view[_view.STEER_MAX]
     kappa = tangent(min(max(steering, -limit), limit)) / view[_view.WHEELBASE]
     speed = min(speed, np.sqrt(lateral / max(abs(kappa), 1e-6)))
     length = 0.5 + 0.25 * view[_view.OWN_V]
-    course = steady_course(view, kappa)
+    course = steady_course(view, kappa)  # where the pursuit begins its own arc: it steers what was asked for
     for j in range(PATH_POINTS):
         s = length * j / (PATH_POINTS - 1)
         bend = 0.5 * kappa * s
