@@ -23,9 +23,10 @@ from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.make import make_game
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState
+from pcs_racing.planners.imported import drivers_from
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.registry import get_planner, parse_policy, planner_names, register_planner
-from pcs_racing.race.config import CONTEST, PAPER, RaceConfig, load_race_config
+from pcs_racing.race.config import CONTEST, PAPER, ROBORACER, RaceConfig, load_race_config
 from pcs_racing.race.races import RaceResult, RaceSetup, advance, draw_starts, run_field, run_races, start_races
 from pcs_racing.race.recording import record_race
 from pcs_racing.race.replay import Replay
@@ -40,6 +41,7 @@ __all__ = [
     "CONTEST",
     "F1TENTH",
     "PAPER",
+    "ROBORACER",
     "ConfigError",
     "GameConfig",
     "GameState",
@@ -63,6 +65,7 @@ __all__ = [
     "advance",
     "build_track",
     "draw_starts",
+    "drivers_from",
     "env",
     "get_planner",
     "list_archives",

@@ -39,7 +39,7 @@ from pcs_racing.race.conditions import RaceConditions
 from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import RaceState
+from pcs_racing.race.state import NO_CRASH, RaceState
 from pcs_racing.track.track import Track
 
 Indices = NDArray[np.int64]
@@ -348,7 +348,7 @@ class RaceGame:
 
     def fault(self, state: GameState) -> NDArray[np.bool_]:
         """Whether each car is to blame for the crash that ended its game, shape (B, 2)."""
-        return state.race.fault == 1
+        return (state.race.fault > 0) & (state.race.crash != NO_CRASH)
 
     def winner(self, state: GameState) -> NDArray[np.int8]:
         """The car that won (0 or 1), shape (B,); -1 for a tie, a no-contest crash, and while a game goes on."""

@@ -245,21 +245,9 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
                 # Only a car behind is to be held up.
                 pull[k] = theta[SENSITIVITY] * pull[k] if gap < 0.0 else 0.0
         side = _reply(
-            track,
-            theta,
-            view,
-            0.0,
-            view[_view.OWN_V],
-            d0,
-            rate,
-            scale,
-            clear,
-            memory[_PASSED],
-            pull,
-            own,
-            opponent,
+            track, theta, view, 0.0, view[_view.OWN_V], d0, rate, scale, clear, memory[_PASSED], pull, own, opponent,
             scratch,
-        )
+        )  # fmt: skip
     memory[_PASSED] = side
     _line.lay_lane(view, d0, own[:STEPS], own[STEPS : 2 * STEPS], lane)
     _line.keep_lane(view, lane, memory)

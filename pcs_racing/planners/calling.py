@@ -18,8 +18,6 @@ from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.base.errors import InputError
 from pcs_racing.track.frenet import TrackArrays
 
-__all__ = ["call_control", "call_plan", "control_address", "plan_address"]
-
 _VECTOR = types.Array(types.float64, 1, "C")
 _MATRIX = types.Array(types.float64, 2, "C")
 

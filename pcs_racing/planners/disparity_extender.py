@@ -5,8 +5,7 @@ width. So the nearer range is extended over as many beams of the farther side as
 car steers for the longest range that is left in front of it, and goes straight on if something is beside it on the side
 to which it would turn. Its speed grows with the distance straight ahead.
 
-What differs: the speed is also limited by the lateral acceleration of the bend, and the steering angle is a share of
-the direction, as the car is faster here.
+What differs: the speed is also limited by the lateral acceleration of the bend.
 
 References
 ----------
@@ -24,7 +23,7 @@ from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at
 PARAMETERS = (
     Parameter("disparity", 0.05, 1.0, 0.3, "difference of the ranges of two neighbouring beams that is an edge, m"),
     Parameter("tolerance", 0.0, 0.4, 0.15, "what is added to half of the car's width, m"),
-    Parameter("steering_gain", 0.1, 1.0, 0.4, "steering angle per angle of the chosen direction"),
+    Parameter("steering_gain", 0.3, 1.5, 1.0, "steering angle per angle of the chosen direction"),
     Parameter("side_distance", 0.1, 0.6, 0.3, "distance to something beside the car below which it does not turn, m"),
     Parameter("safe_distance", 0.2, 3.0, 0.8, "distance straight ahead at which the car creeps, m"),
     Parameter("full_distance", 4.0, 15.0, 8.0, "distance straight ahead from which it drives at its top speed, m"),
@@ -75,7 +74,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     steer_for(view, steering, speed, theta[LATERAL], path)
 
 
-VARIANTS = {"calm": {"top_speed": 5.0, "lateral": 4.0}, "fast": {"top_speed": 9.0, "full_distance": 10.0}}
+VARIANTS = {"calm": {"top_speed": 5.0, "lateral": 4.0}, "fast": {"full_distance": 7.0, "lateral": 6.0}}
 DISPARITY_EXTENDER = Planner(
     name="disparity-extender",
     parameters=PARAMETERS,

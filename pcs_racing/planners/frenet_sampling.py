@@ -63,7 +63,8 @@ MEMORY = _QUARTIC + 6
 # Scratch: costs, the quintic and the quartic of one trajectory, the predicted opponent, the lane.
 _COST, _D, _S, _OPP = 0, SETS, SETS + 6, SETS + 12
 _OPP_V = _OPP + CHECKS * DURATIONS
-_LANE = _OPP_V + DURATIONS
+_ACROSS = _OPP_V + DURATIONS  # costs of the ends across the track
+_LANE = _ACROSS + OFFSETS
 SCRATCH = _LANE + _line.LANE_SIZE
 
 
@@ -196,10 +197,10 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
             lon = theta[LON_JERK] * lon_jerk + theta[SPEED] * lack * lack + theta[TIME] * duration
             for o in range(OFFSETS):
                 end = (o - OFFSETS // 2) * OFFSET_STEP
-                jerk = quintic(d0, rate0, bend0, end, 0.0, duration, c)
-                scratch[_COST + (n * SPEEDS + f) * OFFSETS + o] = (
-                    lon + theta[JERK] * jerk + theta[DEVIATION] * end * end
-                )
+                if f == 0:
+                    jerk = quintic(d0, rate0, bend0, end, 0.0, duration, c)
+                    scratch[_ACROSS + o] = theta[JERK] * jerk + theta[DEVIATION] * end * end
+                scratch[_COST + (n * SPEEDS + f) * OFFSETS + o] = lon + scratch[_ACROSS + o]
     found = False
     duration, kind = SHORTEST, 0
     for _ in range(SETS):

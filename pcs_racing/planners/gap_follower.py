@@ -21,8 +21,6 @@ from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import PATH_POINTS
 
-__all__ = ["BEAMS", "FIELD_OF_VIEW", "GAP_FOLLOWER"]
-
 BEAMS = 108
 FIELD_OF_VIEW = np.pi
 MAX_RANGE = 12.0  # m

@@ -33,8 +33,6 @@ from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import project, to_cartesian
 
-__all__ = ["LANE_SWITCHER", "lane_offset"]
-
 PARAMETERS = (
     Parameter("speed", 0.65, 0.86, 0.82, "share of the profile's speed at the race's fastest scale"),
     Parameter("lookahead_slow", 0.3, 1.0, 0.5, "look-ahead distance at standstill, m"),

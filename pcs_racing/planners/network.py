@@ -24,18 +24,6 @@ from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between
 
-__all__ = [
-    "INPUTS",
-    "SIGHT",
-    "TOP_SPEED",
-    "WEIGHT_LIMIT",
-    "check_driver",
-    "driver_weight_count",
-    "make_network_planner",
-    "network_inputs",
-    "network_planner",
-]
-
 INPUTS: dict[str, str] = {
     "speed": "own speed, in 8 m/s",
     "steering": "own steering angle, in its largest",

@@ -19,8 +19,6 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.planners.calling import control_address, plan_address
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, hold_command, leave_path
 
-__all__ = ["Parameter", "Planner", "Policy", "named_variants"]
-
 
 @dataclass(frozen=True)
 class Parameter:

@@ -20,8 +20,6 @@ from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, to_cartesian, wrap_s
 
-__all__ = ["PURE_PURSUIT", "gap_ahead", "gives_way", "line_index", "side_air", "within_walls"]
-
 PARAMETERS = (
     Parameter("pace", 0.0, 1.0, 0.2, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
     Parameter("lookahead", 1.0, 3.0, 1.5, "distance in which the path returns to the race line at standstill, m"),

@@ -21,16 +21,6 @@ from pcs_racing.planners.view import (
     WHEELBASE,
 )
 
-__all__ = [
-    "COMMAND_SLOTS",
-    "calm_speed",
-    "follow_path",
-    "hold_command",
-    "leave_path",
-    "pursuit_steering",
-    "steady_course",
-]
-
 COMMAND_SLOTS = 2  # memory that :func:`hold_command` reads: steering angle and speed
 
 BRAKING = 5.5

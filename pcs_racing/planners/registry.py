@@ -14,12 +14,11 @@ from typing import Any
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.planner import Planner, Policy
 
-__all__ = ["ENTRY_POINTS", "get_planner", "parse_policy", "planner_names", "register_planner"]
-
 ENTRY_POINTS = "pcs_racing.planners"
 """Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
 
 SHIPPED = {
+    "bimatrix-game": "pcs_racing.planners.bimatrix:BIMATRIX",
     "disparity-extender": "pcs_racing.planners.disparity_extender:DISPARITY_EXTENDER",
     "follow-the-gap": "pcs_racing.planners.follow_the_gap:FOLLOW_THE_GAP",
     "frenet-sampling": "pcs_racing.planners.frenet_sampling:FRENET_SAMPLING",

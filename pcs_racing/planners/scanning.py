@@ -6,6 +6,7 @@ from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing.base.elementary import sine_cosine, tangent
 from pcs_racing.car.lidar import WORK_SHAPE, Beams, scan_into
 from pcs_racing.planners import view as _view
+from pcs_racing.planners.pursuit import steady_course
 from pcs_racing.planners.view import PATH_POINTS
 
 BEAMS = 271
@@ -55,12 +56,13 @@ def steer_for(view, steering, speed, lateral, path):  # type: ignore[no-untyped-
     kappa = tangent(min(max(steering, -limit), limit)) / view[_view.WHEELBASE]
     speed = min(speed, np.sqrt(lateral / max(abs(kappa), 1e-6)))
     length = 0.5 + 0.25 * view[_view.OWN_V]
+    course = steady_course(view, kappa)  # where the pursuit begins its own arc: it steers what was asked for
     for j in range(PATH_POINTS):
         s = length * j / (PATH_POINTS - 1)
         bend = 0.5 * kappa * s
         sine, _ = sine_cosine(bend)
         chord = s * sine / bend if bend != 0.0 else s
-        sine, cosine = sine_cosine(view[_view.OWN_PSI] + bend)
+        sine, cosine = sine_cosine(course + bend)
         path[j, _view.PATH_X] = view[_view.OWN_X] + chord * cosine
         path[j, _view.PATH_Y] = view[_view.OWN_Y] + chord * sine
         path[j, _view.PATH_SPEED] = speed

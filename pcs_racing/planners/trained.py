@@ -16,8 +16,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.planners.network import INPUTS, TOP_SPEED, check_driver, make_network_planner
 from pcs_racing.planners.planner import Planner
 
-__all__ = ["DRIVER_FORMAT", "load_driver", "read_driver", "save_driver", "trained_planner"]
-
 NAME = "ppo-drive"
 
 DRIVER_FORMAT = ArtifactFormat(

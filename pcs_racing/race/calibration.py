@@ -21,7 +21,9 @@ from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import CONTEST, DT, PAPER, PRESETS, RaceConfig
+from pcs_racing.race.contacts import END
 from pcs_racing.race.driving import default_threads, drive, kernel_settings, pad_parameters
+from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.start_places import fit_places, places_of, seconds_driven
 from pcs_racing.race.state import empty_state
 from pcs_racing.track.cache import CALIBRATION, cache_folder, cache_key, load_cached, store
@@ -83,6 +85,11 @@ def preset_of(config: RaceConfig) -> RaceConfig:
     return PRESETS.get(config.name) or (CONTEST if config.steering_noise > 0.0 else PAPER)
 
 
+def _scan_settings(config: RaceConfig, speed_range: tuple[float, float]) -> KernelSettings:
+    """Settings under which a crash ends a race, whatever it does under the rules: crashes are what is counted."""
+    return kernel_settings(config, speed_range)._replace(contact=END, most_faults=0)
+
+
 def hazard_scan(
     track: Track,
     config: RaceConfig,
@@ -137,7 +144,7 @@ def hazard_scan(
     theta = np.ascontiguousarray(np.broadcast_to(theta[:, None], (races, 2, theta.shape[1])))
     hazards: list[float] = []
     for scale in scales:
-        settings = kernel_settings(config, (scale, scale + 1e-6))._replace(
+        settings = _scan_settings(config, (scale, scale + 1e-6))._replace(
             end_tick=round(100.0 * seconds), ittc_horizon=0.0
         )
         state = empty_state(races, LATTICE.memory_total)
@@ -191,7 +198,7 @@ def calibrate(
     high = min(_crossing(scales, hazard, allowed), FRICTION_SCALE)
     low = high - (WIDTH_WITH_NOISE if noisy else WIDTH_WITHOUT_NOISE)
     speed_range = (round(float(low), 2), round(float(high), 2))
-    settings = kernel_settings(config, speed_range)
+    settings = _scan_settings(config, speed_range)
     fit = fit_places(track, config, settings, _spacings(config), threads=threads)
     return CalibrationReport(
         track.name,
@@ -241,7 +248,7 @@ def starts_for(track: Track, config: RaceConfig) -> Calibration:
     if memo not in _known:
 
         def find() -> Calibration:
-            settings = kernel_settings(preset_of(config), calibration.speed_range)
+            settings = _scan_settings(preset_of(config), calibration.speed_range)
             return Calibration(calibration.speed_range, *fit_places(track, config, settings, [config.start_spacing]))
 
         _known[memo] = _cached(track, config, f"places for a {config.start} start", find)

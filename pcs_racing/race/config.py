@@ -40,7 +40,7 @@ CONTACTS = ("end", "stop", "restart")
 
 @dataclass(frozen=True)
 class RaceConfig(Settings):
-    """How cars race; :data:`PAPER` and :data:`CONTEST` are the two presets."""
+    """How cars race; :data:`PAPER`, :data:`CONTEST` and :data:`ROBORACER` are the presets."""
 
     name: str = setting("paper", text(), "Name of the rules in archives, trees, networks and results.")
     duration: float = setting(40.0, tenths(0.1, 3600.0), "Length of a race, s.")
@@ -93,6 +93,16 @@ class RaceConfig(Settings):
         "What a contact does: it ends the race; the car at fault, or in a wall, stands still where it was; or it is "
         "put back on the race line at rest, 2 m behind the other car, or where it was if it hit a wall.",
     )
+    most_faults: int = setting(
+        0,
+        whole(0, 100),
+        "Faults with which a car is out and has lost, where contacts do not end the race; 0 for no limit.",
+    )
+    heats: int = setting(
+        1,
+        whole(1, 99),
+        "Races from both sides in turn that count as one in the scores of a tournament: best of so many.",
+    )
     stay_move: bool = setting(False, flag(), "Whether the game offers a move that keeps the policy.")
 
     def __post_init__(self) -> None:
@@ -123,7 +133,21 @@ CONTEST = RaceConfig(
 )
 """The race in which adapting pays: staggered, disturbed, the car at fault loses."""
 
-PRESETS = {preset.name: preset for preset in (PAPER, CONTEST)}
+ROBORACER = RaceConfig(
+    name="roboracer",
+    start_spacing=0.62,
+    start_speed=0.0,
+    steering_noise=0.02,
+    crash_rule="fault-loses",
+    aggressiveness="speed",
+    contact="restart",
+    most_faults=3,
+    heats=3,
+    stay_move=True,
+)
+"""Head-to-head races of the RoboRacer league: from rest, a car's width apart; three faults are too many; best of 3."""
+
+PRESETS = {preset.name: preset for preset in (PAPER, CONTEST, ROBORACER)}
 
 
 def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceConfig:

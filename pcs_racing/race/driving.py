@@ -62,6 +62,7 @@ def kernel_settings(config: RaceConfig, speed_range: tuple[float, float]) -> Ker
         noise_keep=float(exponential(-CONTROL_EVERY * DT / config.noise_time)),
         ittc_horizon=float(config.ittc_horizon),
         contact=CONTACTS.index(config.contact),
+        most_faults=config.most_faults,
     )
 
 

@@ -49,6 +49,7 @@ class KernelSettings(NamedTuple):
     noise_keep: float
     ittc_horizon: float
     contact: int  #: Index in :data:`pcs_racing.race.config.CONTACTS`.
+    most_faults: int  #: 0 for no limit.
 
 
 @inner_kernel
@@ -338,6 +339,10 @@ def advance_races(  # type: ignore[no-untyped-def]
                         if settle_contacts(track, state, race, params, settings.contact, before):
                             for car in range(number):
                                 load_car(work, place + car, cars[race, car], params[car])
+                        for car in range(number):
+                            if 0 < settings.most_faults <= fault[race, car]:
+                                crash[race, car] = state.contact[race, car]
+                                work[_LEFT + race - start] = 0.0
                     elif collide(near, cars, frenet, crash, fault, race, params, number):
                         work[_LEFT + race - start] = 0.0
                     _count_overtakes(progress, leader, overtakes, state.ahead, race, params, number)

@@ -228,7 +228,7 @@ class RaceResult:
     @property
     def own_crash(self) -> NDArray[np.bool_]:
         """Whether each car is to blame for the end of its race, shape (B, N)."""
-        return (self.state.fault > 0) & self.state.crashed[:, None]
+        return _merit(self.state) == 2
 
     @property
     def time(self) -> NDArray[np.float64]:

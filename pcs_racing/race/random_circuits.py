@@ -17,7 +17,7 @@ from pcs_racing.track.mapping.circuits import generate_circuit
 from pcs_racing.track.mapping.shapes import STYLES
 from pcs_racing.track.track import Calibration, Track, build_track
 
-SPEED_RANGES = {"paper": (0.66, 0.86), "contest": (0.65, 0.97)}
+SPEED_RANGES = {"paper": (0.66, 0.86), "contest": (0.65, 0.97), "roboracer": (0.65, 0.97)}
 """Speed scales of pace 0 and 1: those of the shipped circuits with the least room to drive fast in."""
 BENDS = 0.12  # 1/m: start places are where the line bends less than this ...
 BEFORE, AHEAD = 2.0, 8.0  # ... from so many metres before them to so many ahead

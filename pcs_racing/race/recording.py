@@ -262,7 +262,8 @@ def _outcome(result: RaceResult, names: tuple[str, ...]) -> str:
     prize = f"{names[winner]} wins" if winner >= 0 else "nobody wins"
     if result.crashed[0]:
         guilty = " and ".join(names[car] for car in range(len(names)) if result.own_crash[0, car])
-        return f"crash after {time:.1f} s, fault of {guilty or 'nobody'}: {prize}"
+        what = "crash" if result.config.contact == "end" else "out"
+        return f"{what} after {time:.1f} s, fault of {guilty or 'nobody'}: {prize}"
     if len(names) == 1:
         return f"{progress[0]:.1f} m in {time:.0f} s"
     return f"{prize} by {abs(lead):.1f} m after {time:.0f} s" if winner >= 0 else f"a tie after {time:.0f} s"

@@ -10,12 +10,14 @@ from importlib.metadata import PackageNotFoundError, version
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli.commands import add_commands
+from pcs_racing_agents.cli.options import load_drivers
 
 FAILED = 2
 
 FILES = {
     "race": "race",
     "tournament": "tournament",
+    "overtaking": "overtaking",
     "track": "track",
     "agents": "agents",
     "policies": "agents",
@@ -60,6 +62,7 @@ def run_parsed(parsed: argparse.Namespace) -> int:
     """Run a command whose words were parsed, and return the exit status of :func:`main`."""
     logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
     try:
+        load_drivers(parsed)
         parsed.run(parsed)
         sys.stdout.flush()
     except (InputError, ModuleNotFoundError) as error:

@@ -1,6 +1,7 @@
 """What several commands share: options, checks of the files and folders that they write, pages in a browser."""
 
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager
@@ -16,7 +17,7 @@ from pcs_racing_agents.cli.commands import Option
 DEFAULT_TRACK = "Brackwater"
 """The circuit that commands and environments use by default."""
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
-POLICY_HELP = "planner, planner:variant or planner:parameter=value,... (see 'pcs-racing policies')"
+POLICY_HELP = "planner, planner:variant, planner:parameter=value,... (see 'pcs-racing policies') or FILE.py:Class"
 
 Circuit = Annotated[str, Option(TRACK_HELP, "T")]
 Circuits = Annotated[Sequence[str], Option(TRACK_HELP, "T")]
@@ -62,6 +63,17 @@ class Workers:
         from pcs_racing_agents.jobs.executors import make_executor
 
         return make_executor(self.executor, self.workers, self.scheduler)
+
+
+def load_drivers(parsed: Namespace) -> None:
+    """Make known the drivers of the Python files that a command line names, like their_file.py:Class; they are run."""
+    for value in vars(parsed).values():
+        for text in value if isinstance(value, list | tuple) else [value]:
+            name = text.partition(":")[0] if isinstance(text, str) else ""
+            if name.endswith(".py"):
+                from pcs_racing.planners.imported import drivers_from
+
+                drivers_from(name)
 
 
 def can_draw(picture: str) -> bool:

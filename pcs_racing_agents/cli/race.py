@@ -6,15 +6,22 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.seeds import race_seed
 from pcs_racing.game.competitor import is_model
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.races import RaceSetup, advance, start_races, starts_of, winners
 from pcs_racing.race.recording import LAST_INDEX, record_race
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.replay_files import save_replay
 from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, Circuit, Rules, output_file
 
@@ -59,6 +66,8 @@ def run(
     print(f"{circuit.name}, {circuit.length:.1f} m a lap, {about}", flush=True)
     recorded = record_race(circuit, driver, others, config, seed=rules.seed, index=index, candidates=target is not None)
     print(_story(recorded))
+    if config.heats > 1 and len(others) == 1:
+        print(_series(circuit, driver, others[0], config, rules.seed, index))
     if target is None:
         # Every option except those left to the preset: a later version may have other defaults.
         options = {"track": track, "ego": ego, "opponent": tuple(opponent), **asdict(rules), "index": index}
@@ -88,6 +97,17 @@ def _policy(option: str, text: str) -> Policy:
         f"{option} is {text!r}, an agent, which moves between the policies of an archive; this command takes policies "
         f"(pcs-racing policies). For agents: pcs-racing tournament --agents {shlex.quote(text)} never-switch"
     )
+
+
+def _series(track: Track, ego: Policy, opponent: Policy, config: RaceConfig, seed: int, index: int) -> str:
+    """Return who wins the series that a race belongs to: the races of all numbers that count as one in tables."""
+    numbers = [index // config.heats * config.heats + heat for heat in range(config.heats)]
+    setup = RaceSetup(track, config, (ego.planner, opponent.planner))
+    state = start_races(setup, starts_of(track, config, numbers, seed), np.array([race_seed(seed, n) for n in numbers]))
+    theta = np.tile(pad_parameters([ego, opponent], setup.theta_size), (config.heats, 1, 1))
+    advance(setup, state, theta, config.ticks)
+    won = [int((winners(config, state) == car).sum()) for car in range(2)]
+    return f"races {numbers[0]} to {numbers[-1]}, best of {config.heats}: {won[0]} to {won[1]}"
 
 
 def _story(replay: Replay) -> str:

@@ -5,7 +5,7 @@ file (:mod:`pcs_racing_agents.results.race_files`). A race of four moves takes a
 """
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -206,6 +206,17 @@ class RaceTable:
                 CRASHES[crash], FAULTS[fault[0] + 2 * fault[1]], overtakes[0], overtakes[1], duration, variants[0],
                 variants[1], paths[0], paths[1], lists[0], lists[1],
             )  # fmt: skip
+
+
+def series_of(races: RaceTable, heats: int) -> RaceTable:
+    """Return a race for each series of so many of a pair, by their numbers: the first, won by who won more of them."""
+    if heats == 1:
+        return races
+    keys = [races.track.codes, *races.agents.codes.T, races.seed.codes, races.race // heats]
+    _, first, series = np.unique(np.stack(keys), axis=1, return_index=True, return_inverse=True)
+    wins = np.bincount(series.reshape(-1), np.array([1.0, -1.0, 0.0])[races.winner])
+    winner = np.where(wins > 0.0, 0, np.where(wins < 0.0, 1, -1)).astype(np.int8)
+    return replace(races.take(first), winner=winner, crash=np.zeros(len(first), np.int8))
 
 
 def concatenate_races(tables: Iterable[RaceTable]) -> RaceTable:

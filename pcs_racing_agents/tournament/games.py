@@ -189,7 +189,8 @@ def _columns(arena: RaceGame, games: _SharedGames, ego: int) -> Arrays:
         "winner": arena.winner(state),
         # A race has one code. That of a contact of the cars is the higher one: it may end at a wall for one of them.
         "crash": race.crash.max(axis=1),
-        "fault": race.fault,
+        # Faults that did not end a race are only counted in its state.
+        "fault": arena.fault(state).astype(np.int8),
         "overtakes": narrow(race.overtakes),
         "duration": np.asarray(race.tick * DT, np.float64),
         "path": narrow(games.path[ego]),

@@ -19,7 +19,7 @@ from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.jobs.jobs import Run
-from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_races
+from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_races, series_of
 from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import Pairing, RaceSchedule, draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.runner import Recording, play_pairings, record_game
@@ -66,6 +66,11 @@ class Tournament:
 
     plan: TournamentPlan
     races: RaceTable
+
+    @cached_property
+    def series(self) -> RaceTable:
+        """What counts in scores: the races, or series of them where the rules say "best of"."""
+        return series_of(self.races, self.plan.config.heats)
 
 
 def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:

@@ -75,6 +75,10 @@ def standings(tournament: Tournament) -> list[Standing]:
     # Kept by sum_up, since text, matrix and picture need it as well and the bootstrap takes time.
     together, races = sum_up(tournament), tournament.races
     drove = drivers(tournament.plan.names, races)
+    series = drivers(tournament.plan.names, tournament.series)
+    scored = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]])[tournament.series.winner]
+    # A crash that pays nobody is no tie.
+    scored[tournament.series.crashed & (tournament.series.winner < 0)] = 0.0
     # Conditions on a car have shape (N, 2), conditions on a race (N, 1).
     winner, crashed = races.winner[:, None] == np.arange(2), races.crashed[:, None]
     clean, tie, blamed = ~crashed, races.tie[:, None], races.fault > 0
@@ -91,7 +95,7 @@ def standings(tournament: Tournament) -> list[Standing]:
             Standing(
                 name=name,
                 races=total,
-                score=share(winner) + 0.5 * share(tie),
+                score=float(scored[series == k].mean()),
                 rating=rating,
                 win=share(clean & winner),
                 tie=share(tie),
@@ -111,7 +115,7 @@ def standings(tournament: Tournament) -> list[Standing]:
 @lru_cache(maxsize=8)
 def sum_up(tournament: Tournament) -> RoundRobin:
     """Return the summary of a tournament's races, in the plan's order."""
-    return round_robin(tournament.plan.names, tournament.races, seed=tournament.plan.seed)
+    return round_robin(tournament.plan.names, tournament.series, seed=tournament.plan.seed)
 
 
 def payoff_matrix(tournament: Tournament) -> NDArray[np.float64]:
@@ -140,8 +144,8 @@ def tournament_text(tournament: Tournament) -> str:
     ]
     paid = "the car not to blame" if plan.config.crash_rule == "fault-loses" else "nobody"
     note = (
-        f"score: races won, a tie counting half; a crash is won by {paid}; rating: Bradley-Terry, 400 are odds of 10, "
-        "start lines drawn again for the interval"
+        f"score: {'races' if plan.config.heats == 1 else f'best of {plan.config.heats}'} won, a tie counting half; a "
+        f"crash is won by {paid}; rating: Bradley-Terry, 400 are odds of 10, start lines drawn again for the interval"
     )
     if META_COLUMNS[0] in known:
         note += "\nequilibrium: how often to send whom, if the other side chooses as cleverly"

@@ -20,6 +20,7 @@ from pcs_racing.envs.obstacles import Obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.envs.variety import Variety
 from pcs_racing.race import random_circuits
+from pcs_racing.race.config import PRESETS
 from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits, random_circuit
 from pcs_racing.track.obstacles import BOX
 
@@ -117,7 +118,7 @@ def test_a_random_circuit_can_be_raced_on():
     track = random_circuit(settings, 3)
     assert track.content_hash == random_circuit(settings, 3).content_hash
     assert 50.0 < track.length < 125.0
-    assert set(track.calibration) == {"paper", "contest"}
+    assert set(track.calibration) == set(PRESETS)
     env = DuelEnv(track, "default", step_seconds=1.0, moves=1)
     for seed in range(3):
         env.reset(seed=seed)

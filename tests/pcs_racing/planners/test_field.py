@@ -6,6 +6,7 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
 from pcs_racing import InputError, RaceConfig, Starts, get_planner, load_track, parse_policy, run_races
+from pcs_racing.planners.bimatrix import MOVES, solve
 from pcs_racing.planners.disparity_extender import extend_disparities
 from pcs_racing.planners.follow_the_gap import longest_gap, smooth
 from pcs_racing.planners.frenet_sampling import quintic
@@ -27,7 +28,7 @@ from pcs_racing.planners.spliner import SCRATCH, SPLINER, lay_spline, spline_at
 from pcs_racing.planners.view import OWN_D, OWN_S, PATH_POINTS
 from pcs_racing.testing import check_planner
 
-PASSING = ("frenet-sampling", "iterated-best-response", "mppi", "predictive-spliner", "spliner")
+PASSING = ("bimatrix-game", "frenet-sampling", "iterated-best-response", "mppi", "predictive-spliner", "spliner")
 MAPPED = (*PASSING, "stanley")
 LIDAR = ("disparity-extender", "follow-the-gap")
 
@@ -179,6 +180,16 @@ def test_the_process_of_the_predictive_spliner_is_that_of_its_kernel():
     kernel = keep ** np.abs(np.subtract.outer(np.arange(AHEAD), at)).astype(float)
     covariance = kernel[at] + np.diag([0.0] + [noise] * 20)
     np.testing.assert_allclose(mean, prior + kernel @ np.linalg.solve(covariance, values - prior), atol=1e-9)
+
+
+def test_the_game_is_solved_for_the_leaders_equilibrium():
+    """Against all replies to all moves, in a game of random payoffs."""
+    own, opponent = np.random.default_rng(2).normal(size=(2, MOVES, MOVES))
+    replies = opponent.argmax(axis=1)
+    leader = own[np.arange(MOVES), replies].argmax()
+    follower = own[:, opponent[own.argmax(axis=0), np.arange(MOVES)].argmax()].argmax()
+    flat = own.ravel(), opponent.ravel()
+    assert (solve(*flat, True), solve(*flat, False)) == (leader, follower)
 
 
 def test_the_quintic_joins_two_states():

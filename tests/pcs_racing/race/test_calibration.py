@@ -7,8 +7,9 @@ import pytest
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.calibration import FRICTION_SCALE, SCALES, calibrate, calibration_of, hazard_scan, starts_for
-from pcs_racing.race.config import CONTEST, PAPER
+from pcs_racing.race.config import CONTEST, PAPER, PRESETS
 from pcs_racing.track.loading import load_track
+from pcs_racing.track.maps import list_tracks
 
 
 def test_faster_is_riskier_and_noise_makes_it_smooth() -> None:
@@ -47,6 +48,19 @@ def test_the_scan_ends_where_the_hazard_is_too_large():
     assert len(part) < len(whole)
     np.testing.assert_array_equal(part, whole[: len(part)])
     assert part[-1] > 0.01 >= part[:-1].max()
+
+
+def test_circuits_ship_with_all_presets_and_as_noisy_ones_share_their_speeds():
+    for name in list_tracks():
+        known = load_track(name).calibration
+        assert set(known) == set(PRESETS)
+        assert known["roboracer"].speed_range == known["contest"].speed_range
+
+
+def test_a_hazard_is_counted_in_crashes_whatever_a_contact_does():
+    track, scales = load_track("Pipkin"), (1.5,)
+    restarts = replace(CONTEST, contact="restart", most_faults=3)
+    assert hazard_scan(track, restarts, scales, cars=12) == hazard_scan(track, CONTEST, scales, cars=12) > 0.1
 
 
 def test_a_circuit_that_was_never_seen_is_calibrated_once_and_says_so(tmp_path, monkeypatch, capsys):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from test_many_cars import V, of_cars, placed
 
-from pcs_racing import advance, load_race_config, parse_policy, run_races
+from pcs_racing import advance, load_race_config, load_track, parse_policy, run_races
 from pcs_racing.car.collision import Rectangle, car_hits_wall, rectangles_overlap
-from pcs_racing.race.races import winners
+from pcs_racing.race.config import ROBORACER
+from pcs_racing.race.races import RaceResult, winners
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 
 HALF = 0.29, 0.155  # m, of a car
@@ -126,3 +127,30 @@ def test_without_a_contact_a_race_is_the_same(oval, contact):
     assert not end.crashed[0]
     for name, array in of_cars(end.state, [0, 1]).items():
         np.testing.assert_array_equal(getattr(other.state, name), array, err_msg=name)
+
+
+@pytest.mark.parametrize(("limit", "faults"), [(3, 3), (0, 4)])
+def test_a_car_with_too_many_faults_is_out_and_has_lost(oval, limit, faults):
+    """It drives into the wall again and again, far ahead of the other car, which stood in its way once."""
+    rules = {"contact": "restart", "crash_rule": "fault-loses", "most_faults": limit, "duration": 60.0}
+    setup, state, theta = placed(oval, [(20.0, 0.0), (3.0, 0.0)], [4.0, 0.0], **rules)
+    theta[0, 0] = 0.2, 4.0
+    state.fault[0, 1] = 1
+    advance(setup, state, theta, 6000)
+    assert state.fault[0].tolist()[0] >= faults
+    assert state.crashed[0] == (limit > 0)
+    if limit:
+        assert state.fault[0].tolist() == [limit, 1]
+        assert state.crash[0].tolist() == [WALL_CRASH, NO_CRASH]
+        assert state.tick[0] < 6000
+        result = RaceResult(setup.config, state, None)
+        assert (result.winner.tolist(), result.own_crash.tolist()) == ([1], [[True, False]])
+
+
+def test_the_roboracer_preset_starts_abreast_from_rest_and_restarts():
+    drivers = [parse_policy(text) for text in ("spliner", "follow-the-gap")]
+    result = run_races(load_track("Brackwater"), [drivers[0]] * 6, drivers[1], ROBORACER, seed=2)
+    assert result.starts.side.tolist() == [0, 1, 0, 1, 0, 1]
+    assert (result.state.fault[result.crashed].max(axis=1) == 3).all()
+    assert (result.state.tick[~result.crashed] == 4000).all()
+    assert (result.winner >= 0).all()

@@ -5,11 +5,12 @@ from refusal import refused
 
 from pcs_racing import CONTEST, PAPER, RaceConfig, UnknownNameError, load_race_config
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.race.config import PRESETS
+from pcs_racing.race.config import PRESETS, ROBORACER
 
 
-def test_the_two_presets():
-    assert PRESETS == {"paper": PAPER, "contest": CONTEST}
+def test_the_presets():
+    assert PRESETS == {"paper": PAPER, "contest": CONTEST, "roboracer": ROBORACER}
+    assert (ROBORACER.contact, ROBORACER.most_faults, ROBORACER.heats, ROBORACER.start_speed) == ("restart", 3, 3, 0.0)
     assert RaceConfig() == PAPER
     assert (PAPER.start, PAPER.steering_noise, PAPER.crash_rule) == ("side-by-side", 0.0, "nobody")
     assert (CONTEST.start, CONTEST.crash_rule, CONTEST.aggressiveness) == ("staggered", "fault-loses", "speed")
@@ -37,6 +38,8 @@ def test_the_papers_race():
         "aggressiveness": "lead",
         "ittc_horizon": 10.0,
         "contact": "end",
+        "most_faults": 0,
+        "heats": 1,
         "stay_move": False,
     }
     assert CONTEST.stay_move
@@ -55,6 +58,8 @@ def test_the_papers_race():
         ("noise_time", 0.01, 60.0, {}),
         ("ittc_horizon", 0.1, 1000.0, {}),
         ("start_lines", 1, 1000, {}),
+        ("most_faults", 0, 100, {}),
+        ("heats", 1, 99, {}),
     ],
 )
 def test_every_number_has_a_least_and_a_largest_value(key, low, high, more):

@@ -69,6 +69,19 @@ def test_after_a_crash_that_pays_nobody_nobody_scores():
     assert {(s.name, s.own_crash, s.other_crash) for s in table} == {("a", 1.0, 0.0), ("b", 0.5, 0.5)}
 
 
+def test_best_of_three_counts_as_one_race():
+    """Series of 2 to 1, 1 to 1 and a tie, and 0 to 2."""
+    ends = ["ego", "opponent", "ego", "opponent", "ego", "none", "opponent", "opponent"]
+    rows = [race("a", "b", race=i, winner=end) for i, end in enumerate(ends)]
+    tournament = played(*rows, config=load_race_config("roboracer", duration=6.0))
+    assert tournament.series.winner.tolist() == [0, -1, 1]
+    assert {(s.name, s.score, s.races) for s in standings(tournament)} == {("a", 0.5, 8), ("b", 0.5, 8)}
+    assert "best of 3 won" in tournament_text(tournament)
+    crashed = [race("a", "b", race=i, winner="ego", crash="car", fault="opponent") for i in range(3)]
+    a, b = standings(played(*crashed, config=load_race_config("roboracer", duration=6.0)))
+    assert (a.score, b.score, b.own_crash) == (1.0, 0.0, 1.0)
+
+
 def test_the_text_holds_table_and_matrix(tournament):
     text = tournament_text(tournament)
     assert text.startswith("36 races of 6 s, preset contest, on oval, Pipkin; seed 4\n")

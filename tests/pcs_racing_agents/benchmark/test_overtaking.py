@@ -1,0 +1,79 @@
+"""The overtaking protocol: its scenarios, its lines, and what is counted."""
+
+import csv
+
+import numpy as np
+import pytest
+from refusal import refused
+
+from pcs_racing import Planner, load_track, parse_policy
+from pcs_racing.planners.pursuit import hold_command
+from pcs_racing_agents.benchmark.overtaking import AHEAD, Lines, joined, made_lines, race_scenarios, read_lines, summary
+from pcs_racing_agents.cli.main import main
+
+PARKED = Planner("parked", (), control=hold_command, memory_size=2).policy()
+
+
+@pytest.fixture(scope="module")
+def lines() -> Lines:
+    return made_lines(load_track("Brackwater"))
+
+
+def test_lanes_lie_beside_the_race_line_between_the_walls(lines):
+    left, race, right = lines.d
+    assert (race == 0.0).all()
+    assert left.max() == pytest.approx(0.57)
+    assert -0.57 <= right.min() < -0.3
+    s = np.arange(len(left)) / len(left) * lines.track.length
+    off_line = np.abs(left) > 0.05
+    assert (lines.track.wall_distance(lines.track.to_cartesian(np.stack([s, left], axis=-1))[off_line, :2]) > 0.3).all()
+    assert (np.abs(np.diff(lines.d, axis=1)) < 0.1).all()
+
+
+def test_an_opponent_passes_nobody_who_stands_and_drives_its_lines_without_a_crash(lines):
+    found = race_scenarios(lines, PARKED)
+    assert len(found.start) == 600
+    assert len(set(found.start)) == 50
+    assert set(zip(found.line.tolist(), found.factor.tolist(), strict=True)) == {
+        (line, factor) for line in range(3) for factor in (0.5, 0.6, 0.7, 0.8)
+    }
+    assert not found.overtakes.any()
+    assert found.safe.mean() > 0.98
+    assert set(found.fault[~found.safe]) <= {2}
+
+
+def test_a_faster_car_overtakes_slow_ones_more_often_and_one_seed_has_one_result(lines):
+    one, again = (race_scenarios(lines, parse_policy("predictive-spliner"), threads=n) for n in (1, 2))
+    np.testing.assert_array_equal(one.overtakes, again.overtakes)
+    assert not (one.overtakes & ~one.safe).any()
+    slow, fast = (one.overtakes[one.factor == factor].mean() for factor in (0.5, 0.8))
+    assert slow > fast > 0.1
+    table = summary([joined([one, one])])
+    assert f"{one.overtakes.mean():.1%}" in table[1]
+    assert "59.2%" in table[2]
+
+
+def test_lines_are_read_in_their_own_direction(lines, tmp_path):
+    track = lines.track
+    s = np.arange(lines.d.shape[1]) * track.length / lines.d.shape[1]
+    for k in range(3):
+        xy = track.to_cartesian(np.stack([s, lines.d[k]], axis=-1))[::-1, :2]
+        columns = np.column_stack([s, xy, s * 0.0, s * 0.0, lines.speed[k][::-1]])
+        np.savetxt(tmp_path / f"Brackwater_line{k}.csv", columns, delimiter=";", header="s; x; y; psi; kappa; v")
+    read = read_lines(track, tmp_path)
+    assert read.track.length == pytest.approx(track.length, rel=0.01)
+    ahead = track.to_frenet(read.track.to_cartesian([[0.0, 0.0], [AHEAD, 0.0]])[:, :2])[:, 0]
+    assert np.mod(ahead[0] - ahead[1], track.length) == pytest.approx(AHEAD, abs=0.1)
+    # What lay to the left lies to the right in the other direction.
+    assert read.d[0].mean() == pytest.approx(-lines.d[0].mean(), abs=0.02)
+    assert read.speed[1].mean() == pytest.approx(lines.speed[1].mean(), rel=0.02)
+    refused("no lines of Pipkin", read_lines, load_track("Pipkin"), tmp_path)
+
+
+def test_the_command_prints_the_tables_and_writes_the_scenarios(tmp_path, capsys):
+    out = tmp_path / "scenarios.csv"
+    assert main(["overtaking", "--drivers", "stanley", "--track", "Pipkin", "--out", str(out)]) == 0
+    assert "without collision" in capsys.readouterr().out
+    rows = list(csv.DictReader(out.read_text().splitlines()))
+    assert len(rows) == 600
+    assert {row["circuit"] for row in rows} == {"Pipkin"}
