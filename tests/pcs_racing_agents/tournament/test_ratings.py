@@ -112,6 +112,9 @@ def test_an_agent_that_wins_everything_has_a_finite_rating():
     assert np.isfinite([ratings.low, ratings.high]).all()
     assert ratings.strength[1] == pytest.approx(ratings.strength[2], abs=1.0)
     assert ratings.tie == 0.0
+    # With 1,000 wins and a wide prior the slope of the log posterior is still zero at the answer.
+    one = rate(["a"] * 1000, ["b"] * 1000, [1] * 1000, prior_sd=1000.0).strength
+    assert 1000 / (1 + np.exp(np.ptp(one))) == pytest.approx(one[0] / 1e6, rel=1e-6)
 
 
 def test_races_that_paid_nobody_are_left_out():
@@ -142,6 +145,7 @@ def test_who_is_named_first_does_not_matter():
         (lambda: rate(["a"], ["b"], [1], unpaid=[True]), "none of 1 races"),
         (lambda: rate(["a", "c"], ["b", "d"], [1, 0]), "c never met a"),
         (lambda: rate(["a"], ["b"], [1], prior_sd=0.0), "prior_sd is 0"),
+        (lambda: rate(["a"], ["b"], [1], prior_sd=1e7), "prior_sd is 10000000"),
         (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0)), "the same unit"),
         (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0), replicates=5), "replicates is 5"),
     ],
