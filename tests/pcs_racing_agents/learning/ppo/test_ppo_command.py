@@ -1,16 +1,19 @@
 from dataclasses import replace
 
 import pytest
+import yaml
 from refusal import refused
 from repository import read_page
 
 from pcs_racing.base.errors import ConfigError, UnknownNameError
+from pcs_racing.base.settings import plain_settings
+from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import make_task
 
 
-def test_shipped_settings_are_those_of_the_two_levels():
+def test_shipped_settings_are_those_of_the_two_levels_and_a_file_changes_what_it_names(tmp_path):
     result = {name: load_ppo_settings(name) for name in shipped_configs("ppo")}
     assert all(f"`{name}`" in read_page("ppo.md") for name in result)
     assert set(result) == {"drive", "duel-contest", "duel-paper", "study-contest", "study-paper"}
@@ -19,48 +22,79 @@ def test_shipped_settings_are_those_of_the_two_levels():
     assert result["duel-contest"].archive == "contest"
     assert result["duel-paper"].steps >= 400_000
     assert result["drive"].steps >= 2_000_000
-
-
-def test_a_file_changes_what_it_names(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("level: drive\nhold: 10\nopponents: {pure-pursuit: 3}\nseeds: [4, 5]\n")
     settings = load_ppo_settings(file, steps=77)
     assert settings == DriveSettings(hold=10, opponents={"pure-pursuit": 3}, seeds=(4, 5), steps=77)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_impossible_settings_are_named(tmp_path):
+    for text, message in [
         ("hidden: [4]", r"level is None"),
         ("level: duel\nhold: 2", r"unknown ppo setting 'hold'"),
         ("level: drive\nhold: 3", r"mine.yaml: hold is 3"),
         ("level: drive\narchive: default", r"unknown ppo setting 'archive'"),
         ("level: duel\nopponents: never-switch", r"opponents is 'never-switch'"),
         ("level: duel\nopponents: {never-switch: 0.5}", r"opponents holds 'never-switch': 0.5"),
-    ],
-)
-def test_impossible_settings_are_named(tmp_path, text, message):
-    file = tmp_path / "mine.yaml"
-    file.write_text(text)
-    refused(message, load_ppo_settings, file, error=ConfigError)
+    ]:
+        file = tmp_path / "mine.yaml"
+        file.write_text(text)
+        refused(message, load_ppo_settings, file, error=ConfigError)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_what_settings_name_must_exist_once(duel_settings, drive_settings, tmp_path):
+    for changes, message in [
         ({"tracks": ("Nowhere",)}, "Nowhere"),
         ({"archive": "nothing"}, "nothing"),
         ({"race": "sunday"}, "sunday"),
         ({"opponents": {"always-wrong": 1}}, "opponent 'always-wrong' is unknown"),
-    ],
-)
-def test_what_settings_name_must_exist(duel_settings, changes, message):
-    refused(message, make_task, replace(duel_settings, **changes))
-
-
-def test_rules_of_one_name_are_refused(drive_settings, tmp_path):
+    ]:
+        refused(message, make_task, replace(duel_settings, **changes))
     file = tmp_path / "other.yaml"
     file.write_text("name: short\n")
     refused("the same name", make_task, replace(drive_settings, races=(*drive_settings.races, str(file))))
     with pytest.raises(UnknownNameError, match="planner 'tortoise' is unknown"):
         make_task(replace(drive_settings, opponents={"tortoise": 1}))
+
+
+@pytest.fixture
+def config(drive_settings, tmp_path):
+    file = tmp_path / "mine.yaml"
+    values = plain_settings(replace(drive_settings, steps=320))
+    file.write_text(yaml.safe_dump({**values, "opponents": dict(drive_settings.opponents)}))
+    return str(file)
+
+
+def test_training_from_the_command_line(config, tmp_path, capsys):
+    arguments = ["ppo", "--config", config, "--out", str(tmp_path / "out"), "--seeds", "3", "--name", "mine"]
+    assert main(arguments) == 0
+    captured = capsys.readouterr()
+    assert "320 with seed 3: " in captured.out
+    assert "Pipkin short" in captured.out
+    assert "320/320 steps" in captured.err
+    created = {path.name for path in (tmp_path / "out").iterdir() if not path.name.startswith(".")}
+    assert created == {"job.yaml", "chunks", "updates.csv", "curve.png", "policy"}
+    assert yaml.safe_load((tmp_path / "out" / "policy" / "manifest.yaml").read_text())["name"] == "mine"
+    assert main(arguments) == 0  # finished: it is only read
+    assert capsys.readouterr().out == captured.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--config", "nonsense"], "ppo settings 'nonsense' are unknown"),
+        (["--config", "drive", "--steps", "0"], "steps is 0"),
+        (["--config", "drive", "--seeds", "-1"], "seeds is (-1,)"),
+        (
+            ["--config", "drive", "--scheduler", "tcp://x:1"],
+            "a scheduler's address (tcp://x:1) goes with the executor dask",
+        ),
+    ],
+)
+def test_errors_are_one_line_before_any_work(arguments, message, tmp_path, capsys):
+    assert main(["ppo", *arguments, "--out", str(tmp_path / "out")]) == 2
+    captured = capsys.readouterr().err
+    assert captured.startswith("pcs-racing: error: ")
+    assert message in captured
+    assert captured.count("\n") == 1
+    assert not (tmp_path / "out").exists()
