@@ -23,23 +23,20 @@ def test_our_half_drives_both_cars_to_the_end(beside, capsys):
     assert not any("crashed" in row for row in rows)
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
+def test_what_cannot_be_compared_is_one_line(beside, capsys):
+    for arguments in [
         ["--checkout", "."],
         ["--checkout", "nowhere", "--python", sys.executable],
         ["--seconds", "0"],
         ["--track", "no such track"],
-    ],
-)
-def test_what_cannot_be_compared_is_one_line(beside, arguments, capsys):
-    assert beside.main(arguments) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.count("\n") == 1
+    ]:
+        assert beside.main(arguments) == 2
+        printed = capsys.readouterr()
+        assert printed.out == ""
+        assert printed.err.count("\n") == 1
 
 
-def test_the_gym_is_run_by_its_own_python(beside, tmp_path, capsys):
+def test_the_gym_is_run_by_its_own_python_and_named_if_it_fails(beside, tmp_path, capsys):
     """A stand-in for the other Python takes the task and answers as the gym's half does."""
     (tmp_path / "f1tenth_gym" / "envs").mkdir(parents=True)
     python = tmp_path / "python"
@@ -52,12 +49,6 @@ def test_the_gym_is_run_by_its_own_python(beside, tmp_path, capsys):
     assert beside.main(given) == 0
     row = next(line for line in capsys.readouterr().out.splitlines() if "| F1TENTH gym" in line)
     assert [cell.strip() for cell in row.split("|")[3:6]] == ["2", "0.5", "1.0"]
-
-
-def test_a_gym_that_fails_is_named(beside, tmp_path, capsys):
-    (tmp_path / "f1tenth_gym" / "envs").mkdir(parents=True)
-    python = tmp_path / "python"
     python.write_text(f"#!{sys.executable}\nraise SystemExit('no gym here')\n")
-    python.chmod(python.stat().st_mode | stat.S_IXUSR)
     assert beside.main(["--checkout", str(tmp_path), "--python", str(python), "--seconds", "2"]) == 2
     assert "no gym here" in capsys.readouterr().err
