@@ -33,16 +33,13 @@ def test_what_is_slower_than_it_was_on_this_machine_is_named(record):
     assert record.slower({"race": 3.0}, [], "here") == []
 
 
-def test_lines_are_added_and_read(record, tmp_path):
+def test_lines_are_added_and_the_kept_history_has_every_ratio(record, tmp_path):
     file = tmp_path / "history.csv"
     record.add_line({"race": 10.0}, 5.0, file)
     record.add_line({"race": 20.0, "scan": 1.0}, 5.0, file)
     first, second = record.read_history(file)
     assert (first["race"], first["scan"], second["scan"]) == ("10", "", "1")
     assert record.slower({"race": 30.0}, [first, second], second["processor"]) != []
-
-
-def test_the_kept_history_has_every_ratio(record):
     history = record.read_history()
     assert history
     assert all(float(history[-1][name]) > 0.0 for name in record.RATIOS)

@@ -32,8 +32,8 @@ def test_what_cannot_be_compared_is_one_line(beside, arguments, capsys):
     assert (printed.out, printed.err.count("\n")) == ("", 1)
 
 
-def test_the_gym_is_run_by_its_own_python(beside, tmp_path, capsys):
-    """A stand-in for the other Python takes the task and answers as the gym's half does; one that fails is named."""
+def test_the_gym_is_run_by_its_own_python_and_named_if_it_fails(beside, tmp_path, capsys):
+    """A stand-in for the other Python takes the task and answers as the gym's half does."""
     (tmp_path / "f1tenth_gym" / "envs").mkdir(parents=True)
     python = tmp_path / "python"
     given = ["--checkout", str(tmp_path), "--python", str(python), "--seconds", "2", "--races", "1", "--cars", "2"]

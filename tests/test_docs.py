@@ -15,35 +15,20 @@ from pcs_racing import list_tracks
 DOCS = REPOSITORY / "docs"
 PAGES = sorted(
     [
-        *DOCS.glob("*.md"),
-        *DOCS.glob("reports/*.md"),
-        *DOCS.glob("notebooks/*.md"),
-        *REPOSITORY.glob("*.md"),
+        *DOCS.glob("*.md"), *DOCS.glob("reports/*.md"), *DOCS.glob("notebooks/*.md"), *REPOSITORY.glob("*.md"),
         *REPOSITORY.glob("*/README.md"),
     ]
-)
+)  # fmt: skip
 TEXTS = {page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
 
 # Pages whose code runs here. The others have tests of their own beside the code that they explain.
 RUN_HERE = (
-    "docs/agents.md",
-    "docs/archives.md",
-    "docs/benchmark.md",
-    "docs/bring_a_map.md",
-    "docs/coming_from_f1tenth_gym.md",
-    "docs/environments.md",
-    "docs/first_race.md",
-    "docs/game.md",
-    "docs/ppo.md",
-    "docs/reports/receding_horizon.md",
-    "docs/self_play.md",
-    "docs/solvers.md",
-    "docs/statistics.md",
-    "docs/synthesis.md",
-    "docs/trees.md",
-    "docs/view.md",
+    "docs/agents.md", "docs/archives.md", "docs/benchmark.md", "docs/bring_a_map.md",
+    "docs/coming_from_f1tenth_gym.md", "docs/environments.md", "docs/first_race.md", "docs/game.md",
+    "docs/ppo.md", "docs/reports/receding_horizon.md", "docs/self_play.md", "docs/solvers.md",
+    "docs/statistics.md", "docs/synthesis.md", "docs/trees.md", "docs/view.md",
     "docs/write_a_characteristic.md",
-)
+)  # fmt: skip
 SHORTER = {
     ".learn(100_000)": "",
     "learn(60_000)": "learn(1)",
@@ -76,9 +61,6 @@ def test_every_page_with_code_is_run_by_some_test():
     for page, text in TEXTS.items():
         if python_blocks(text) and page not in RUN_HERE and not page.startswith("docs/reports/"):  # research/tests
             assert Path(page).name in tests, f"no test runs the code of {page}"
-
-
-# Commands
 
 
 def command_lines(text: str) -> list[str]:
@@ -116,13 +98,7 @@ def test_commands_are_those_of_the_command_line(page, line):
     assert parses(found[program + 1 :]), f"{page}: {line}"
 
 
-def test_impossible_commands_are_found():
-    assert not parses(["race", "--trak", "Pipkin"])
-    assert not parses(["rase"])
-    assert words("pcs-racing agents   # all of them") == ["pcs-racing", "agents"]
-
-
-def test_commands_within_lines_exist():
+def test_commands_within_lines_exist_and_impossible_ones_are_found():
     from pcs_racing_agents.cli.main import _parser
 
     named = {name for text in TEXTS.values() for name in re.findall(r"`(?:[\w./]*/)?pcs-racing ([a-z-]+)", text)}
@@ -130,9 +106,12 @@ def test_commands_within_lines_exist():
     for name in named:
         assert parses([name, "--help"]), name
     assert _parser().prog == "pcs-racing"
+    assert not parses(["race", "--trak", "Pipkin"])
+    assert not parses(["rase"])
+    assert words("pcs-racing agents   # all of them") == ["pcs-racing", "agents"]
 
 
-def test_scripts_and_targets_exist():
+def test_scripts_and_targets_exist_and_make_help_names_them():
     # A script that made one table once is gone; the page says at which commit it measured.
     gone = re.compile(r"commit\s+[0-9a-f]{7}\s+with\s+`python benchmarks/\w+\.py")
     texts = [gone.sub("", text) for text in TEXTS.values()]
@@ -145,10 +124,6 @@ def test_scripts_and_targets_exist():
         for line in re.findall(r"(?:^|run: |`)make ((?:[a-z]+(?:-[a-z]+)*(?: |$|`|\n))+)", text, flags=re.MULTILINE):
             for target in line.strip(" `\n").split():
                 assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), f"{where}: make {target}"
-
-
-def test_make_help_names_every_target():
-    makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
     targets = set(re.search(r"^\.PHONY: (.*)$", makefile, flags=re.MULTILINE)[1].split()) - {"help"}
     assert targets <= set(re.findall(r'@echo "make ([\w-]+)', makefile))
 
@@ -166,9 +141,6 @@ def site():
 @pytest.fixture(scope="module")
 def made(site):
     return site.made_pages()
-
-
-# Links
 
 
 def anchors(text: str) -> set[str]:
@@ -193,10 +165,7 @@ def test_links_lead_somewhere(page, made):
             assert anchor in anchors(target.read_text(encoding="utf-8")), f"{page} links to {link}"
 
 
-# The site
-
-
-def test_environment_pages_have_all_headings_and_defaults(site):
+def test_environment_pages_have_all_headings_and_copied_pages_their_links(site, made):
     for name in site.ENVIRONMENTS:
         page = site.environment_page(name)
         for heading in ("Description", "Action Space", "Observation Space", "Rewards", "Starting State", "Episode End",
@@ -205,16 +174,13 @@ def test_environment_pages_have_all_headings_and_defaults(site):
         assert "``" not in page.replace("```", "")
         assert ":class:" not in page
     assert "- `beams` (int, default `0`): Beams of the lidar" in site.environment_page("drive")
-
-
-def test_copied_pages_keep_their_links(site, made):
     for source in site.COPIES.values():
         for link in re.findall(r"\]\(([^)\s#]+)", site.copied_page(source)):
             if "://" not in link and link not in made:
                 assert (DOCS / "generated" / link).resolve().exists(), f"{source}: {link}"
 
 
-def test_the_reference_has_a_page_for_every_public_module(site):
+def test_the_reference_has_every_public_module_and_nothing_private(site, tmp_path):
     known = {module for package in site.packages() for module in site.public_modules(package)}
     for root in ("pcs_racing", "pcs_racing_agents"):
         for file in (REPOSITORY / root).rglob("*.py"):
@@ -223,9 +189,6 @@ def test_the_reference_has_a_page_for_every_public_module(site):
             assert inner or not site.public_names(file) or module in known, f"{module} is not in site_pages.REFERENCE"
     listed = set(re.findall(r"^generated/api/(\S+)$", TEXTS["docs/api.md"], flags=re.MULTILINE))
     assert listed == {*site.packages(), "names"}
-
-
-def test_the_underscore_says_what_is_private(site, tmp_path):
     module = tmp_path / "module.py"
     module.write_text(
         "import os\nA, _B = 1, 2\nC: int = 3\nd[0] = 4\ndef _e(): ...\ndef f(): ...\nclass G:\n    h = 1\n"
@@ -233,9 +196,6 @@ def test_the_underscore_says_what_is_private(site, tmp_path):
     assert site.public_names(module) == ["A", "C", "f", "G"]
     module.write_text('__all__ = ["f"]\ndef f(): ...\ndef g(): ...\n')
     assert site.public_names(module) == ["f"]
-
-
-# The list of pages, and the pages that are made of data
 
 
 def listed_pages() -> list[str]:
@@ -246,7 +206,7 @@ def listed_pages() -> list[str]:
     return [name for part in found for name in part]
 
 
-def test_every_page_is_in_the_list(made):
+def test_the_readme_is_short_and_every_page_is_in_the_list(made):
     listed = listed_pages()
     for page in TEXTS:
         name = page.removeprefix("docs/").removesuffix(".md")
@@ -254,6 +214,10 @@ def test_every_page_is_in_the_list(made):
             assert listed.count(name) >= 1, f"docs/index.md lacks {name}"
     kept = {f"generated/{name}".removesuffix(".md") for name in made if name.endswith(".md") and "/" not in name}
     assert kept <= set(listed)
+    assert len(TEXTS["README.md"].splitlines()) <= 150
+    assert {"](cite.md)", "](versions.md)", "](reports/results.md)"} <= set(
+        re.findall(r"\]\([^)]+\)", TEXTS["docs/index.md"])
+    )
 
 
 def test_results_name_every_benchmark_and_link_a_table_of_it(made):
@@ -266,22 +230,12 @@ def test_results_name_every_benchmark_and_link_a_table_of_it(made):
         assert not texts or any(f"benchmarks/{script.name}" in text for text in texts), script.name
 
 
-def test_the_readme_is_short_and_the_index_leads_to_citation_and_versions():
-    assert len(TEXTS["README.md"].splitlines()) <= 150
-    assert {"](cite.md)", "](versions.md)", "](reports/results.md)"} <= set(
-        re.findall(r"\]\([^)]+\)", TEXTS["docs/index.md"])
-    )
-
-
-def test_the_page_of_circuits_has_a_row_and_a_picture_of_each(made):
+def test_the_pages_of_circuits_and_the_gallery_are_complete(made):
     page = made["circuits.md"]
     for name in list_tracks():
         assert re.search(rf"^\| \[{name}\]\(#{name.lower()}\) \| \d+ m \| \d\.\d m \| ", page, flags=re.MULTILINE), name
         assert f"]({Path('../../maps') / name / name}.png)" in page
     assert "| [Pipkin](#pipkin) | 58 m | 2.2 m | 9.3 s | 4.2 to 8.0 m/s | " in page
-
-
-def test_the_gallery_is_small_and_complete(made):
     gallery = load_tool("gallery")
     pictures = sorted((DOCS / gallery.FOLDER).glob("*.gif"))
     wanted = {f"{kind}-{circuit.lower()}.gif" for kind in gallery.SCENES for circuit in gallery.CIRCUITS}

@@ -67,12 +67,9 @@ def floor_of(module: str) -> int | None:
     return FLOOR_OF.get(".".join(module.split(".")[:2]))
 
 
-def test_every_file_stands_on_a_floor(graph):
+def test_every_file_stands_on_a_floor_and_imports_none_from_a_higher_one(graph):
     loose = {name for name in graph if floor_of(name) is None}
     assert loose == {"pcs_racing", "pcs_racing_agents", "pcs_racing_agents.__main__"}
-
-
-def test_no_file_imports_from_a_higher_floor(graph):
     upward = [
         (name, other)
         for name, others in graph.items()
@@ -82,14 +79,7 @@ def test_no_file_imports_from_a_higher_floor(graph):
     assert not upward
 
 
-def test_the_simulator_is_the_lowest_floors():
-    """Its compiled code has a digest of its own, which is enough because it imports nothing from above."""
-    from pcs_racing.base.code_cache import SIMULATOR
-
-    assert [FLOOR_OF[f"pcs_racing.{floor}"] for floor in SIMULATOR] == list(range(len(SIMULATOR)))
-
-
-def test_no_floor_imports_its_packages_front_door(graph):
+def test_no_floor_imports_its_packages_front_door_and_the_simulator_is_the_lowest(graph):
     """``import pcs_racing`` offers what the floors hold; a floor that asked there would go round in a circle."""
     assert not [
         (name, other)
@@ -97,6 +87,10 @@ def test_no_floor_imports_its_packages_front_door(graph):
         for other in others & {"pcs_racing", "pcs_racing_agents"}
         if floor_of(name) is not None
     ]
+    # Its compiled code has a digest of its own, which is enough because it imports nothing from above.
+    from pcs_racing.base.code_cache import SIMULATOR
+
+    assert [FLOOR_OF[f"pcs_racing.{floor}"] for floor in SIMULATOR] == list(range(len(SIMULATOR)))
 
 
 def circles(graph: dict[str, set[str]]) -> list[list[str]]:

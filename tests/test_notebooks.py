@@ -8,11 +8,7 @@ import pytest
 from repository import REPOSITORY
 
 NOTEBOOKS = sorted((REPOSITORY / "docs" / "notebooks").glob("*.md"))
-SHORTER = {
-    ".learn(8_192)": ".learn(1)",
-    "races_per_pair=40": "races_per_pair=2",
-    "[fast] * 100": "[fast] * 10",
-}
+SHORTER = {".learn(8_192)": ".learn(1)", "races_per_pair=40": "races_per_pair=2", "[fast] * 100": "[fast] * 10"}
 
 
 def cells(text: str) -> list[str]:

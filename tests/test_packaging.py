@@ -45,11 +45,12 @@ def without_extras(code: str, folder: Path) -> str:
     return done.stdout
 
 
-def test_the_libraries_are_hidden(tmp_path):
+def test_the_libraries_are_hidden_and_nothing_was_begun_without_them(tmp_path, told):
     code = (
         "import importlib.util\nprint(importlib.util.find_spec('torch'), importlib.util.find_spec('yaml') is not None)"
     )
     assert without_extras(code, tmp_path) == "None True\n"
+    assert told["begun"] == ["map"]
 
 
 def test_races_tournaments_and_agents_need_no_extra(tmp_path):
@@ -186,11 +187,7 @@ def test_examples_that_import_a_library_of_an_extra_are_all_tried():
         assert bool(hidden & set(found)) == (file.stem in EXAMPLES), file.stem
 
 
-def test_nothing_was_begun_before_that(told):
-    assert told["begun"] == ["map"]
-
-
-def test_every_extra_that_is_named_exists():
+def test_every_extra_folder_and_licence_that_is_named_exists():
     named = set()
     for package in ("pcs_racing", "pcs_racing_agents"):
         for file in (REPOSITORY / package).rglob("*.py"):
@@ -199,9 +196,6 @@ def test_every_extra_that_is_named_exists():
             named |= set(re.findall(r'extra="([a-z]+)"', text))
     assert len(named) >= 6
     assert named <= set(PROJECT["project"]["optional-dependencies"])
-
-
-def test_wheel_sdist_and_citation_name_what_there_is():
     included = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     assert set(included) == {"maps", "archives", "drivers", "networks"}
     for folder in included:

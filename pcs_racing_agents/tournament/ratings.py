@@ -77,8 +77,8 @@ def rate(
         Standard deviation of the prior on the log-odds scale. 3 is weak: after 73 wins in 100 races between two agents
         it moves their strengths from 0.497 to 0.496.
     """
-    if not 0.0 < prior_sd < np.inf:
-        raise InputError(f"prior_sd is {prior_sd!r}; it must be positive and finite")
+    if not 1e-6 <= prior_sd <= 1e6:
+        raise InputError(f"prior_sd is {prior_sd!r}; it must be a number from 1e-6 to 1e6")
     if rng is not None and not replicates >= 100:
         raise InputError(f"replicates is {replicates!r}; an interval needs at least 100")
     if len(first) != len(second):
@@ -153,19 +153,21 @@ def _fit(wins: Floats, ties: Floats, prior_sd: float, with_ties: bool) -> tuple[
     diagonal = np.arange(number)
     for _ in range(100):
         chance, tie = _chances(x, with_ties)
-        balance = chance - chance.swapaxes(1, 2)
-        surprise = wins - games * chance
+        other = chance.swapaxes(1, 2)
+        # wins - games * chance, without the difference of nearly equal numbers where a chance is nearly 1. So below.
+        surprise = wins * (other + tie) - (games - wins) * chance
         gradient = -precision * x
         gradient[:, :number] += 0.5 * (surprise - surprise.swapaxes(1, 2)).sum(axis=2)
         curvature = np.zeros((batch, number + 1, number + 1))
-        laplacian = 0.25 * games * ((1.0 - tie) - balance**2)
-        curvature[:, :number, :number] = -laplacian
+        laplacian = games * (chance * other + 0.25 * tie * (chance + other))
+        # Races tell differences alone: the mean stays at the prior's 0. The 1 stiffens that direction against rounding.
+        curvature[:, :number, :number] = 1.0 - laplacian
         curvature[:, diagonal, diagonal] += laplacian.sum(axis=2)
         if with_ties:
-            gradient[:, number] += 0.5 * (ties - games * tie).sum(axis=(1, 2))
-            mixed = -0.5 * (games * balance * tie).sum(axis=2)
+            gradient[:, number] += 0.5 * (ties * (chance + other) - (games - ties) * tie).sum(axis=(1, 2))
+            mixed = -0.5 * (games * (chance - other) * tie).sum(axis=2)
             curvature[:, :number, number] = curvature[:, number, :number] = mixed
-            curvature[:, number, number] = 0.5 * (games * tie * (1.0 - tie)).sum(axis=(1, 2))
+            curvature[:, number, number] = 0.5 * (games * tie * (chance + other)).sum(axis=(1, 2))
         curvature[:, np.arange(number + 1), np.arange(number + 1)] += precision
         step = np.linalg.solve(curvature, gradient[..., None])[..., 0]
         # Full steps can overshoot where an agent won nearly everything. What rounding takes away is no downhill.

@@ -24,16 +24,13 @@ print(*sorted({{name.split(".")[0] for name in set(sys.modules) - before}}))
     assert not set(LATE) & set(done.stdout.split())
 
 
-def test_optional_libraries_are_imported_inside_functions():
+def test_imports_of_optional_libraries_are_late_and_every_public_name_is_there():
     for package in ("pcs_racing", "pcs_racing_agents"):
         for file in sorted((REPOSITORY / package).rglob("*.py")):
             for node in ast.parse(file.read_text(encoding="utf-8")).body:
                 names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
                 names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
                 assert not {name.split(".")[0] for name in names} & set(LATE), f"{file}: line {node.lineno}"
-
-
-def test_every_public_name_is_there():
     import pcs_racing
 
     for name in pcs_racing.__all__:

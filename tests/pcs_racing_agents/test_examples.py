@@ -70,10 +70,7 @@ def test_what_the_readme_shows(tmp_path, number):
 
 @pytest.mark.parametrize(
     ("script", "libraries", "file"),
-    [
-        ("maskable_ppo.py", ("sb3_contrib",), "model.zip"),
-        ("cleanrl_self_play.py", ("torch",), "actor.safetensors"),
-    ],
+    [("maskable_ppo.py", ("sb3_contrib",), "model.zip"), ("cleanrl_self_play.py", ("torch",), "actor.safetensors")],
 )
 def test_a_trained_agent_enters_the_benchmark(tmp_path, monkeypatch, script, libraries, file):
     for library in libraries:

@@ -20,15 +20,9 @@ def toy_archive(policies: int = 12) -> PolicyArchive:
     explored = [lattice.policy({"pace": value}).parameters for value in np.linspace(0.0, 1.0, 30)]
     coordinates = np.stack([20.0 * pace - 10.0, 4.0 - 3.0 * pace], axis=1) + rng.normal(0.0, [1.5, 0.5], (policies, 2))
     return PolicyArchive(
-        "toy",
-        "lattice",
-        lattice.parameter_names,
-        np.array(drivers),
-        ("aggressiveness", "restraint"),
-        coordinates,
-        explored_parameters=np.array(explored),
-        explored_coordinates=rng.normal(size=(30, 2)),
-    )
+        "toy", "lattice", lattice.parameter_names, np.array(drivers), ("aggressiveness", "restraint"),
+        coordinates, explored_parameters=np.array(explored), explored_coordinates=rng.normal(size=(30, 2)),
+    )  # fmt: skip
 
 
 def untrained(setting: Setting, target: str = "regret", seed: int = 2, stay: bool = True) -> RegretNetwork:
@@ -38,14 +32,6 @@ def untrained(setting: Setting, target: str = "regret", seed: int = 2, stay: boo
     size, count = len(setting.elements), len(moves)
     archive = setting.archive
     identity = GameIdentity(setting.elements, moves, (0.5,), archive.name, archive.content_hash, setting.race)
-    return RegretNetwork(
-        f"untrained-{target}",
-        identity,
-        target,
-        False,
-        DenseLayers(
-            (rng.normal(size=(16, size)), rng.normal(size=(count, 16))), (rng.normal(size=16), rng.normal(size=count))
-        ),
-        np.zeros(size),
-        np.ones(size),
-    )
+    weights = rng.normal(size=(16, size)), rng.normal(size=(count, 16))
+    layers = DenseLayers(weights, (rng.normal(size=16), rng.normal(size=count)))
+    return RegretNetwork(f"untrained-{target}", identity, target, False, layers, np.zeros(size), np.ones(size))

@@ -32,20 +32,17 @@ def warn(data):
     warnings.warn("overflow", RuntimeWarning, stacklevel=1)
 
 
-@pytest.mark.parametrize(
-    ("target", "data", "word", "where"),
-    [
+def test_an_answer_is_told_from_a_finding(fuzz):
+    for target, data, word, where in [
         (len, b"", "accepted", ""),
         (refuse, b"it is too long", "refused", ""),
         (refuse, b"", "CRASH", "message"),
         (fail, b"", "CRASH", "KeyError in test_fuzzer.py"),
         (warn, b"", "CRASH", "RuntimeWarning in test_fuzzer.py"),
-    ],
-)
-def test_an_answer_is_told_from_a_finding(fuzz, target, data, word, where):
-    found, place = fuzz.judge(target, data)
-    assert found == word
-    assert where in place
+    ]:
+        found, place = fuzz.judge(target, data)
+        assert found == word
+        assert where in place
 
 
 def test_a_campaign_writes_a_line_for_each_turn_and_goes_on_where_it_was(tmp_path):

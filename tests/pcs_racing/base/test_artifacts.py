@@ -11,17 +11,12 @@ NOTE = ManifestFormat("note", ("text", "pages"), "write_note")
 @pytest.fixture
 def album(tmp_path) -> ArtifactFormat:
     return ArtifactFormat(
-        "album",
-        ("name", "photos_sha256"),
-        "save_album",
-        data_file="photos.bin",
-        digest_key="photos_sha256",
-        max_bytes=10,
-        shipped=tmp_path / "albums",
-    )
+        "album", ("name", "photos_sha256"), "save_album", data_file="photos.bin", digest_key="photos_sha256",
+        max_bytes=10, shipped=tmp_path / "albums",
+    )  # fmt: skip
 
 
-def test_what_is_saved_is_loaded(album, tmp_path):
+def test_what_is_saved_is_loaded_and_data_of_another_manifest_are_noticed(album, tmp_path):
     folder = album.save(tmp_path / "deep" / "summer", {"name": "summer"}, b"sun")
     fields, data = album.load(folder)
     assert (fields["name"], data) == ("summer", b"sun")
@@ -29,6 +24,13 @@ def test_what_is_saved_is_loaded(album, tmp_path):
     assert [file.name for file in folder.parent.iterdir()] == ["summer"]  # no temporary folder is left
     album.save(folder, {"name": "autumn"}, b"rain")  # into a folder that exists
     assert album.load(folder)[1] == b"rain"
+    folder = album.save(tmp_path / "summer", {"name": "summer"}, b"sun")
+    (folder / "photos.bin").write_bytes(b"moon")
+    refused("digest differs", album.load, folder)
+    (folder / "photos.bin").write_bytes(bytes(11))
+    refused("more than 10 bytes", album.load, folder)
+    (folder / "photos.bin").unlink()
+    refused(r"can't read .*photos.bin.*written by save_album", album.load, folder)
 
 
 def test_a_half_written_folder_never_appears(album, tmp_path, monkeypatch):
@@ -42,17 +44,7 @@ def test_a_half_written_folder_never_appears(album, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_data_of_another_manifest_are_noticed(album, tmp_path):
-    folder = album.save(tmp_path / "summer", {"name": "summer"}, b"sun")
-    (folder / "photos.bin").write_bytes(b"moon")
-    refused("digest differs", album.load, folder)
-    (folder / "photos.bin").write_bytes(bytes(11))
-    refused("more than 10 bytes", album.load, folder)
-    (folder / "photos.bin").unlink()
-    refused(r"can't read .*photos.bin.*written by save_album", album.load, folder)
-
-
-def test_the_shipped_ones_are_listed_and_found(album, tmp_path):
+def test_the_shipped_ones_are_listed_and_lie_beside_the_package_or_in_it(album, tmp_path):
     assert album.shipped_names() == []
     for name in ("winter", "summer"):
         album.save(tmp_path / "albums" / name, {"name": name}, b"")
@@ -62,9 +54,6 @@ def test_the_shipped_ones_are_listed_and_found(album, tmp_path):
     assert album.find(tmp_path) == tmp_path
     refused(r"unknown album 'spring': .*\(summer, winter\)", album.find, "spring", error=UnknownNameError)
     refused("album 3 ", album.find, 3)
-
-
-def test_shipped_files_lie_beside_the_package_or_in_it(tmp_path):
     package = tmp_path / "package"
     package.mkdir()
     assert shipped_folder(package, "albums") == tmp_path / "albums"

@@ -9,34 +9,20 @@ from pcs_racing.base import checks
 from pcs_racing.base.errors import ConfigError, InputError
 
 
-@pytest.mark.parametrize("value", [True, 1.0, "1", None, np.True_, np.float64(1.0), -1, 6, [1]])
-def test_whole_numbers_within_a_range(value):
+def test_whole_and_other_numbers_within_a_range_and_huge_ones():
     assert [checks.check_whole("n", good, 0, 5) for good in (0, 5, np.uint8(3))] == [0, 5, 3]
     assert type(checks.check_whole("n", np.int64(3), 0, 5)) is int
-    refused(r"^n is .* from 0 to 5$", checks.check_whole, "n", value, 0, 5)
-
-
-@pytest.mark.parametrize("value", [True, "1", None, math.nan, math.inf, -math.inf, -0.1, 1.1, 0.0])
-def test_numbers_within_a_range(value):
+    for value in [True, 1.0, "1", None, np.True_, np.float64(1.0), -1, 6, [1]]:
+        refused(r"^n is .* from 0 to 5$", checks.check_whole, "n", value, 0, 5)
     assert [checks.check_number("x", good, 0.0, 1.0) for good in (0, 1.0, np.float32(0.5))] == [0.0, 1.0, 0.5]
     assert type(checks.check_number("x", np.float32(0.5))) is float
-    refused(r"^x is .* above 0 up to 1$", checks.check_number, "x", value, most=1.0, above=0.0)
-
-
-def test_a_huge_whole_number_is_a_number():
+    for value in [True, "1", None, math.nan, math.inf, -math.inf, -0.1, 1.1, 0.0]:
+        refused(r"^x is .* above 0 up to 1$", checks.check_number, "x", value, most=1.0, above=0.0)
     assert checks.check_number("x", 10**400) == 10**400
     refused("from 0 to 1", checks.check_number, "x", 10**400, 0.0, 1.0)
 
 
-def test_names_that_resemble_are_suggested():
-    assert checks.check_choice("kind", "map", ("map", "kdpp")) == "map"
-    with pytest.raises(InputError, match=r"kind is 'mpa'; it must be one of map, kdpp \(did you mean 'map'\?\)"):
-        checks.check_choice("kind", "mpa", ("map", "kdpp"))
-    for odd in (None, 3, ["map"], "lattice"):
-        refused(r"one of map, kdpp$", checks.check_choice, "kind", odd, ("map", "kdpp"), ConfigError, error=ConfigError)
-
-
-def test_texts_flags_paths_and_seeds():
+def test_texts_flags_paths_seeds_and_names_that_resemble():
     assert checks.check_flag("normalize", np.True_) is True
     assert checks.check_path("folder", Path("a")) == Path("a")
     assert checks.check_seed(np.uint64(7)) == 7
@@ -50,35 +36,18 @@ def test_texts_flags_paths_and_seeds():
     ):
         refused(r"^it (is|are) ", check, "it", odd)
     refused("seed is -1", checks.check_seed, -1)
+    assert checks.check_choice("kind", "map", ("map", "kdpp")) == "map"
+    with pytest.raises(InputError, match=r"kind is 'mpa'; it must be one of map, kdpp \(did you mean 'map'\?\)"):
+        checks.check_choice("kind", "mpa", ("map", "kdpp"))
+    for odd in (None, 3, ["map"], "lattice"):
+        refused(r"one of map, kdpp$", checks.check_choice, "kind", odd, ("map", "kdpp"), ConfigError, error=ConfigError)
 
 
-def test_lists_of_whole_numbers():
+def test_lists_and_arrays_of_whole_numbers():
     assert checks.check_wholes("widths", [np.int64(3), 4], 1, 9, (0, 2)) == (3, 4)
     for odd in ([0], [1, 2, 3], [True], "12", 3, [1.0]):
         refused(r"^widths is .* at most 2 whole numbers", checks.check_wholes, "widths", odd, 1, 9, (0, 2))
     refused("different", checks.check_wholes, "seeds", [1, 1], 0, 9, different=True)
-
-
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        ([[1.0, 2.0]], "theta has shape (1, 2); it must have (any, 3)"),
-        ([1.0, 2.0, 3.0], "theta has shape (3,); it must have (any, 3)"),
-        ([[1.0, 2.0, np.nan]], "theta holds nan at (0, 2); it must be finite from 0 to 9"),
-        ([[1.0, 2.0, 10.0]], "theta holds 10.0 at (0, 2)"),
-        ([["a", 2.0, 10.0]], "it must hold numbers"),
-        ([[1.0], [2.0, 3.0]], "it must hold numbers"),
-    ],
-)
-def test_arrays(value, message):
-    good = np.zeros((2, 3))
-    assert checks.check_array("theta", good, (None, 3)) is not good
-    with pytest.raises(InputError) as error:
-        checks.check_array("theta", value, (None, 3), least=0.0, most=9.0)
-    assert message in str(error.value)
-
-
-def test_arrays_of_whole_numbers():
     np.testing.assert_array_equal(checks.check_whole_array("n", [[1, 2]], (None, 2), least=0, most=2), [[1, 2]])
     assert checks.check_whole_array("n", np.uint8(3)).dtype == np.int64
     for wrong in ([[1.0, 2.0]], [[True, False]], [["a", "b"]], [[1], [2, 3]]):
@@ -88,6 +57,22 @@ def test_arrays_of_whole_numbers():
     with pytest.raises(InputError, match=r"^n holds -1 at \(0, 1\); .* from 0 to 5"):
         checks.check_whole_array("n", [[1, -1]], (1, 2), least=0, most=5)
     refused(r"^n is 6; .* up to 5", checks.check_whole_array, "n", 6, most=5)
+
+
+def test_arrays():
+    for value, message in [
+        ([[1.0, 2.0]], "theta has shape (1, 2); it must have (any, 3)"),
+        ([1.0, 2.0, 3.0], "theta has shape (3,); it must have (any, 3)"),
+        ([[1.0, 2.0, np.nan]], "theta holds nan at (0, 2); it must be finite from 0 to 9"),
+        ([[1.0, 2.0, 10.0]], "theta holds 10.0 at (0, 2)"),
+        ([["a", 2.0, 10.0]], "it must hold numbers"),
+        ([[1.0], [2.0, 3.0]], "it must hold numbers"),
+    ]:
+        good = np.zeros((2, 3))
+        assert checks.check_array("theta", good, (None, 3)) is not good
+        with pytest.raises(InputError) as error:
+            checks.check_array("theta", value, (None, 3), least=0.0, most=9.0)
+        assert message in str(error.value)
 
 
 def test_facts_are_texts_and_numbers_by_name():

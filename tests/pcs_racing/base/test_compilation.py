@@ -39,7 +39,7 @@ def dispatcher(cache: Path, signatures: tuple = ()) -> SimpleNamespace:
     return SimpleNamespace(signatures=signatures, py_func=divide.py_func, stats=SimpleNamespace(cache_path=str(cache)))
 
 
-def test_the_first_compilation_says_what_it_does(tmp_path, capsys):
+def test_the_first_compilation_is_announced_and_no_other(tmp_path, capsys):
     answers = []
     for _ in range(2):
         with first_call(dispatcher(tmp_path / "empty"), "the test itself", 7) as compiling:
@@ -48,6 +48,12 @@ def test_the_first_compilation_says_what_it_does(tmp_path, capsys):
     assert capsys.readouterr().err == (
         "pcs-racing: compiling the test itself (about 7 s, once; it is cached on disk)\n"
     )
+    with first_call(dispatcher(tmp_path, signatures=("f8",)), "what is in memory", 7) as compiling:
+        assert not compiling
+    (tmp_path / "test_compilation.divide-13.py311.nbi").touch()
+    with first_call(dispatcher(tmp_path), "what is on disk", 7) as compiling:
+        assert not compiling
+    assert capsys.readouterr().err == ""
 
 
 def failing_call(cache: Path, what: str) -> None:
@@ -66,15 +72,6 @@ def test_no_garbage_is_collected_during_a_compilation(tmp_path, collects):
         assert gc.isenabled() is collects
     finally:
         (gc.enable if was else gc.disable)()
-
-
-def test_what_is_compiled_already_is_not_announced(tmp_path, capsys):
-    with first_call(dispatcher(tmp_path, signatures=("f8",)), "what is in memory", 7) as compiling:
-        assert not compiling
-    (tmp_path / "test_compilation.divide-13.py311.nbi").touch()
-    with first_call(dispatcher(tmp_path), "what is on disk", 7) as compiling:
-        assert not compiling
-    assert capsys.readouterr().err == ""
 
 
 WORKER = """

@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 
-from pcs_racing.base.elementary import (
-    arcsine,
-    arctangent,
-    arctangent2,
-    exponential,
-    headings,
-    hyperbolic_tangent,
-    lengths,
-    sine_cosine,
-    sines_cosines,
-    tangent,
-)
+from pcs_racing.base import elementary
 
 exact = np.longdouble
 needs_more_digits = pytest.mark.skipif(
@@ -38,16 +27,16 @@ def spread(low: float, high: float, count: int = 2000) -> np.ndarray:
 @pytest.mark.parametrize(
     ("own", "true", "values", "most"),
     [
-        (lambda x: sine_cosine(x)[0], np.sin, spread(-0.785, 0.785), 1.0),
-        (lambda x: sine_cosine(x)[1], np.cos, spread(-0.785, 0.785), 1.0),
-        (tangent, np.tan, spread(-1.5, 1.5), 3.0),
-        (arctangent, np.arctan, spread(-6.0, 6.0), 1.0),
-        (arctangent, np.arctan, spread(-1e6, 1e6), 1.0),
-        (arcsine, np.arcsin, spread(-1.0, 1.0), 3.0),
-        (exponential, np.exp, spread(-5.0, 5.0), 2.0),
-        (exponential, np.exp, spread(-700.0, 700.0), 2.0),
-        (hyperbolic_tangent, np.tanh, spread(-0.7, 0.7), 2.0),
-        (hyperbolic_tangent, np.tanh, spread(-30.0, 30.0), 2.0),
+        (lambda x: elementary.sine_cosine(x)[0], np.sin, spread(-0.785, 0.785), 1.0),
+        (lambda x: elementary.sine_cosine(x)[1], np.cos, spread(-0.785, 0.785), 1.0),
+        (elementary.tangent, np.tan, spread(-1.5, 1.5), 3.0),
+        (elementary.arctangent, np.arctan, spread(-6.0, 6.0), 1.0),
+        (elementary.arctangent, np.arctan, spread(-1e6, 1e6), 1.0),
+        (elementary.arcsine, np.arcsin, spread(-1.0, 1.0), 3.0),
+        (elementary.exponential, np.exp, spread(-5.0, 5.0), 2.0),
+        (elementary.exponential, np.exp, spread(-700.0, 700.0), 2.0),
+        (elementary.hyperbolic_tangent, np.tanh, spread(-0.7, 0.7), 2.0),
+        (elementary.hyperbolic_tangent, np.tanh, spread(-30.0, 30.0), 2.0),
     ],
 )
 def test_the_error_is_that_of_the_docstring(own, true, values, most):
@@ -55,43 +44,40 @@ def test_the_error_is_that_of_the_docstring(own, true, values, most):
 
 
 @needs_more_digits
-def test_sine_and_cosine_of_many_turns():
+def test_sine_and_cosine_of_many_turns_and_directions_in_all_quadrants():
     angles = spread(-1000.0, 1000.0)
-    sines, cosines = sines_cosines(angles)
+    sines, cosines = elementary.sines_cosines(angles)
     assert np.abs(sines - np.sin(angles.astype(exact))).max() < 1.5e-16
     assert np.abs(cosines - np.cos(angles.astype(exact))).max() < 1.5e-16
-
-
-@needs_more_digits
-def test_directions_in_all_quadrants():
     vectors = np.random.default_rng(2).normal(size=(2000, 2)) * [[1.0, 0.1]]
-    for (x, y), found in zip(vectors, headings(vectors), strict=True):
+    for (x, y), found in zip(vectors, elementary.headings(vectors), strict=True):
         assert ulps(found, np.arctan2(exact(y), exact(x))) <= 2.0
 
 
 @pytest.mark.parametrize("y", [-1.0, 0.0, 2.0])
 @pytest.mark.parametrize("x", [-3.0, 0.0, 1.0])
 def test_directions_along_the_axes(x, y):
-    assert arctangent2(y, x) == pytest.approx(np.arctan2(y, x), abs=0.0, rel=1e-15)
+    assert elementary.arctangent2(y, x) == pytest.approx(np.arctan2(y, x), abs=0.0, rel=1e-15)
 
 
-def test_values_at_the_ends_of_the_range_and_of_what_is_odd():
-    assert exponential(0.0) == 1.0
-    assert exponential(-746.0) == exponential(-np.inf) == 0.0
-    assert exponential(710.0) == exponential(np.inf) == np.inf
-    assert exponential(-745.0) == 5e-324
-    assert exponential(709.7) == pytest.approx(1.6549840276802644e308, rel=1e-15)
-    assert np.isnan(exponential(np.nan))
-    for found in (*sine_cosine(np.nan), arctangent(np.nan), hyperbolic_tangent(np.nan)):
+def test_values_at_the_ends_of_the_range_and_lengths_of_vectors():
+    assert elementary.exponential(0.0) == 1.0
+    assert elementary.exponential(-746.0) == elementary.exponential(-np.inf) == 0.0
+    assert elementary.exponential(710.0) == elementary.exponential(np.inf) == np.inf
+    assert elementary.exponential(-745.0) == 5e-324
+    assert elementary.exponential(709.7) == pytest.approx(1.6549840276802644e308, rel=1e-15)
+    assert np.isnan(elementary.exponential(np.nan))
+    for found in (
+        *elementary.sine_cosine(np.nan),
+        elementary.arctangent(np.nan),
+        elementary.hyperbolic_tangent(np.nan),
+    ):
         assert np.isnan(found)
     for x in spread(0.0, 3.0, 200):
-        assert sine_cosine(-x) == (-sine_cosine(x)[0], sine_cosine(x)[1])
-        assert arctangent(-x) == -arctangent(x)
-        assert hyperbolic_tangent(-x) == -hyperbolic_tangent(x)
-    assert hyperbolic_tangent(400.0) == hyperbolic_tangent(np.inf) == 1.0
-    assert hyperbolic_tangent(-400.0) == -1.0
-
-
-def test_lengths_of_vectors_of_any_shape():
-    assert lengths(np.array([3.0, 4.0])) == 5.0
-    assert lengths(np.array([[[3.0, 4.0], [0.0, -2.0]]])).tolist() == [[5.0, 2.0]]
+        assert elementary.sine_cosine(-x) == (-elementary.sine_cosine(x)[0], elementary.sine_cosine(x)[1])
+        assert elementary.arctangent(-x) == -elementary.arctangent(x)
+        assert elementary.hyperbolic_tangent(-x) == -elementary.hyperbolic_tangent(x)
+    assert elementary.hyperbolic_tangent(400.0) == elementary.hyperbolic_tangent(np.inf) == 1.0
+    assert elementary.hyperbolic_tangent(-400.0) == -1.0
+    assert elementary.lengths(np.array([3.0, 4.0])) == 5.0
+    assert elementary.lengths(np.array([[[3.0, 4.0], [0.0, -2.0]]])).tolist() == [[5.0, 2.0]]

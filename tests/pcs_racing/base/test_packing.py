@@ -1,23 +1,12 @@
 import json
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from refusal import refused
 
-from pcs_racing.base.packing import (
-    join_segments,
-    pack,
-    pack_costs,
-    pack_paths,
-    pack_segments,
-    unpack,
-    unpack_costs,
-    unpack_paths,
-    unpack_segments,
-)
+from pcs_racing.base import packing
 
 arrays = hnp.arrays(
     float,
@@ -29,24 +18,39 @@ arrays = hnp.arrays(
 @given(arrays, st.sampled_from([1, 100, 1000]), st.data())
 def test_numbers_come_back_to_within_half_a_step(values, per_unit, data):
     axes = data.draw(st.lists(st.integers(0, values.ndim - 1), max_size=4))
-    packed = json.loads(json.dumps(pack(values, per_unit, axes)))
-    back = unpack(packed)
+    packed = json.loads(json.dumps(packing.pack(values, per_unit, axes)))
+    back = packing.unpack(packed)
     assert back.shape == values.shape
     assert np.all(np.abs(back - values) <= 0.5 / per_unit + 1e-7)
-    assert pack(back, per_unit, axes) == packed  # what has been rounded stays as it is
+    assert packing.pack(back, per_unit, axes) == packed  # what has been rounded stays as it is
 
 
 def test_known_text_and_small_differences_take_one_character_each():
     # 0, -1, 1, 15, 16: the last one needs a second character.
-    assert pack(np.array([0, -1, 1, 15, 16]), 1)["data"] == "ABCegB"
+    assert packing.pack(np.array([0, -1, 1, 15, 16]), 1)["data"] == "ABCegB"
     x = np.arange(1000) * 0.25
-    assert len(pack(x, 1000, [0, 0])["data"]) < 1010
-    assert len(pack(x, 1000)["data"]) > 2500
+    assert len(packing.pack(x, 1000, [0, 0])["data"]) < 1010
+    assert len(packing.pack(x, 1000)["data"]) > 2500
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
-def test_numbers_without_a_step_are_refused(value):
-    refused("finite", pack, np.array([1.0, value]), 1000)
+def test_numbers_without_a_step_broken_text_and_wrong_counts_are_refused():
+    for value in [np.nan, np.inf, -np.inf, 1e300]:
+        refused("finite", packing.pack, np.array([1.0, value]), 1000)
+    for part, value in [(part, value) for part, values in BROKEN.items() for value in values]:
+        packed = packing.pack(np.array([1.0, 2.0]), 1)
+        refused(r"speed", packing.unpack, packed | {part: value}, "speed")
+    for unpack_them, points, counts in [
+        (packing.unpack_segments, np.zeros((4, 3)), [4]),
+        (packing.unpack_segments, np.zeros((4, 2)), [3]),
+        (packing.unpack_segments, np.zeros((4, 2)), [3, 1]),
+        (packing.unpack_paths, np.zeros((2, 3, 4, 2)), [1, 1, 1]),
+    ]:
+        refused(
+            "walls",
+            unpack_them,
+            {"points": packing.pack(points, 100), "counts": packing.pack(np.array(counts), 1)},
+            "walls",
+        )
 
 
 BROKEN = {
@@ -58,43 +62,32 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize(("part", "value"), [(part, value) for part, values in BROKEN.items() for value in values])
-def test_broken_text_is_refused(part, value):
-    packed = pack(np.array([1.0, 2.0]), 1)
-    refused(r"speed", unpack, packed | {part: value}, "speed")
-
-
-def test_segments_join_to_loops():
+def test_segments_join_to_loops_and_paths_may_differ_in_length():
     square = np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [0, 1, 0, 0]], float)
     lone = np.array([[5.0, 5.0, 6.0, 6.0]])
-    loop, open_end = join_segments(np.vstack([square, lone]))
+    loop, open_end = packing.join_segments(np.vstack([square, lone]))
     assert loop.tolist() == [[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]]
     assert open_end.tolist() == [[5, 5], [6, 6]]
-    assert join_segments(np.empty((0, 4))) == []
-
-
-@given(hnp.arrays(float, st.tuples(st.integers(0, 30), st.just(4)), elements=st.sampled_from([0.0, 0.5, 1.0, 1.5])))
-def test_segments_come_back_in_some_order(segments):
-    packed = pack_segments(segments)
-    back = unpack_segments(packed, "walls")
-    assert sorted(map(tuple, back)) == sorted(map(tuple, segments))
-    assert pack_segments(back) == packed
-
-
-def test_paths_of_different_lengths():
+    assert packing.join_segments(np.empty((0, 4))) == []
     paths = np.random.default_rng(1).uniform(-50, 50, (4, 2, 5, 3, 2))
     paths[0, 0, 1, 2:] = np.nan
     paths[3, 1, 4] = np.nan
-    back = unpack_paths(pack_paths(paths, 100), "candidates")
+    back = packing.unpack_paths(packing.pack_paths(paths, 100), "candidates")
     assert np.array_equal(np.isnan(back), np.isnan(paths))
     assert np.nanmax(np.abs(back - paths)) <= 0.005 + 1e-9
 
 
-@given(
-    hnp.arrays(float, (2, 3), elements=st.floats(-1e6, 1e6) | st.just(np.inf) | st.floats(0, 1e-3)),
-)
+@given(hnp.arrays(float, st.tuples(st.integers(0, 30), st.just(4)), elements=st.sampled_from([0.0, 0.5, 1.0, 1.5])))
+def test_segments_come_back_in_some_order(segments):
+    packed = packing.pack_segments(segments)
+    back = packing.unpack_segments(packed, "walls")
+    assert sorted(map(tuple, back)) == sorted(map(tuple, segments))
+    assert packing.pack_segments(back) == packed
+
+
+@given(hnp.arrays(float, (2, 3), elements=st.floats(-1e6, 1e6) | st.just(np.inf) | st.floats(0, 1e-3)))
 def test_costs_keep_their_order_and_their_rejections(costs):
-    back = unpack_costs(json.loads(json.dumps(pack_costs(costs))), "costs")
+    back = packing.unpack_costs(json.loads(json.dumps(packing.pack_costs(costs))), "costs")
     assert np.array_equal(np.isinf(back), np.isinf(costs))
     finite = np.isfinite(costs)
     order = np.argsort(costs[finite], kind="stable")
@@ -103,16 +96,3 @@ def test_costs_keep_their_order_and_their_rejections(costs):
         size = np.median(costs[finite] - costs[finite].min())
         reach = np.ptp(costs[finite])
         assert np.all(np.abs(back[finite] - costs[finite]) <= 0.006 * size + 1e-8 * reach + 1e-8)
-
-
-@pytest.mark.parametrize(
-    ("unpack_them", "points", "counts"),
-    [
-        (unpack_segments, np.zeros((4, 3)), [4]),
-        (unpack_segments, np.zeros((4, 2)), [3]),
-        (unpack_segments, np.zeros((4, 2)), [3, 1]),
-        (unpack_paths, np.zeros((2, 3, 4, 2)), [1, 1, 1]),
-    ],
-)
-def test_points_that_do_not_fit_their_counts_are_refused(unpack_them, points, counts):
-    refused("walls", unpack_them, {"points": pack(points, 100), "counts": pack(np.array(counts), 1)}, "walls")

@@ -5,7 +5,7 @@ import pytest
 from pcs_racing.base.recently_used import RecentlyUsed
 
 
-def test_the_values_used_last_are_kept():
+def test_the_values_used_last_are_kept_and_none_that_can_not_be_made():
     made = []
     values = RecentlyUsed(2)
 
@@ -18,9 +18,6 @@ def test_the_values_used_last_are_kept():
     assert made == [1, 2, 3]
     get(2)
     assert made == [1, 2, 3, 2]
-
-
-def test_a_value_that_can_not_be_made_is_not_kept():
     values = RecentlyUsed(2)
 
     def fail():

@@ -7,25 +7,8 @@ import numpy as np
 import pytest
 from refusal import refused
 
+from pcs_racing.base import settings as loading
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
-from pcs_racing.base.settings import (
-    Settings,
-    add_setting_options,
-    checked,
-    choice,
-    flag,
-    load_settings,
-    names,
-    number,
-    plain_settings,
-    setting,
-    stated_options,
-    tenths,
-    text,
-    weights,
-    whole,
-    wholes,
-)
 
 
 def even(value):
@@ -35,20 +18,20 @@ def even(value):
 
 
 @dataclass(frozen=True)
-class Soup(Settings):
+class Soup(loading.Settings):
     """A soup."""
 
-    salt: float = setting(0.5, number(0.0, 1.0), "Salt, g.")
-    bowls: int = setting(2, whole(1, 9), "How many bowls.")
-    herbs: tuple[str, ...] = setting(("dill",), names(), "What is green in it.")
-    minutes: float = setting(20.0, tenths(0.1, 60.0), "Time on the fire.")
-    hot: bool = setting(True, flag(), "Whether it is served hot.")
-    cook: str = setting("Ann", text(), "Who makes it.")
-    kind: str = setting("clear", choice(("clear", "thick")), "What it looks like.")
-    spoons: tuple[int, ...] = setting((3, 4), wholes(1, 9, longest=3), "Sizes of the spoons.")
-    parts: dict[str, int] = setting({"leek": 1}, weights(1, 5), "What is in it, and how much.")
-    guests: int = setting(2, checked(even), "How many eat.")
-    bread: str | None = setting(None, text(), "What is eaten with it; None for nothing.")
+    salt: float = loading.setting(0.5, loading.number(0.0, 1.0), "Salt, g.")
+    bowls: int = loading.setting(2, loading.whole(1, 9), "How many bowls.")
+    herbs: tuple[str, ...] = loading.setting(("dill",), loading.names(), "What is green in it.")
+    minutes: float = loading.setting(20.0, loading.tenths(0.1, 60.0), "Time on the fire.")
+    hot: bool = loading.setting(True, loading.flag(), "Whether it is served hot.")
+    cook: str = loading.setting("Ann", loading.text(), "Who makes it.")
+    kind: str = loading.setting("clear", loading.choice(("clear", "thick")), "What it looks like.")
+    spoons: tuple[int, ...] = loading.setting((3, 4), loading.wholes(1, 9, longest=3), "Sizes of the spoons.")
+    parts: dict[str, int] = loading.setting({"leek": 1}, loading.weights(1, 5), "What is in it, and how much.")
+    guests: int = loading.setting(2, loading.checked(even), "How many eat.")
+    bread: str | None = loading.setting(None, loading.text(), "What is eaten with it; None for nothing.")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -60,11 +43,11 @@ class Soup(Settings):
 class FishSoup(Soup):
     """A soup with fish."""
 
-    fish: int = setting(1, whole(1, 3), "How many fish.")
-    cook: str = setting("Ben", text(), "Who makes it.")
+    fish: int = loading.setting(1, loading.whole(1, 3), "How many fish.")
+    cook: str = loading.setting("Ben", loading.text(), "Who makes it.")
 
 
-def test_the_declaration_is_the_default_and_the_documentation():
+def test_values_are_kept_in_one_form_and_are_the_documentation():
     assert Soup().bowls == 2
     written = inspect.getdoc(Soup)
     assert "bowls : int\n    How many bowls; from 1 to 9 (default: 2)." in written
@@ -74,51 +57,52 @@ def test_the_declaration_is_the_default_and_the_documentation():
     assert "(default: 'Ben')" in inherited
     assert "(default: 'Ann')" not in inherited
     assert all(f"{field.name} : " in inherited for field in dataclasses.fields(FishSoup))
-
-
-WRONG = {
-    "salt": (1.01, float("nan"), True, "0.5"),
-    "bowls": (0, 10, 2.0, True, None),
-    "herbs": ("dill", (), ("dill", "dill"), ("dill", 3)),
-    "minutes": (0.25, 0.5),
-    "hot": (1,),
-    "cook": ("",),
-    "kind": ("claer",),
-    "spoons": ((0,), (1, 2, 3, 4)),
-    "parts": ({}, {"leek": 6}, ["leek"]),
-    "guests": (3,),
-    "bread": ("",),
-}
-
-
-@pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in WRONG.items() for value in values])
-def test_a_value_out_of_its_range_is_refused_by_name(key, value):
-    refused(f"^{key} (is|are|holds) ", Soup, error=ConfigError, **{key: value})
-
-
-def test_values_are_kept_in_one_form():
     soup = Soup(salt=np.float64(0.25), bowls=np.int64(3), herbs=["mint"], spoons=[1])
     assert soup == Soup(0.25, 3, ("mint",), spoons=(1,))
     assert [type(value) for value in (soup.salt, soup.bowls, soup.herbs)] == [float, int, tuple]
     hash(soup)
-    assert plain_settings(soup)["herbs"] == ["mint"]
+    assert loading.plain_settings(soup)["herbs"] == ["mint"]
 
 
-def test_a_file_sets_some_fields_and_the_arguments_others(tmp_path):
+WRONG = {
+    "salt": (1.01, float("nan"), True, "0.5"), "bowls": (0, 10, 2.0, True, None),
+    "herbs": ("dill", (), ("dill", "dill"), ("dill", 3)), "minutes": (0.25, 0.5), "hot": (1,), "cook": ("",),
+    "kind": ("claer",), "spoons": ((0,), (1, 2, 3, 4)), "parts": ({}, {"leek": 6}, ["leek"]), "guests": (3,),
+    "bread": ("",),
+}  # fmt: skip
+
+
+def test_wrong_values_are_refused_and_options_come_from_the_declaration():
+    for key, value in [(key, value) for key, values in WRONG.items() for value in values]:
+        refused(f"^{key} (is|are|holds) ", Soup, error=ConfigError, **{key: value})
+    refused(
+        "soup settings 'borscht' are unknown", loading.load_settings, "soup", Soup(), "borscht", error=UnknownNameError
+    )
+    with pytest.raises(UnknownNameError, match="did you mean 'salty'"):
+        loading.load_settings("soup", Soup(), "slaty", {"salty": Soup(1.0)})
+    refused(r"the arguments: .*'pepper'", loading.load_settings, "soup", Soup(), pepper=1, error=ConfigError)
+    refused("soup settings are 3;", loading.load_settings, "soup", Soup(), 3, error=ConfigError)
+    parser = argparse.ArgumentParser()
+    loading.add_setting_options(parser, Soup, "salt", "bowls", "herbs", "spoons")
+    arguments = parser.parse_args(["--bowls", "3", "--herbs", "mint", "dill", "--spoons", "5"])
+    stated = loading.stated_options(arguments, Soup)
+    assert stated == {"bowls": 3, "herbs": ["mint", "dill"], "spoons": [5]}
+    assert loading.load_settings("soup", Soup(), **stated) == Soup(bowls=3, herbs=("mint", "dill"), spoons=(5,))
+    assert "from 1 to 9 (default: 2)" in " ".join(parser.format_help().split())
+
+
+def test_a_file_sets_some_fields_and_the_arguments_others_before_they_are_checked(tmp_path):
     file = tmp_path / "soup.yaml"
     file.write_text("salt: 0.25\nherbs: [mint, dill]\n")
-    assert load_settings("soup", Soup(), file, bowls=3) == Soup(0.25, 3, ("mint", "dill"))
-    assert load_settings("soup", Soup(), Soup(bowls=4)) == Soup(bowls=4)
-    assert load_settings("soup", Soup(), "mine", {"mine": file, "salty": Soup(1.0)}).salt == 0.25
-    assert load_settings("soup", Soup(), "salty", {"mine": file, "salty": Soup(1.0)}, bowls=5) == Soup(1.0, 5)
+    assert loading.load_settings("soup", Soup(), file, bowls=3) == Soup(0.25, 3, ("mint", "dill"))
+    assert loading.load_settings("soup", Soup(), Soup(bowls=4)) == Soup(bowls=4)
+    assert loading.load_settings("soup", Soup(), "mine", {"mine": file, "salty": Soup(1.0)}).salt == 0.25
+    assert loading.load_settings("soup", Soup(), "salty", {"mine": file, "salty": Soup(1.0)}, bowls=5) == Soup(1.0, 5)
     file.write_text("base: salty\nbowls: 6\n")
-    assert load_settings("soup", Soup(), file, {"salty": Soup(1.0)}, "base") == Soup(1.0, 6)
-
-
-def test_what_follows_changes_a_file_before_it_is_checked(tmp_path):
+    assert loading.load_settings("soup", Soup(), file, {"salty": Soup(1.0)}, "base") == Soup(1.0, 6)
     file = tmp_path / "soup.yaml"
     file.write_text("minutes: 0.5\n")
-    assert load_settings("soup", Soup(), file, hot=False).minutes == 0.5
+    assert loading.load_settings("soup", Soup(), file, hot=False).minutes == 0.5
 
 
 @pytest.mark.parametrize(
@@ -141,24 +125,6 @@ def test_a_wrong_file_is_refused_by_name(tmp_path, written, message):
     file = tmp_path / "soup.yaml"
     file.write_text(written)
     with pytest.raises(ConfigError) as error:
-        load_settings("soup", Soup(), file, {"salty": Soup(1.0)}, "base")
+        loading.load_settings("soup", Soup(), file, {"salty": Soup(1.0)}, "base")
     assert message in str(error.value)
     assert "soup.yaml" in str(error.value)
-
-
-def test_an_unknown_name_lists_what_there_is():
-    refused("soup settings 'borscht' are unknown", load_settings, "soup", Soup(), "borscht", error=UnknownNameError)
-    with pytest.raises(UnknownNameError, match="did you mean 'salty'"):
-        load_settings("soup", Soup(), "slaty", {"salty": Soup(1.0)})
-    refused(r"the arguments: .*'pepper'", load_settings, "soup", Soup(), pepper=1, error=ConfigError)
-    refused("soup settings are 3;", load_settings, "soup", Soup(), 3, error=ConfigError)
-
-
-def test_options_of_a_command_line_come_from_the_declaration():
-    parser = argparse.ArgumentParser()
-    add_setting_options(parser, Soup, "salt", "bowls", "herbs", "spoons")
-    arguments = parser.parse_args(["--bowls", "3", "--herbs", "mint", "dill", "--spoons", "5"])
-    stated = stated_options(arguments, Soup)
-    assert stated == {"bowls": 3, "herbs": ["mint", "dill"], "spoons": [5]}
-    assert load_settings("soup", Soup(), **stated) == Soup(bowls=3, herbs=("mint", "dill"), spoons=(5,))
-    assert "from 1 to 9 (default: 2)" in " ".join(parser.format_help().split())

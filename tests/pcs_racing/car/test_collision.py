@@ -134,7 +134,7 @@ def test_clear_cases_lie_within_the_error_of_the_distance_field(real_maps):
     assert 0.0 < worst < FIELD_ERROR * track.arrays.cell
 
 
-def test_outside_the_map_and_inside_walls_is_wall_even_for_a_speck(oval):
+def test_outside_the_map_and_inside_walls_is_wall_even_for_a_speck_and_a_point(oval):
     for x, y in [(1e3, 0.0), (-1e6, 1e6), (np.nan, 0.0), (0.0, 0.0), (0.0, -5.6)]:
         assert car_hits_wall(oval.arrays, x, y, 0.3, *HALF, 1.0)
     assert not car_hits_wall(oval.arrays, 0.0, -4.0, 0.3, *HALF, 6.0)
@@ -142,9 +142,6 @@ def test_outside_the_map_and_inside_walls_is_wall_even_for_a_speck(oval):
     for y in np.linspace(-6.0, -4.0, 101):
         if abs(y - wall) > cell:
             assert car_hits_wall(oval.arrays, 0.0, y, 0.3, 0.002, 0.001, 6.0) == (y < wall)
-
-
-def test_a_point_is_inside_a_wall_where_its_cell_is_none_to_drive_on(oval):
     arrays = oval.arrays
     rows, cols = arrays.distance.shape
     rng = np.random.default_rng(5)
@@ -158,9 +155,8 @@ def test_a_point_is_inside_a_wall_where_its_cell_is_none_to_drive_on(oval):
 NEITHER_MORE, FIRST, SECOND = (True, True), (True, False), (False, True)
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "faults"),
-    [
+def test_who_is_at_fault_whatever_the_order_of_the_cars():
+    for first, second, faults in [
         # Into the rear of a car, also when that one brakes to a stop or stands to one side.
         *((state(v=5.0), state(x=0.55, y=y, v=v), FIRST) for v in (3.0, 0.5, 0.0) for y in (-0.2, 0.0, 0.2)),
         # A leader that reverses shares the fault by its speed.
@@ -178,11 +174,20 @@ NEITHER_MORE, FIRST, SECOND = (True, True), (True, False), (False, True)
         # At one place at rest, alike or turned.
         (state(), state(), NEITHER_MORE),
         (state(), state(psi=0.7), NEITHER_MORE),
-    ],
-)
-def test_who_is_at_fault(first, second, faults):
-    assert contact_fault(first, second) == faults
-    assert contact_fault(second, first) == faults[::-1]
+    ]:
+        assert contact_fault(first, second) == faults
+        assert contact_fault(second, first) == faults[::-1]
+    for own, other, faults in [
+        (4.0, 3.85, (True, True)),  # within five percent of the larger one
+        (4.0, 3.75, (True, False)),
+        (3.75, 4.0, (False, True)),
+        (0.0005, 0.0, (True, True)),  # within a millimetre a second
+        (0.0015, 0.0, (True, False)),
+        (0.0, 0.0015, (False, True)),
+    ]:
+        assert contact_fault(state(v=own), state(x=0.5, psi=np.pi, v=other)) == faults
+    first, second = state(v=3.0, psi=0.2), state(y=0.32, v=3.0, psi=-0.2)
+    assert contact_fault(first, second) == contact_fault(second, first)[::-1]
 
 
 def centroid(polygon):
@@ -235,23 +240,3 @@ def test_the_car_that_moves_into_the_other_one_faster_is_at_fault(sizes):
         assert contact_fault(first, second, sizes) == expected
         seen.append(expected)
     assert {(True, False), (False, True), (True, True)} == set(seen)
-
-
-@pytest.mark.parametrize(
-    ("own", "other", "faults"),
-    [
-        (4.0, 3.85, (True, True)),  # within five percent of the larger one
-        (4.0, 3.75, (True, False)),
-        (3.75, 4.0, (False, True)),
-        (0.0005, 0.0, (True, True)),  # within a millimetre a second
-        (0.0015, 0.0, (True, False)),
-        (0.0, 0.0015, (False, True)),
-    ],
-)
-def test_nearly_equal_closing_speeds_are_both_cars_fault(own, other, faults):
-    assert contact_fault(state(v=own), state(x=0.5, psi=np.pi, v=other)) == faults
-
-
-def test_the_order_of_two_cars_that_overlap_as_much_along_two_axes_does_not_matter():
-    first, second = state(v=3.0, psi=0.2), state(y=0.32, v=3.0, psi=-0.2)
-    assert contact_fault(first, second) == contact_fault(second, first)[::-1]

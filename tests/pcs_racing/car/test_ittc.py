@@ -134,7 +134,7 @@ def straight(oval, vx=4.0, ox=2.0, ovx=0.0):
     return measure(oval, (0.0, -4.0, vx, 0.0, 6.0, ox, -4.0, 0.0, ovx, 0.0))
 
 
-def test_the_opponents_motion_counts(oval):
+def test_the_opponents_motion_counts_and_the_result_is_capped_at_the_horizon(oval):
     walls = straight(oval, ox=1e3)
     assert walls == pytest.approx(2.0 * 1.1 / 4.0, rel=0.05)  # twice the side clearance over the speed
     assert straight(oval) == pytest.approx((2.0 - HALF[0]) / 4.0)
@@ -142,9 +142,6 @@ def test_the_opponents_motion_counts(oval):
     assert straight(oval, ovx=4.0) == walls  # keeps its distance
     assert straight(oval, ovx=6.0) == walls  # pulls away
     assert straight(oval, vx=0.0, ox=-2.0, ovx=4.0) == pytest.approx((2.0 - HALF[0]) / 4.0)  # run into from behind
-
-
-def test_the_result_is_capped_at_the_horizon(oval):
     row = situations(oval, 1, seed=2)[0]
     row[2:4] = 0.0
     assert measure(oval, row, use_opponent=False) == HORIZON

@@ -138,7 +138,7 @@ def ranges_on_the_grid(track, pose, angles):
     return arrays.cell * np.array([cast(arrays.distance, u, v, c, s, 30.0 / arrays.cell)[0] for c, s in ways])
 
 
-def test_ranges_stay_within_the_longest(oval):
+def test_ranges_stay_within_the_longest_and_a_lidar_never_changes(oval):
     scans = Lidar(oval, max_range=3.0).scan(poses_on(oval, 20))
     assert scans.max() == pytest.approx(3.0)
     assert (scans > 0.0).all()
@@ -146,9 +146,14 @@ def test_ranges_stay_within_the_longest(oval):
     assert full.max() < 25.0  # the oval is closed
     # Edges at the longest range are no edges any more, so they are not settled.
     assert (np.abs(scans - np.minimum(full, 3.0)) > 1e-6).mean() < 2e-3
+    lidar = Lidar(oval)
+    with pytest.raises(AttributeError):
+        lidar.beams = 5
+    for array in (lidar.angles, lidar.kernel.cos, lidar.kernel.sin):
+        assert not array.flags.writeable
 
 
-def test_many_poses_are_scanned_as_one_by_one_and_in_any_thread(oval):
+def test_many_poses_are_scanned_as_one_by_one_in_any_thread_and_in_little_memory(oval):
     lidar = Lidar(oval, beams=108)
     poses = poses_on(oval, 24).reshape(2, 3, 4, 3)
     others = poses_on(oval, 24, seed=1).reshape(2, 3, 4, 3)
@@ -159,9 +164,6 @@ def test_many_poses_are_scanned_as_one_by_one_and_in_any_thread(oval):
         for threaded in pool.map(lambda _: lidar.scan(poses, others), range(8)):
             assert np.array_equal(threaded, scans)
     assert lidar.scan(np.empty((0, 3))).shape == (0, 108)
-
-
-def test_the_working_memory_may_be_small_and_the_output_single_precision(oval):
     lidar = Lidar(oval)
     out = np.empty(1080, dtype=np.float32)
     for pose, other in zip(poses_on(oval, 10), poses_on(oval, 10, seed=1), strict=True):
@@ -189,22 +191,15 @@ def test_noise_comes_from_the_given_generator_alone(oval):
 
 
 WRONG = {
-    "track": ("Spielberg",),
-    "beams": (0, 100_001, 10.5, True),
-    "fov": (0.0, 6.3, np.nan, "wide"),
-    "max_range": (0.0, np.inf),
-    "noise": (-0.1,),
-}
+    "track": ("Spielberg",), "beams": (0, 100_001, 10.5, True), "fov": (0.0, 6.3, np.nan, "wide"),
+    "max_range": (0.0, np.inf), "noise": (-0.1,),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "value"), [(name, value) for name, values in WRONG.items() for value in values])
-def test_impossible_lidars_are_refused(oval, name, value):
-    refused(name, Lidar, **{"track": oval} | {name: value})
-
-
-@pytest.mark.parametrize(
-    ("poses", "opponents", "message"),
-    [
+def test_impossible_lidars_and_poses_are_refused(oval):
+    for name, value in [(name, value) for name, values in WRONG.items() for value in values]:
+        refused(name, Lidar, **{"track": oval} | {name: value})
+    for poses, opponents, message in [
         ([1.0, 2.0], None, "poses must"),
         (1.0, None, "poses must"),
         ([[1.0, 2.0, np.nan]], None, r"poses .*\[1.0, 2.0, nan\]"),
@@ -213,16 +208,6 @@ def test_impossible_lidars_are_refused(oval, name, value):
         ([0.0, -4.0, 0.0], [1.0, 2.0], "opponents must"),
         ([0.0, -4.0, 0.0], [1.0, 2.0, np.nan], r"opponents must be finite"),
         ([0.0, -4.0, 0.0], np.zeros((2, 3)), r"can't be broadcast"),
-    ],
-)
-def test_impossible_poses_are_refused(oval, poses, opponents, message):
-    refused(message, Lidar(oval).scan, poses, opponents)
+    ]:
+        refused(message, Lidar(oval).scan, poses, opponents)
     refused("width", Lidar(oval).scan, [0.0, -4.0, 0.0], [1.0, -4.0, 0.0], opponent_size=(0.58, -1.0))
-
-
-def test_a_lidar_never_changes(oval):
-    lidar = Lidar(oval)
-    with pytest.raises(AttributeError):
-        lidar.beams = 5
-    for array in (lidar.angles, lidar.kernel.cos, lidar.kernel.sin):
-        assert not array.flags.writeable

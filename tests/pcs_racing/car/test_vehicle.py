@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusal import refused
 
-from pcs_racing import F1TENTH, InputError, VehicleParams, simulate
+from pcs_racing import F1TENTH, VehicleParams, simulate
 from pcs_racing.base.compilation import compiled
 from pcs_racing.car.lanes import LANES, LANES_SIZE, load_car, set_target, step_lanes, step_slow_car, store_car
 from pcs_racing.car.vehicle import DELTA, RULES_NOISE, STEER_DELAY, V
@@ -27,15 +28,7 @@ def test_reproduces_the_established_simulator(reference, mode, name):
     np.testing.assert_allclose(found, states, rtol=0.0, atol=1e-9)
 
 
-def test_one_vehicle_equals_a_batch_of_one():
-    single = simulate(at_speed(3.0), constant(0.1, 4.0, 50))
-    batch = simulate(at_speed(3.0)[None], constant(0.1, 4.0, 50)[None])
-    assert single.shape == (51, 7)
-    assert batch.shape == (1, 51, 7)
-    np.testing.assert_array_equal(single, batch[0])
-
-
-def test_every_parameter_belongs_to_one_car():
+def test_each_parameter_changes_one_car_and_one_car_is_a_batch_of_one():
     """Each parameter changes the car that has it, and no other."""
     # To the power and speed limits, at the steering limit, then backwards: every parameter has work to do.
     controls = np.concatenate([constant(0.5, 25.0, 250), constant(-0.5, -9.0, 400)])
@@ -48,6 +41,11 @@ def test_every_parameter_belongs_to_one_car():
         pair = simulate(np.stack([start, start]), np.stack([controls, controls]), params=[F1TENTH, other])
         np.testing.assert_array_equal(pair[0], usual)
         assert np.array_equal(pair[1], usual) == (field.name in body), field.name
+    single = simulate(at_speed(3.0), constant(0.1, 4.0, 50))
+    batch = simulate(at_speed(3.0)[None], constant(0.1, 4.0, 50)[None])
+    assert single.shape == (51, 7)
+    assert batch.shape == (1, 51, 7)
+    np.testing.assert_array_equal(single, batch[0])
 
 
 @given(
@@ -90,9 +88,6 @@ def test_any_driving_keeps_the_state_finite_and_within_limits(seed, speed, mode)
     assert ((states[1:, 4] >= 0.0) & (states[1:, 4] <= 2.0 * np.pi)).all()
 
 
-# Against the model's equations, written down once more
-
-
 def side_slip_model(y, rate, a, car):
     """CommonRoad's single-track model with load transfer, axle by axle (Althoff, Koschi and Manzinger 2017)."""
     _, _, delta, v, psi, yaw_rate, beta = y
@@ -103,15 +98,11 @@ def side_slip_model(y, rate, a, car):
     force_rear = car.mu * car.c_sr * load_rear * (-beta + car.lr * yaw_rate / v)
     return np.array(
         [
-            v * np.cos(psi + beta),
-            v * np.sin(psi + beta),
-            rate,
-            a,
-            yaw_rate,
+            v * np.cos(psi + beta), v * np.sin(psi + beta), rate, a, yaw_rate,
             (car.lf * force_front - car.lr * force_rear) / car.inertia,
             (force_front + force_rear) / (car.m * v) - yaw_rate,
         ]
-    )
+    )  # fmt: skip
 
 
 def rolling_model(y, rate, a, car):
@@ -177,9 +168,8 @@ def test_a_step_is_a_runge_kutta_step_of_the_models_equations(car, speeds, toler
         np.testing.assert_allclose(found, runge_kutta(y, rate, a, car, dt), rtol=tolerance, atol=tolerance)
 
 
-@pytest.mark.parametrize(
-    ("column", "value", "inputs"),
-    [
+def test_at_its_limits_the_car_follows_what_it_can():
+    for column, value, inputs in [
         (DELTA, 0.4189, (2.0, 0.0)),  # at the stop, and further
         (DELTA, 0.4189, (-2.0, 0.0)),  # and back
         (DELTA, -0.43, (-2.0, 0.0)),
@@ -191,13 +181,11 @@ def test_a_step_is_a_runge_kutta_step_of_the_models_equations(car, speeds, toler
         (V, -5.0, (0.0, 3.0)),
         (V, 3.0, (9.0, 99.0)),
         (V, 3.0, (-9.0, -99.0)),
-    ],
-)
-def test_at_its_limits_the_car_follows_what_it_can(column, value, inputs):
-    y = at_speed(3.0)
-    y[column] = value
-    found = simulate(y, [inputs], control_mode="rates")[1]
-    np.testing.assert_allclose(found, runge_kutta(y, *inputs, F1TENTH, 0.01), rtol=1e-7, atol=1e-9)
+    ]:
+        y = at_speed(3.0)
+        y[column] = value
+        found = simulate(y, [inputs], control_mode="rates")[1]
+        np.testing.assert_allclose(found, runge_kutta(y, *inputs, F1TENTH, 0.01), rtol=1e-7, atol=1e-9)
 
 
 def test_the_default_car_is_that_of_the_established_simulator():
@@ -239,8 +227,6 @@ def test_the_controllers_of_the_established_simulator():
         np.testing.assert_allclose(found[V], v + 0.01 * gain * (speed - v), rtol=1e-12)
 
 
-# In lockstep
-
 TARGETS = np.stack([np.linspace(-0.5, 0.5, LANES), np.linspace(0.0, 12.0, LANES)], axis=1)
 
 
@@ -277,12 +263,8 @@ def test_cars_in_lanes_drive_as_alone(cars):
     assert 0 < slow_steps <= 150 * cars
 
 
-# Bad input
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_bad_input_and_impossible_vehicles_are_refused():
+    for change, message in [
         ({"initial_state": np.zeros(6)}, r"initial_state has shape \(6,\)"),
         ({"controls": np.zeros((10, 3))}, r"controls have shape \(10, 3\)"),
         ({"controls": np.zeros((2, 10, 2))}, "controls have shape"),
@@ -292,19 +274,10 @@ def test_cars_in_lanes_drive_as_alone(cars):
         ({"dt": 0.0}, "dt is 0.0"),
         ({"dt": 0.1}, "dt is 0.1"),
         ({"params": [F1TENTH, F1TENTH]}, "2 sets for 1 vehicles"),
-    ],
-)
-def test_bad_input_is_refused(change, message):
-    arguments = {"initial_state": np.zeros(7), "controls": np.zeros((10, 2))} | change
-    with pytest.raises(InputError, match=message):
-        simulate(arguments.pop("initial_state"), arguments.pop("controls"), **arguments)
-
-
-@pytest.mark.parametrize(
-    ("parameter", "value"),
-    [("m", 0.0), ("mu", -1.0), ("lf", np.nan), ("a_max", np.inf), ("v_min", 1.0), ("steer_delay", 0.52)],
-)
-def test_impossible_vehicles_are_refused(parameter, value):
+    ]:
+        arguments = {"initial_state": np.zeros(7), "controls": np.zeros((10, 2))} | change
+        refused(message, simulate, arguments.pop("initial_state"), arguments.pop("controls"), **arguments)
     assert VehicleParams(steer_delay=0.5, steer_noise=0.0).steer_delay == 0.5
-    with pytest.raises(InputError, match=f"^{parameter} is"):
-        VehicleParams(**{parameter: value})
+    wrong = {"m": 0.0, "mu": -1.0, "lf": np.nan, "a_max": np.inf, "v_min": 1.0, "steer_delay": 0.52}
+    for parameter, value in wrong.items():
+        refused(f"^{parameter} is", VehicleParams, **{parameter: value})

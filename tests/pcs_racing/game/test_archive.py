@@ -37,24 +37,24 @@ def toy_planner(monkeypatch):
     return planner
 
 
-def test_ideal_and_nadir_are_1_and_0_on_every_axis():
+def test_ideal_nadir_and_the_policies_that_stand_out():
     toy = archive()
     np.testing.assert_array_equal(toy.ideal, [10.0, 4.0])
     np.testing.assert_array_equal(toy.nadir, [0.0, -1.0])
     np.testing.assert_array_equal(toy.normalise([toy.ideal, toy.nadir]), [[1.0, 1.0], [0.0, 0.0]])
     np.testing.assert_allclose(toy.normalised[1], [0.2, 0.8])
+    assert toy.select("aggressiveness") == 4
+    assert toy.select("restraint") == 0
+    assert toy.select() == 2
+    refused("has no characteristic 'speed'", toy.select, "speed", error=UnknownNameError)
 
 
-def test_a_move_goes_to_the_nearest_policy_from_the_policy_in_use():
+def test_a_move_goes_to_the_nearest_policy_and_the_table_lists_all_moves():
     toy = archive()
     # From (0.2, 0.8): 0.35 more aggressiveness asks for (0.55, 0.8); policy 2 at (0.6, 0.6) is nearest.
     assert move(toy, 1, 0, 1, 0.35) == 2
     assert move(toy, 1, 0, -1, 0.35) == 0
     np.testing.assert_array_equal(move(toy, [0, 4], 0, [-1, 1], 0.35), [0, 4])  # off the end of the front: stays there
-
-
-def test_the_table_lists_the_moves_in_their_order():
-    toy = archive()
     table = move_table(toy, (0.35, 0.7), stay=True)
     names = move_names(toy, (0.35, 0.7), stay=True)
     assert names == (
@@ -104,7 +104,7 @@ def test_shares_of_useless_moves():
     assert duplicate_share(toy, 3.0) == 0.5
 
 
-def test_policies_come_from_the_planner(toy_planner):
+def test_policies_come_from_the_planner_unless_it_has_changed(toy_planner):
     policy = archive().policy(4)
     assert policy.planner is toy_planner
     assert policy.name == "toy[4]"
@@ -112,9 +112,6 @@ def test_policies_come_from_the_planner(toy_planner):
     explored = archive(explored_parameters=[[0.25, 1.0]], explored_coordinates=[[1.0, 1.0]]).explored_policy(0)
     np.testing.assert_array_equal(explored.parameters, [0.25, 1.0])
     assert archive().family() is toy_planner
-
-
-def test_a_planner_that_has_changed_is_noticed(toy_planner):
     refused("holds parameters a, c", archive(parameter_names=("a", "c")).family)
     with pytest.raises(InputError, match=r"policy 'toy\[1\]': parameter 'a' is 7"):
         archive(parameters=[[0.0, 0.0], [7.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]]).family()
@@ -131,15 +128,7 @@ def test_parameters_that_an_archive_does_not_hold_have_the_planners_defaults(toy
     refused("parameter_names are b, b", archive, parameter_names=("b", "b"))
 
 
-def test_policies_that_stand_out():
-    toy = archive()
-    assert toy.select("aggressiveness") == 4
-    assert toy.select("restraint") == 0
-    assert toy.select() == 2
-    refused("has no characteristic 'speed'", toy.select, "speed", error=UnknownNameError)
-
-
-def test_the_correlations_of_the_axes():
+def test_the_axes_can_be_chosen_and_tell_how_they_go_together():
     toy = archive()
     assert toy.correlations == {AXES: pytest.approx(np.corrcoef(COORDINATES.T)[0, 1])}
     assert "aggressiveness, restraint (correlation -0.98)" in repr(toy)
@@ -151,9 +140,6 @@ def test_the_correlations_of_the_axes():
     assert toy.project(("restraint",)).correlations == {}
     constant = archive([[0.0, 1.0], [2.0, 1.0]], parameters=[[0.0, 0.0], [1.0, 0.0]], ideal=[2, 2], nadir=[0, 0])
     assert np.isnan(constant.correlations[AXES])
-
-
-def test_an_archive_can_be_seen_along_some_axes():
     toy = archive().project(("restraint",))
     np.testing.assert_array_equal(toy.coordinates, COORDINATES[:, 1:])
     np.testing.assert_array_equal(toy.ideal, [4.0])
@@ -204,13 +190,9 @@ def test_the_content_hash_says_whether_two_archives_play_the_same_game(tmp_path)
     assert len({other.content_hash for other in [toy, *others]}) == 7
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (
-            {"coordinates": np.zeros((4, 2)), "parameters": np.zeros((5, 2))},
-            r"coordinates has shape \(4, 2\)",
-        ),
+def test_impossible_archives_questions_and_epsilons_are_one_clear_error():
+    for changes, message in [
+        ({"coordinates": np.zeros((4, 2)), "parameters": np.zeros((5, 2))}, r"coordinates has shape \(4, 2\)"),
         ({"coordinates": np.zeros((5, 2))}, r"aggressiveness .* 0 .nadir. to 0"),
         ({"coordinates": COORDINATES * np.nan}, r"coordinates holds nan at \(0, 0\)"),
         ({"parameters": np.zeros((5, 3))}, r"parameters has shape \(5, 3\)"),
@@ -225,15 +207,9 @@ def test_the_content_hash_says_whether_two_archives_play_the_same_game(tmp_path)
         ({"own_crash": np.zeros(4)}, r"own_crash has shape \(4,\)"),
         ({"own_crash": np.full(5, -0.1)}, "own_crash holds -0.1"),
         ({"spread": np.where(np.arange(10).reshape(5, 2) == 6, np.nan, 1.0)}, r"spread holds nan at \(3, 0\)"),
-    ],
-)
-def test_an_impossible_archive_is_one_clear_error(changes, message):
-    refused(message, archive, **changes)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
+    ]:
+        refused(message, archive, **changes)
+    for call, message in [
         (lambda toy: move(toy, 5, 0, 1, 0.1), "index is 5"),
         (lambda toy: move(toy, 0.5, 0, 1, 0.1), "whole number"),
         (lambda toy: move(toy, 0, 2, 1, 0.1), "axis is 2"),
@@ -243,24 +219,32 @@ def test_an_impossible_archive_is_one_clear_error(changes, message):
         (lambda toy: toy.nearest([np.inf, 0.0]), "NaN or infinity"),
         (lambda toy: toy.policy(-1), "policy index is -1"),
         (lambda toy: toy.project(("speed",)), "no characteristic 'speed'"),
-    ],
-)
-def test_an_impossible_question_is_one_clear_error(call, message):
-    refused(message, call, archive())
+    ]:
+        refused(message, call, archive())
+    pairs = [(0.1, 0.1), (0.1, "x"), (0.3, True), (0.3, "0.2"), (0.3, -0.1)]
+    for epsilon in [0.0, -1.0, 11.0, np.nan, "0.3", (), True, None, *pairs]:
+        refused(r"epsilon is .*", check_epsilon, epsilon)
 
 
-@pytest.mark.parametrize(
-    "epsilon",
-    [0.0, -1.0, np.nan, "0.3", (), (0.1, 0.1), True, None, (0.1, "x"), (0.3, True), (0.3, "0.2"), (0.3, -0.1), 11.0],
-)
-def test_an_impossible_epsilon_is_one_clear_error(epsilon):
-    refused(r"epsilon is .*", check_epsilon, epsilon)
-
-
-def test_files_that_are_no_archive(tmp_path):
+def test_files_that_are_no_archive_and_damaged_ones_are_one_clear_error(tmp_path):
     refused(r"unknown archive 'nonsense'.*default", load_archive, "nonsense", error=UnknownNameError)
     refused("name or a folder", load_archive, 3)
     refused(r"can't read .*manifest.yaml", load_archive, tmp_path)
+    for harm, message in [
+        (lambda folder: (folder / "manifest.yaml").write_text("a: [1"), "not valid YAML"),
+        (lambda folder: (folder / "manifest.yaml").write_text("- 1"), "no manifest of an archive"),
+        (lambda folder: (folder / "archive.npz").write_bytes(b"half"), "digest differs"),
+        (lambda folder: (folder / "archive.npz").unlink(), r"can't read .*archive.npz"),
+        (damage(lambda m: m.update(version=9)), "version 9"),
+        (damage(lambda m: m.update(surprise=1)), "unknown or missing surprise"),
+        (damage(lambda m: m.pop("planner")), "unknown or missing planner"),
+        (damage(lambda m: m.update(settings=[1])), "settings is"),
+        (damage(lambda m: m.update(parameter_names=["a"])), r"parameters has shape \(5, 2\)"),
+        (swap_arrays, r"archive.npz (is no archive|holds)"),
+    ]:
+        save_archive(archive(), tmp_path)
+        harm(tmp_path)
+        refused(message, load_archive, tmp_path)
 
 
 def damage(change):
@@ -278,24 +262,3 @@ def damage(change):
 def swap_arrays(folder):
     np.savez(folder / "archive.npz", parameters=np.array([{"a": 1}], dtype=object))  # a pickle: never read
     damage(lambda m: m.update(arrays_sha256=hashlib.sha256((folder / "archive.npz").read_bytes()).hexdigest()))(folder)
-
-
-@pytest.mark.parametrize(
-    ("harm", "message"),
-    [
-        (lambda folder: (folder / "manifest.yaml").write_text("a: [1"), "not valid YAML"),
-        (lambda folder: (folder / "manifest.yaml").write_text("- 1"), "no manifest of an archive"),
-        (lambda folder: (folder / "archive.npz").write_bytes(b"half"), "digest differs"),
-        (lambda folder: (folder / "archive.npz").unlink(), r"can't read .*archive.npz"),
-        (damage(lambda m: m.update(version=9)), "version 9"),
-        (damage(lambda m: m.update(surprise=1)), "unknown or missing surprise"),
-        (damage(lambda m: m.pop("planner")), "unknown or missing planner"),
-        (damage(lambda m: m.update(settings=[1])), "settings is"),
-        (damage(lambda m: m.update(parameter_names=["a"])), r"parameters has shape \(5, 2\)"),
-        (swap_arrays, r"archive.npz (is no archive|holds)"),
-    ],
-)
-def test_a_damaged_archive_is_one_clear_error(tmp_path, harm, message):
-    save_archive(archive(), tmp_path)
-    harm(tmp_path)
-    refused(message, load_archive, tmp_path)

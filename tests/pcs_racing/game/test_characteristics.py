@@ -1,15 +1,10 @@
 import numpy as np
 import pytest
+from refusal import refused
 
-from pcs_racing import InputError, UnknownNameError, draw_starts, load_race_config, load_track
-from pcs_racing.game.characteristics import (
-    Characteristic,
-    Segment,
-    _registered,
-    get_characteristics,
-    measure,
-    register_characteristic,
-)
+from pcs_racing import InputError, Starts, UnknownNameError, draw_starts, load_race_config, load_track
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game import characteristics as measures
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import races as racing
 from pcs_racing.race.state import (
@@ -27,7 +22,7 @@ from pcs_racing.testing import check_characteristic
 
 
 @pytest.fixture
-def piece() -> Segment:
+def piece() -> measures.Segment:
     """Two races of 8 s; the second ended after 2 s."""
     sums = np.zeros((2, 2, len(SUMS)))
     sums[..., TIME] = [[8.0, 8.0], [2.0, 2.0]]
@@ -38,12 +33,11 @@ def piece() -> Segment:
     sums[..., PROFILE] = [[7.2, 6.0], [1.0, 2.0]]
     sums[..., TIME_BEHIND] = [[2.0, 6.0], [0.5, 1.5]]
     sums[..., PROFILE_BEHIND] = [[1.8, 4.8], [0.5, 1.2]]
-    return Segment(np.array([[40.0, 36.0], [8.0, 10.0]]), sums, np.array([8.0, 2.0]), 8.0)
+    return measures.Segment(np.array([[40.0, 36.0], [8.0, 10.0]]), sums, np.array([8.0, 2.0]), 8.0)
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
+def test_values_by_hand_and_the_check_for_everybody(piece):
+    for name, expected in [
         ("aggressiveness", [[4.0, -4.0], [-2.0, 2.0]]),
         ("pace", [[4.0, -4.0], [-8.0, 8.0]]),  # as if the crash had not cut it short
         ("restraint", [[0.5, 1.0], [0.5, 0.0]]),
@@ -51,10 +45,10 @@ def piece() -> Segment:
         ("blocking", [[0.25, 0.0], [0.0, 0.5]]),
         ("speed", [[0.9, 0.75], [0.5, 1.0]]),
         ("reaction", [[0.0, 0.2], [0.0, 0.0]]),  # for less than a second in front or behind nothing is said
-    ],
-)
-def test_values_by_hand(piece, name, expected):
-    np.testing.assert_allclose(measure(piece, get_characteristics([name]))[..., 0], expected)
+    ]:
+        np.testing.assert_allclose(measures.measure(piece, measures.get_characteristics([name]))[..., 0], expected)
+    for name in list(measures._registered):
+        check_characteristic(measures.get_characteristics([name])[0])
 
 
 def test_pieces_of_a_race_add_up():
@@ -68,13 +62,14 @@ def test_pieces_of_a_race_add_up():
     for _ in range(2):
         racing.advance(setup, state, theta, 200)
         moments.append(state.copy())
-    axes = get_characteristics(["aggressiveness", "restraint"])
+    axes = measures.get_characteristics(["aggressiveness", "restraint"])
     first, second, whole = (
-        measure(Segment.between(moments[a], moments[b], 2.0 * (b - a)), axes) for a, b in ((0, 1), (1, 2), (0, 2))
+        measures.measure(measures.Segment.between(moments[a], moments[b], 2.0 * (b - a)), axes)
+        for a, b in ((0, 1), (1, 2), (0, 2))
     )
     going = ~state.crashed
     assert going.any()
-    piece = Segment.between(moments[0], moments[1], 2.0)
+    piece = measures.Segment.between(moments[0], moments[1], 2.0)
     np.testing.assert_allclose(piece.time[going], 2.0)
     np.testing.assert_allclose((first + second)[going, :, 0], whole[going, :, 0], atol=1e-9)
     np.testing.assert_allclose(((first + second) / 2)[going, :, 1], whole[going, :, 1])
@@ -82,17 +77,12 @@ def test_pieces_of_a_race_add_up():
 
 
 def test_a_pooled_characteristic_is_measured_on_the_race_so_far(piece):
-    speed, reaction = get_characteristics(["speed", "reaction"])
-    later = Segment(piece.progress, 2.0 * piece.sums, 2.0 * piece.time, 8.0)
-    values = measure(piece, [speed, reaction], later)
+    speed, reaction = measures.get_characteristics(["speed", "reaction"])
+    later = measures.Segment(piece.progress, 2.0 * piece.sums, 2.0 * piece.time, 8.0)
+    values = measures.measure(piece, [speed, reaction], later)
     np.testing.assert_array_equal(values[..., 0], speed.evaluate(piece))
     np.testing.assert_array_equal(values[..., 1], reaction.evaluate(later))
     assert reaction.evaluate(piece)[1, 0] == 0.0 < values[1, 0, 1]  # it was behind for a second by now
-
-
-@pytest.mark.parametrize("name", list(_registered))
-def test_ours_pass_the_check_for_everybody(name):
-    check_characteristic(get_characteristics([name])[0])
 
 
 @pytest.mark.parametrize(
@@ -109,28 +99,60 @@ def test_ours_pass_the_check_for_everybody(name):
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 def test_the_check_finds_what_is_wrong(evaluate, message):
     with pytest.raises(AssertionError, match=f"characteristic 'mine'.*{message}"):
-        check_characteristic(Characteristic("mine", "m", "wrong", evaluate))
+        check_characteristic(measures.Characteristic("mine", "m", "wrong", evaluate))
 
 
 @pytest.mark.usefixtures("own_registry")
-def test_a_characteristic_is_known_by_its_name():
-    mine = Characteristic("mine", "m", "half the progress", lambda segment: 0.5 * segment.progress)
-    register_characteristic(mine)
-    register_characteristic(mine)  # again: nothing happens
-    assert get_characteristics(["mine"]) == (mine,)
+def test_a_characteristic_is_known_by_its_name_and_impossible_names_are_refused():
+    mine = measures.Characteristic("mine", "m", "half the progress", lambda segment: 0.5 * segment.progress)
+    measures.register_characteristic(mine)
+    measures.register_characteristic(mine)  # again: nothing happens
+    assert measures.get_characteristics(["mine"]) == (mine,)
     with pytest.raises(InputError, match="named 'mine' exists already"):
-        register_characteristic(Characteristic("mine", "m", "another", lambda segment: segment.progress))
-
-
-@pytest.mark.parametrize(
-    ("names", "message"),
-    [
+        measures.register_characteristic(
+            measures.Characteristic("mine", "m", "another", lambda segment: segment.progress)
+        )
+    for names, message in [
         ([], "name at least one"),
         (["speed", "speed"], "each once"),
         (["charm"], "'charm' is unknown"),
-    ],
-)
-def test_impossible_names_are_one_clear_error(names, message):
-    with pytest.raises(InputError, match=message):
-        get_characteristics(names)
+    ]:
+        refused(message, measures.get_characteristics, names)
     assert issubclass(UnknownNameError, InputError)
+
+
+PACES = (0.0, 0.5, 1.0)
+TOLERANCE = 0.04  # between the slowest and the fastest of the circuits, for one policy
+
+
+def pieces(name, paces, preset="paper", seconds=12.0, skip=4.0):
+    """Speed and lead gained, m, of both cars in races of two paces each: shape (B, 2, 2)."""
+    track = load_track(name)
+    config = load_race_config(preset, duration=seconds, start="rolling", start_gap=min(0.5 * track.length, 50.0))
+    setup = racing.RaceSetup(track, config, (LATTICE, LATTICE))
+    starts = Starts(np.zeros(len(paces)), np.zeros(len(paces), np.int64))
+    state = racing.start_races(setup, starts, race_seeds(0, len(paces)))
+    theta = np.array([[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces])
+    racing.advance(setup, state, theta, round(100 * skip))
+    before = state.copy()
+    racing.advance(setup, state, theta, round(100 * (seconds - skip)))
+    assert not state.crashed.any()
+    axes = measures.get_characteristics(["speed", "aggressiveness"])
+    return measures.measure(measures.Segment.between(before, state, seconds - skip), axes)
+
+
+@pytest.fixture(scope="module")
+def alone():
+    """Speed of each of PACES on three circuits, half a lap away from the other car: shape (3, 3)."""
+    names = ("Brackwater", "Kestrelheim", "Pipkin")
+    return np.array([pieces(name, [(pace, pace) for pace in PACES])[:, 0, 0] for name in names])
+
+
+def test_pace_is_the_same_speed_on_every_circuit_whatever_a_far_opponent_does(alone):
+    assert np.ptp(alone, axis=0).max() < TOLERANCE
+    assert np.diff(alone, axis=1).min() > 2.0 * TOLERANCE
+    assert (np.diff(alone, axis=1) > 0.0).all()
+    # A car brakes for a bend a little earlier than the profile.
+    np.testing.assert_allclose(alone[:, -1], 0.975, atol=0.025)
+    slow, fast = pieces("Larkmoor", [(0.5, 0.0), (0.5, 1.0)])[:, 0, 0]
+    assert slow == pytest.approx(fast, abs=1e-9)

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from refusal import refused
 
-from pcs_racing import InputError, make_game, parse_policy
+from pcs_racing import make_game, parse_policy
 from pcs_racing.game.competitor import PolicySet, RandomMoves, SameMove, ask_moves
 
 GAMES = 4
@@ -43,7 +44,7 @@ class ChoosesAndMoves(Chooses, SameMove):
     """It does both."""
 
 
-def test_a_predictor_sees_what_its_car_observes(game, state):
+def test_a_predictor_sees_what_its_car_observes_and_keeps_a_state_for_each_game(game, state):
     seen = []
 
     class Looks:
@@ -54,9 +55,6 @@ def test_a_predictor_sees_what_its_car_observes(game, state):
     assert ask_moves(Looks(), game, state, 1).tolist() == [0, 1, 2, 3]
     np.testing.assert_array_equal(seen[0][0], game.observation(state)[:, 1])
     assert seen[0][1]  # its best move, unless a draw is asked for
-
-
-def test_the_state_of_a_predictor_is_kept_for_each_game(game, state):
     memories = [None] * GAMES
     for asked in range(2):
         assert ask_moves(Counter(), game, state, 0, memories=memories).tolist() == [asked] * GAMES
@@ -64,7 +62,7 @@ def test_the_state_of_a_predictor_is_kept_for_each_game(game, state):
     assert ask_moves(Counter(), game, state, 0, memories=memories).tolist() == [2, 2, 0, 2]
 
 
-def test_a_decider_gets_the_games_it_is_asked_about(game, state):
+def test_a_decider_gets_the_games_it_is_asked_about_and_who_only_chooses_stays(game, state):
     class Decides:
         name = "decides"
 
@@ -75,25 +73,19 @@ def test_a_decider_gets_the_games_it_is_asked_about(game, state):
     expected = np.zeros(GAMES, int)
     expected[rows] = state.policy[rows, 1] % 2
     np.testing.assert_array_equal(ask_moves(Decides(), game, state, 1, rows=rows), expected)
-
-
-def test_who_only_chooses_before_a_race_stays(game, state):
     stay = len(game.competitor_moves) - 1
     assert game.competitor_moves[stay] == "stay"
     assert ask_moves(Chooses(), game, state, 0).tolist() == [stay] * GAMES
     assert ask_moves(ChoosesAndMoves("both", 1), game, state, 0).tolist() == [1] * GAMES
 
 
-def test_functions_and_random_moves_draw_from_the_generator_of_each_game(game, state):
+def test_functions_and_random_moves_draw_from_the_generator_of_each_game_that_is_not_over(game, state):
     def draws(observation, generator):
         return generator.integers(4)
 
     expected = [np.random.default_rng(i).integers(4) for i in range(GAMES)]
     assert ask_moves(draws, game, state, 0, generators=generators()).tolist() == expected
     assert ask_moves(RandomMoves(), game, state, 0, generators=generators()).tolist() == expected
-
-
-def test_drivers_and_games_that_are_over_are_not_asked(game, state):
     policy = parse_policy("pure-pursuit")
     for driver in (policy, PolicySet("driver", (policy,))):
         assert not ask_moves(driver, game, state, 0).any()
@@ -104,5 +96,4 @@ def test_drivers_and_games_that_are_over_are_not_asked(game, state):
 
 @pytest.mark.parametrize("answer", [4.5, 99, -1, "left", None])
 def test_an_impossible_answer_names_who_gave_it(game, state, answer):
-    with pytest.raises(InputError, match=r"competitor 'poor'"):
-        ask_moves(SameMove("poor", answer), game, state, 0)
+    refused(r"competitor 'poor'", ask_moves, SameMove("poor", answer), game, state, 0)

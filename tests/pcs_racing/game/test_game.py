@@ -5,30 +5,19 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import (
-    CONTEST,
-    PAPER,
-    GameConfig,
-    InputError,
-    PolicyArchive,
-    RaceGame,
-    Starts,
-    advance,
-    load_archive,
-    load_track,
-    make_game,
-    start_races,
-)
+from pcs_racing import CONTEST, PAPER, GameConfig, InputError, PolicyArchive, RaceGame, Starts, load_archive, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
 from pcs_racing.game.moves import move
 from pcs_racing.game.observation import observation_elements, observation_table
 from pcs_racing.game.reward import reward
+from pcs_racing.game.starting import random_bits
 from pcs_racing.game.state import GameState, empty_game, load_game, put_games, save_game, take_games
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import TIE_WITHIN, start_lines
+from pcs_racing.race.races import TIE_WITHIN, advance, start_lines, start_races
+from pcs_racing.track.loading import load_track
 
 STARTS = Starts(np.array([20.0, 20.0, 21.0]), np.array([0, 1, 0]))
 
@@ -145,7 +134,7 @@ def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
         assert drawn.max() < 4.0 * 400 / count + 5.0
 
 
-def test_a_state_begins_with_zeros_and_a_step_leaves_it_alone(game):
+def test_a_step_leaves_the_state_alone_and_games_that_are_over_stand_still(game):
     for name, array in arrays(empty_game(2, 3, 4, 5, 2)).items():
         assert array.shape[0] == 2, name
         assert (array == (-1 if name == "leader" else 0)).all(), name
@@ -153,9 +142,17 @@ def test_a_state_begins_with_zeros_and_a_step_leaves_it_alone(game):
     before = state.copy()
     game.step(state, np.zeros((3, 2), np.int64))
     assert_same(state, before)
+    state = game.reset(games=3)
+    halfway = crash(take_games(state, [0, 1]), (1, 0))
+    mixed = state.copy()
+    put_games(mixed, [0, 1], halfway)
+    after = game.step(mixed, np.full((3, 2), 2))
+    assert_same(take_games(after, [0, 1]), take_games(mixed, [0, 1]))
+    np.testing.assert_array_equal(after.step, [0, 0, 1])
+    assert_same(take_games(after, [2]), game.step(take_games(state, [2]), np.full((1, 2), 2)))
 
 
-def test_any_moment_can_be_kept_and_continued(game, tmp_path):
+def test_any_moment_can_be_kept_and_continued_and_a_step_driven_without_a_state(game, tmp_path):
     middle = play(game, game.reset(games=3), [(0, 3)])
     end = play(game, middle, [(2, 2), (1, 0), (3, 3)])
     save_game(middle, tmp_path / "game.npz")
@@ -163,9 +160,6 @@ def test_any_moment_can_be_kept_and_continued(game, tmp_path):
         assert_same(play(game, kept, [(2, 2), (1, 0), (3, 3)]), end)
     again = pickle.loads(pickle.dumps(game))
     assert_same(play(again, middle, [(2, 2), (1, 0), (3, 3)]), end)
-
-
-def test_a_step_can_be_driven_without_a_game_state(game):
     before = game.reset(games=6)
     after = game.step(before, np.full((6, 2), 2))
     races = before.race.copy()
@@ -217,27 +211,12 @@ def test_observations_stay_within_their_bounds(track, race):
 def three_axes(archive: PolicyArchive, third: str) -> PolicyArchive:
     extra = np.random.default_rng(0).normal(size=(len(archive), 1))
     return PolicyArchive(
-        "three",
-        archive.planner,
-        archive.parameter_names,
-        archive.parameters,
-        (*archive.characteristics, third),
-        np.hstack([archive.coordinates, extra]),
-    )
+        "three", archive.planner, archive.parameter_names, archive.parameters,
+        (*archive.characteristics, third), np.hstack([archive.coordinates, extra]),
+    )  # fmt: skip
 
 
-def test_three_characteristics(track):
-    game = make_game(track, three_axes(load_archive("default"), "smoothness"), step_seconds=2.0)
-    assert game.move_names[4:] == ("smoothness +", "smoothness -")
-    assert len(game.observation_elements) == 5 * 8 + 1
-    end = play(game, game.reset(games=2), [(4, 5)] * 4)
-    assert game.observation(end).shape == (2, 2, 41)
-    assert game.done(end).all()
-    two = make_game(track, game.archive, step_seconds=2.0, characteristics=("aggressiveness", "restraint"))
-    assert two.move_names == ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
-
-
-def test_several_step_sizes_and_the_move_that_stays(track):
+def test_several_step_sizes_and_three_characteristics(track):
     game = make_game(track, epsilon=(0.2, 0.6), stay=True, step_seconds=2.0, moves=2)
     assert len(game.move_names) == 9
     assert game.move_names[-1] == "stay"
@@ -247,6 +226,14 @@ def test_several_step_sizes_and_the_move_that_stays(track):
     assert after.policy[1, 1] == state.policy[1, 1]
     assert after.policy[0, 1] == move(game.archive, int(state.policy[0, 1]), 0, 1, 0.6)
     assert after.policy[1, 0] == move(game.archive, int(state.policy[1, 0]), 0, 1, 0.2)
+    game = make_game(track, three_axes(load_archive("default"), "smoothness"), step_seconds=2.0)
+    assert game.move_names[4:] == ("smoothness +", "smoothness -")
+    assert len(game.observation_elements) == 5 * 8 + 1
+    end = play(game, game.reset(games=2), [(4, 5)] * 4)
+    assert game.observation(end).shape == (2, 2, 41)
+    assert game.done(end).all()
+    two = make_game(track, game.archive, step_seconds=2.0, characteristics=("aggressiveness", "restraint"))
+    assert two.move_names == ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
 
 
 @pytest.mark.parametrize(
@@ -282,17 +269,6 @@ def test_who_leads_at_the_end_wins(track):
     np.testing.assert_array_equal(game.winner(end)[over], np.select([ahead > 0, ahead < 0], [0, 1], -1)[over])
     np.testing.assert_array_equal(game.reward(end)[over, 0], ahead[over])
     assert (game.winner(game.reset(games=2)) == -1).all()
-
-
-def test_games_that_are_over_stand_still(game):
-    state = game.reset(games=3)
-    halfway = crash(take_games(state, [0, 1]), (1, 0))
-    mixed = state.copy()
-    put_games(mixed, [0, 1], halfway)
-    after = game.step(mixed, np.full((3, 2), 2))
-    assert_same(take_games(after, [0, 1]), take_games(mixed, [0, 1]))
-    np.testing.assert_array_equal(after.step, [0, 0, 1])
-    assert_same(take_games(after, [2]), game.step(take_games(state, [2]), np.full((1, 2), 2)))
 
 
 def test_games_that_end_while_watching_are_drawn_again(track):
@@ -358,7 +334,7 @@ def test_drivers_from_outside_in_either_car(track):
     refused(r"game 0: the ego .*'lattice'", game.reset, 1, egos=wild)
 
 
-def test_masks_forbid_duplicates_only_when_asked(track, game):
+def test_masks_and_the_table_of_an_observation(track, game):
     assert game.action_mask(game.reset(games=2)).all()
     strict = make_game(track, step_seconds=2.0, mask_duplicates=True)
     state = strict.reset(games=50, redraw=False)
@@ -367,9 +343,6 @@ def test_masks_forbid_duplicates_only_when_asked(track, game):
     for allowed, policy in zip(mask.reshape(-1, 4), state.policy.reshape(-1), strict=True):
         there = strict.table[policy]
         assert sorted(there[allowed]) == sorted(set(there))
-
-
-def test_the_table_of_an_observation(game):
     elements = observation_elements(game.characteristics, 4)
     assert elements == game.observation_elements
     assert len(observation_table(elements).splitlines()) == 2 + 31
@@ -379,9 +352,8 @@ def test_the_table_of_an_observation(game):
     assert len(short.splitlines()) == 2 + 7
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_impossible_resets_and_actions_are_one_clear_error(game):
+    for arguments, message in [
         ({"seeds": [-1]}, "seeds are"),
         ({"seeds": [0.5]}, "seeds are"),
         ({"seeds": [1], "games": 1}, "give one of the two"),
@@ -395,42 +367,51 @@ def test_the_table_of_an_observation(game):
         ({"starts": Starts(np.array([1e6]), np.array([0]))}, "race 0: the start line"),
         ({"games": 2, "opponents": [None]}, "2 games but 1 opponents"),
         ({"opponents": ["fast"]}, r"game 0: the opponent .*'fast'"),
-    ],
-)
-def test_an_impossible_reset_is_one_clear_error(game, arguments, message):
-    refused(message, game.reset, **arguments)
-
-
-@pytest.mark.parametrize(
-    ("actions", "message"),
-    [
+    ]:
+        refused(message, game.reset, **arguments)
+    for actions, message in [
         ([[0, 4]], r"game 0, car 1: move 4 .*aggressiveness"),
         ([[-1, 0]], "game 0, car 0: move -1"),
         ([[0.0, 1.0]], "type float64"),
         ([[np.nan, 1.0]], "type float64"),
         ([0, 1], r"shape \(2,\)"),
         ([[True, False]], "type bool"),
-    ],
-)
-def test_an_impossible_action_is_one_clear_error(game, actions, message):
-    refused(message, game.step, game.reset(1), actions)
+    ]:
+        refused(message, game.step, game.reset(1), actions)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_a_file_that_is_no_game_is_one_clear_error(game, tmp_path):
+    for change, message in [
         ({"step": np.zeros(1, np.int32)}, "step has shape .* type int32"),
         ({"own": np.full((1, 2, 5, 2), np.nan)}, "own holds NaN"),
         ({"leads": np.zeros((2, 5))}, "leads has shape"),
         ({"extra": np.zeros(1)}, "holds .*extra"),
         ({"policy": np.array([{"a": 1}], dtype=object)}, "not a saved game state"),
-    ],
-)
-def test_a_file_that_is_no_game_is_one_clear_error(game, tmp_path, change, message):
-    state = game.reset(1)
-    flat = {
-        **{f"race.{n}": a for n, a in state.race._asdict().items()},
-        **dict(zip(state._fields[1:], state[1:], strict=True)),
-    }
-    np.savez(tmp_path / "game.npz", **{**flat, **change})
-    refused(message, load_game, tmp_path / "game.npz")
+    ]:
+        state = game.reset(1)
+        flat = {
+            **{f"race.{n}": a for n, a in state.race._asdict().items()},
+            **dict(zip(state._fields[1:], state[1:], strict=True)),
+        }
+        np.savez(tmp_path / "game.npz", **{**flat, **change})
+        refused(message, load_game, tmp_path / "game.npz")
+
+
+MASK = 2**64 - 1
+
+
+def splitmix64(x: int) -> int:
+    """The finaliser of Steele and others (2014), in whole numbers of any size."""
+    x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9 & MASK
+    x = (x ^ (x >> 27)) * 0x94D049BB133111EB & MASK
+    return x ^ (x >> 31)
+
+
+def test_the_bits_of_a_game_are_a_hash_of_its_key_and_of_the_attempt():
+    keys = [0, 1, 2**63 + 5]
+    for attempt in (0, 3):
+        expected = [
+            [splitmix64((splitmix64(key) + (5 * attempt + 1 + i) * 0x9E3779B97F4A7C15) & MASK) for i in range(5)]
+            for key in keys
+        ]
+        assert random_bits(np.array(keys, np.uint64), attempt).tolist() == expected

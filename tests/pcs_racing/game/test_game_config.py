@@ -9,7 +9,7 @@ from refusal import refused
 from pcs_racing import CONTEST, PAPER, ConfigError, GameConfig, load_game_config
 
 
-def test_the_papers_game():
+def test_the_papers_game_and_the_contest():
     """Section V: a step to watch and four moves, of 8 s each; the lead at the end of 40 s is what counts."""
     config = GameConfig()
     assert config == load_game_config() == load_game_config("paper") == load_game_config(PAPER)
@@ -18,22 +18,21 @@ def test_the_papers_game():
     assert (config.utility, config.fault_penalty, config.discount) == ("lead", 0.0, 1.0)
     assert (config.stay, config.mask_duplicates, config.characteristics) == (False, False, None)
     assert config.epsilon == 0.5
-
-
-def test_a_contest_is_won_or_lost_and_allows_to_stay():
     config = load_game_config("contest")
     assert (config.race, config.utility, config.stay) == (CONTEST, "win", True)
     assert dataclasses.replace(config, stay=False, utility="lead-at-crash").stay is False
 
 
 @pytest.mark.parametrize(("moves", "seconds"), [(1, 0.1), (4, 8.0), (2, 0.3), (9, 12.5)])
-def test_the_race_lasts_for_a_step_more_than_there_are_moves(moves, seconds):
+def test_the_race_lasts_for_a_step_more_than_there_are_moves_and_an_hour_at_most(moves, seconds):
     config = GameConfig(moves=moves, step_seconds=seconds)
     assert config.horizon == pytest.approx((moves + 1) * seconds)
     assert config.step_ticks == round(100 * seconds)
     assert config.race_rules.duration == config.horizon
     assert config.race_rules.ticks == (moves + 1) * config.step_ticks
     assert dataclasses.replace(config.race_rules, duration=PAPER.duration) == PAPER
+    assert GameConfig(moves=5, step_seconds=600.0).horizon == 3600.0
+    refused("6 moves of 600 s", GameConfig, moves=6, step_seconds=600.0, error=ConfigError)
 
 
 def test_step_sizes_and_axes_are_kept_in_one_form_and_changed_by_name():
@@ -48,9 +47,8 @@ def test_step_sizes_and_axes_are_kept_in_one_form_and_changed_by_name():
     refused("unknown game setting 'move'", load_game_config, move=3, error=ConfigError)
 
 
-@pytest.mark.parametrize(
-    ("key", "fine", "wrong"),
-    [
+def test_each_rule_has_its_limits():
+    for key, fine, wrong in [
         ("moves", (1, 100), (0, 101, 2.0, True, "4", None)),
         ("step_seconds", (0.1, 600.0, 1), (0.0, 0.05, 0.15, 600.1, True, "8", np.nan)),
         ("fault_penalty", (0.0, 1e6), (-0.1, 1e6 + 1.0, True, None, np.nan)),
@@ -61,16 +59,9 @@ def test_step_sizes_and_axes_are_kept_in_one_form_and_changed_by_name():
         ("epsilon", (0.5, (0.1, 0.9)), (0.0, -0.5, (0.5, 0.5), (), "far", np.inf)),
         ("characteristics", (None, ("speed",)), ("speed", 3)),
         ("race", ("contest", PAPER), (3, None)),
-    ],
-)
-def test_each_rule_has_its_limits(key, fine, wrong):
-    more = {"moves": 1} if key == "step_seconds" else {"step_seconds": 0.1} if key == "moves" else {}
-    for value in fine:
-        GameConfig(**{key: value}, **more)
-    for value in wrong:
-        refused(f"{key}", GameConfig, error=ConfigError, **{key: value}, **more)
-
-
-def test_a_game_lasts_an_hour_at_most():
-    assert GameConfig(moves=5, step_seconds=600.0).horizon == 3600.0
-    refused("6 moves of 600 s", GameConfig, moves=6, step_seconds=600.0, error=ConfigError)
+    ]:
+        more = {"moves": 1} if key == "step_seconds" else {"step_seconds": 0.1} if key == "moves" else {}
+        for value in fine:
+            GameConfig(**{key: value}, **more)
+        for value in wrong:
+            refused(f"{key}", GameConfig, error=ConfigError, **{key: value}, **more)

@@ -9,24 +9,17 @@ import yaml
 from refusal import refused
 
 from pcs_racing import PolicyArchive, get_planner, load_archive, save_archive
-from pcs_racing.game import characteristics
+from pcs_racing.game import characteristics, learned
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
-from pcs_racing.game.learned import (
-    BOUND,
-    LearnedAxis,
-    LearnedCharacteristics,
-    LearnedInput,
-    load_learned,
-    register_learned,
-    save_learned,
-)
 from pcs_racing.race.state import SUMS
 from pcs_racing.testing import check_archive, check_characteristic
 
-INPUTS = (LearnedInput("aggressiveness", 0.0, 2.0), LearnedInput("restraint", 1.0, 0.5))
-RATING = LearnedAxis("toy_rating", "a rating", 0.5, (("aggressiveness", 2.0), ("aggressiveness * restraint", -1.0)))
-CYCLE = LearnedAxis("toy_cycle", "a cycle", 0.0, (("restraint", 1.0),))
-TOY = LearnedCharacteristics("toy", INPUTS, (RATING, CYCLE), {"seed": 3})
+INPUTS = (learned.LearnedInput("aggressiveness", 0.0, 2.0), learned.LearnedInput("restraint", 1.0, 0.5))
+RATING = learned.LearnedAxis(
+    "toy_rating", "a rating", 0.5, (("aggressiveness", 2.0), ("aggressiveness * restraint", -1.0))
+)
+CYCLE = learned.LearnedAxis("toy_cycle", "a cycle", 0.0, (("restraint", 1.0),))
+TOY = learned.LearnedCharacteristics("toy", INPUTS, (RATING, CYCLE), {"seed": 3})
 
 
 pytestmark = pytest.mark.usefixtures("own_registry")
@@ -52,35 +45,37 @@ def piece(lead: float) -> Segment:
     return Segment(np.array([[40.0 + lead, 40.0]]), np.zeros((1, 2, len(SUMS))), np.array([8.0]), 8.0)
 
 
-def test_a_value_is_the_sum_of_its_weighted_and_limited_terms():
+def test_the_axes_are_ordinary_characteristics_that_sum_weighted_and_limited_terms():
     # A lead of 4 m is 2 sd: 0.5 + 2 * 2 - 2 * (-2) for car 0; a deficit is -2: 0.5 - 4 - 4 for car 1.
     values = measure(piece(4.0), TOY.characteristics)
     np.testing.assert_allclose(values[0], [[8.5, -2.0], [-7.5, -2.0]])
-    far, limit = (measure(piece(lead), TOY.characteristics) for lead in (1000.0, 2.0 * BOUND))
+    far, limit = (measure(piece(lead), TOY.characteristics) for lead in (1000.0, 2.0 * learned.BOUND))
     np.testing.assert_array_equal(far, limit)
     inputs = measure(piece(3.0), get_characteristics(["aggressiveness", "restraint"]))
     np.testing.assert_array_equal(TOY.estimate(inputs), measure(piece(3.0), TOY.characteristics))
-
-
-def test_the_axes_are_ordinary_characteristics():
-    register_learned(TOY)
-    register_learned(LearnedCharacteristics.from_plain(TOY.to_plain()))  # an equal set again: nothing happens
+    learned.register_learned(TOY)
+    learned.register_learned(
+        learned.LearnedCharacteristics.from_plain(TOY.to_plain())
+    )  # an equal set again: nothing happens
     for characteristic in get_characteristics(TOY.names):
         check_characteristic(characteristic)
-    refused("toy_rating", register_learned, replace(TOY, axes=(replace(RATING, intercept=0.0), CYCLE)))
+    refused("toy_rating", learned.register_learned, replace(TOY, axes=(replace(RATING, intercept=0.0), CYCLE)))
 
 
-def test_a_file_brings_them_back(tmp_path):
-    file = save_learned(TOY, tmp_path / "toy.yaml")
-    read = load_learned(file)
+def test_a_file_brings_them_back_and_other_weights_make_another_archive(tmp_path):
+    file = learned.save_learned(TOY, tmp_path / "toy.yaml")
+    read = learned.load_learned(file)
     assert read == TOY
     assert read.training == {"seed": 3}
     assert get_characteristics(["toy_rating"])
+    other = replace(TOY, axes=(RATING, replace(CYCLE, intercept=1.0)))
+    first = archive().content_hash
+    characteristics._registered.pop("toy_rating"), characteristics._registered.pop("toy_cycle")
+    assert archive(learned=other).content_hash != first
 
 
-@pytest.mark.parametrize(
-    ("change", "value"),
-    [
+def test_damaged_files_and_archives_with_damaged_axes_are_refused(tmp_path):
+    for change, value in [
         (lambda plain: plain["axes"][0]["weights"].update(aggressiveness=2.5), "sha256"),
         (lambda plain: plain["axes"][0]["weights"].update(charm=1.0), "charm"),
         (lambda plain: plain["axes"][0].update(intercept=float("nan")), "nan"),
@@ -92,15 +87,18 @@ def test_a_file_brings_them_back(tmp_path):
         (lambda plain: plain.update(name="../toy"), "../toy"),
         (lambda plain: plain.update(training=[]), "training"),
         (lambda plain: plain.pop("sha256"), "sha256"),
-    ],
-)
-def test_a_damaged_file_is_refused(tmp_path, change, value):
-    file = save_learned(TOY, tmp_path / "toy.yaml")
-    plain = yaml.safe_load(file.read_text())
-    change(plain)
-    file.write_text(yaml.safe_dump(plain))
-    refused(value.replace(".", r"\."), load_learned, file)
-    assert "toy_rating" not in characteristics._registered
+    ]:
+        file = learned.save_learned(TOY, tmp_path / "toy.yaml")
+        plain = yaml.safe_load(file.read_text())
+        change(plain)
+        file.write_text(yaml.safe_dump(plain))
+        refused(value.replace(".", r"\."), learned.load_learned, file)
+        assert "toy_rating" not in characteristics._registered
+    for damage in [{"name": "toy"}, [], 3, "toy"]:
+        folder = save_archive(archive(), tmp_path / "toy")
+        manifest = yaml.safe_load((folder / "manifest.yaml").read_text())
+        (folder / "manifest.yaml").write_text(yaml.safe_dump({**manifest, "learned": damage}))
+        refused("learned", load_archive, folder)
 
 
 def test_an_archive_brings_its_axes_with_it(tmp_path, monkeypatch):
@@ -117,24 +115,9 @@ def test_an_archive_brings_its_axes_with_it(tmp_path, monkeypatch):
         assert get_characteristics(["toy_rating", "toy_cycle"])
 
 
-def test_other_weights_make_another_archive():
-    other = replace(TOY, axes=(RATING, replace(CYCLE, intercept=1.0)))
-    first = archive().content_hash
-    characteristics._registered.pop("toy_rating"), characteristics._registered.pop("toy_cycle")
-    assert archive(learned=other).content_hash != first
-
-
 def test_an_archive_does_not_replace_a_characteristic_of_the_same_name(tmp_path):
     folder = save_archive(archive(), tmp_path / "toy")
     characteristics._registered["toy_cycle"] = Characteristic(
         "toy_cycle", "1", "mine", lambda segment: segment.progress
     )
     refused("toy_cycle", load_archive, folder)
-
-
-@pytest.mark.parametrize("damage", [{"name": "toy"}, [], 3, "toy"])
-def test_an_archive_with_damaged_axes_is_refused(tmp_path, damage):
-    folder = save_archive(archive(), tmp_path / "toy")
-    manifest = yaml.safe_load((folder / "manifest.yaml").read_text())
-    (folder / "manifest.yaml").write_text(yaml.safe_dump({**manifest, "learned": damage}))
-    refused("learned", load_archive, folder)

@@ -13,19 +13,13 @@ def plain(function):
     return getattr(function, "py_func", function)
 
 
-def test_a_step_pays_progress_less_the_opponents_share_and_the_penalty():
+def test_the_winner_is_ahead_and_a_step_pays_progress_less_the_opponents_share():
+    for lead, sign in [(3.0, 1.0), (-3.0, -1.0), (0.9 * TIE_WITHIN, 0.0), (-TIE_WITHIN, 0.0)]:
+        assert [plain(win_sign)(lead, False, 0, 0, loses) for loses in (True, False)] == [sign, sign]
     weights = (2.0, 0.5, 7.0)
     assert plain(step_reward)(1.0, 0.4, 0, weights) == pytest.approx(2.0 * (1.0 - 0.2))
     assert plain(step_reward)(1.0, 0.4, 1, weights) == pytest.approx(2.0 * (1.0 - 0.2) - 7.0)
-
-
-@pytest.mark.parametrize(("lead", "sign"), [(3.0, 1.0), (-3.0, -1.0), (0.9 * TIE_WITHIN, 0.0), (-TIE_WITHIN, 0.0)])
-def test_without_a_crash_the_car_ahead_has_won(lead, sign):
-    assert [plain(win_sign)(lead, False, 0, 0, loses) for loses in (True, False)] == [sign, sign]
-
-
-def test_the_reward_of_a_win_goes_to_the_winner_of_the_races():
-    """The compiled rule is that of :func:`pcs_racing.race.races.winners`, from either side."""
+    # The compiled rule is that of :func:`pcs_racing.race.races.winners`, from either side.
     for rule in ("nobody", "fault-loses"):
         config = load_race_config("paper", crash_rule=rule)
         for lead in (-3.0, 0.0, 0.005, 2.0):

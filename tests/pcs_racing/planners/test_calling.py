@@ -40,12 +40,14 @@ def race(function):
     return run_races(load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1)
 
 
-def test_plain_and_compiled_functions_drive_the_same_and_are_compiled_once():
+def test_plain_compiled_and_typed_functions_drive_the_same_and_what_they_raise_is_told():
     assert (race(control).state.cars == race(njit(control)).state.cars).all()
     assert control_address(control) == control_address(control)
-
-
-def test_what_a_planner_raises_and_returns_is_told():
+    # It has no file beside which numba could keep its code.
+    typed = "def control(track, theta, view, memory, scratch, path, command):\n    command[0], command[1] = 0.0, 1.0\n"
+    names = {"__name__": "__main__"}
+    exec(compile(typed, "<stdin>", "exec"), names)
+    assert (race(names["control"]).state.cars == race(control).state.cars).all()
     refused("nowhere to go", race, failing, error=ValueError)
     refused("returning", race, returning)
 
@@ -91,11 +93,3 @@ def test_functions_with_options_of_their_own_are_compiled_anew(tmp_path, monkeyp
     planner = Planner("test", (), control=users, memory_size=1)
     config = load_race_config("paper", duration=0.1)
     run_races(load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1)
-
-
-def test_a_function_typed_at_a_prompt_drives():
-    """It has no file beside which numba could keep its code."""
-    typed = "def control(track, theta, view, memory, scratch, path, command):\n    command[0], command[1] = 0.0, 1.0\n"
-    names = {"__name__": "__main__"}
-    exec(compile(typed, "<stdin>", "exec"), names)
-    assert (race(names["control"]).state.cars == race(control).state.cars).all()

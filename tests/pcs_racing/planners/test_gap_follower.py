@@ -4,38 +4,30 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import Lidar, list_tracks, load_track
-from pcs_racing.planners.gap_follower import (
-    BEAMS,
-    FIELD_OF_VIEW,
-    GAP_FOLLOWER,
-    MAX_RANGE,
-    free_distances,
-    lean,
-    widest_gap,
-)
+from pcs_racing.planners import gap_follower as gaps
 from pcs_racing.planners.view import OWN_BETA, OWN_PSI, PATH_POINTS
 
-ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
+ANGLES = np.linspace(-0.5 * gaps.FIELD_OF_VIEW, 0.5 * gaps.FIELD_OF_VIEW, gaps.BEAMS)
 
 
 def path(track, view, parameters=None):
     """The path, and the ranges that the planner left in its scratch."""
     written = np.full((PATH_POINTS, 4), np.nan)
-    scratch = np.full(GAP_FOLLOWER.scratch_size, np.nan)
-    theta = GAP_FOLLOWER.policy(parameters).parameters
-    GAP_FOLLOWER.plan(track.arrays, theta, view, np.zeros(0), scratch, written)
-    return written, scratch[-2 * BEAMS : -BEAMS]
+    scratch = np.full(gaps.GAP_FOLLOWER.scratch_size, np.nan)
+    theta = gaps.GAP_FOLLOWER.policy(parameters).parameters
+    gaps.GAP_FOLLOWER.plan(track.arrays, theta, view, np.zeros(0), scratch, written)
+    return written, scratch[-2 * gaps.BEAMS : -gaps.BEAMS]
 
 
 def free(ranges, bubble):
-    found = np.empty(BEAMS)
-    free_distances(np.asarray(ranges, dtype=float), bubble, found)
+    found = np.empty(gaps.BEAMS)
+    gaps.free_distances(np.asarray(ranges, dtype=float), bubble, found)
     return found
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.05, 5.0), st.floats(0.2, 0.45))
 def test_the_free_distance_keeps_out_of_every_bubble(seed, nearest, bubble):
-    ranges = np.random.default_rng(seed).uniform(nearest, 12.0, BEAMS)
+    ranges = np.random.default_rng(seed).uniform(nearest, 12.0, gaps.BEAMS)
     found = free(ranges, bubble)
     assert (found >= 0.0).all()
     assert (found <= ranges).all()
@@ -49,9 +41,9 @@ def test_the_free_distance_keeps_out_of_every_bubble(seed, nearest, bubble):
         assert not found[np.abs(ANGLES - ANGLES[k]) < 0.5 * np.pi - 0.05].any()
 
 
-def test_one_post_ahead_blocks_the_directions_that_its_bubble_covers():
-    ranges = np.full(BEAMS, 10.0)
-    post = BEAMS // 2
+def test_a_post_blocks_what_its_bubble_covers_and_the_middle_of_the_widest_gap_is_found():
+    ranges = np.full(gaps.BEAMS, 10.0)
+    post = gaps.BEAMS // 2
     ranges[post] = 2.0
     found = free(ranges, 0.3)
     covered = np.abs(ANGLES - ANGLES[post]) < np.arcsin(0.3 / 2.0)
@@ -59,34 +51,31 @@ def test_one_post_ahead_blocks_the_directions_that_its_bubble_covers():
     assert found[post] == pytest.approx(1.7)
     # The others are only limited by the points far away, which have bubbles of their own.
     assert (found[~covered] > 9.0).all()
-
-
-def test_the_middle_of_the_widest_gap():
-    found = np.full(BEAMS, 1.0)
+    found = np.full(gaps.BEAMS, 1.0)
     found[60:81] = 5.0
     found[70] = 6.0
-    angle, longest = widest_gap(found, 0.8)
+    angle, longest = gaps.widest_gap(found, 0.8)
     assert angle == pytest.approx(ANGLES[70])
     assert longest == 6.0
     # Nothing but free: straight on.
-    angle, longest = widest_gap(np.full(BEAMS, 12.0), 0.8)
+    angle, longest = gaps.widest_gap(np.full(gaps.BEAMS, 12.0), 0.8)
     assert angle == pytest.approx(0.0, abs=1e-9)
 
 
 def test_it_leans_away_from_what_is_beside_it():
-    ranges = np.full(BEAMS, 5.0)
-    assert lean(ranges, 1.0) == 0.0
+    ranges = np.full(gaps.BEAMS, 5.0)
+    assert gaps.lean(ranges, 1.0) == 0.0
     ranges[3] = 0.5  # the first beams point to the right
-    assert lean(ranges, 1.0) > 0.0
-    assert lean(ranges, 0.4) == 0.0
+    assert gaps.lean(ranges, 1.0) > 0.0
+    assert gaps.lean(ranges, 0.4) == 0.0
     ranges[-4] = 0.3
-    assert lean(ranges, 1.0) < 0.0
-    ranges[BEAMS // 2] = 0.1  # straight ahead is not beside
-    assert lean(ranges, 0.25) == 0.0
+    assert gaps.lean(ranges, 1.0) < 0.0
+    ranges[gaps.BEAMS // 2] = 0.1  # straight ahead is not beside
+    assert gaps.lean(ranges, 0.25) == 0.0
 
 
 def test_it_sees_what_the_lidar_sees(oval, view_at):
-    lidar = Lidar(oval, beams=BEAMS, fov=FIELD_OF_VIEW, max_range=MAX_RANGE)
+    lidar = Lidar(oval, beams=gaps.BEAMS, fov=gaps.FIELD_OF_VIEW, max_range=gaps.MAX_RANGE)
     view = view_at(oval, 3.0, 0.2, turned=0.1, gap=1.5, opp_d=-0.3)
     x, y, psi = oval.to_cartesian([3.0, 0.2])
     opponent = oval.to_cartesian([4.5, -0.3])
@@ -97,7 +86,7 @@ def test_it_sees_what_the_lidar_sees(oval, view_at):
     np.testing.assert_allclose(path(oval, view)[1], expected, rtol=0, atol=1e-9)
 
 
-def test_the_path_is_an_arc_from_the_car_along_its_course(oval, view_at):
+def test_the_path_is_an_arc_along_the_course_and_slow_in_front_of_what_it_sees(oval, view_at):
     view = view_at(oval, 3.0, 0.2, turned=0.2)
     written, _ = path(oval, view)
     x, y, psi = oval.to_cartesian([3.0, 0.2])
@@ -107,6 +96,10 @@ def test_the_path_is_an_arc_from_the_car_along_its_course(oval, view_at):
     np.testing.assert_allclose(np.diff(headings) / np.hypot(*steps[0]), written[0, 3], rtol=1e-2)
     assert headings[0] - psi - 0.2 == pytest.approx(0.5 * (headings[1] - headings[0]), abs=1e-6)
     assert written[0, 3] < 0.0  # turned to the left on a straight, it steers back to the right
+    free_road = path(oval, view_at(oval, 3.0))[0][0, 2]
+    behind = path(oval, view_at(oval, 3.0, gap=1.2))[0][0, 2]
+    assert behind < 0.6 * free_road
+    assert path(oval, view_at(oval, 3.0), {"top_speed": 2.5})[0][0, 2] == 2.5
 
 
 @pytest.mark.parametrize("opp_d", [-0.5, 0.5])
@@ -115,17 +108,10 @@ def test_it_avoids_an_opponent_that_it_sees(oval, view_at, opp_d):
     assert np.sign(written[0, 3]) == -np.sign(opp_d)
 
 
-def test_it_slows_down_in_front_of_what_it_sees(oval, view_at):
-    free_road = path(oval, view_at(oval, 3.0))[0][0, 2]
-    behind = path(oval, view_at(oval, 3.0, gap=1.2))[0][0, 2]
-    assert behind < 0.6 * free_road
-    assert path(oval, view_at(oval, 3.0), {"top_speed": 2.5})[0][0, 2] == 2.5
-
-
 @pytest.mark.parametrize("name", list_tracks())
 def test_it_drives_shipped_circuits_by_its_lidar_alone(name, drive_alone):
     track = load_track(name)
-    result = drive_alone(track, [GAP_FOLLOWER.policy()], duration=60.0)
+    result = drive_alone(track, [gaps.GAP_FOLLOWER.policy()], duration=60.0)
     assert not result.crashed.any()
     driven = result.state.progress[0] + [0.0, min(0.5 * track.length, 50.0)]
     assert (driven > track.length).all()

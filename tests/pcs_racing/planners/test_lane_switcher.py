@@ -1,21 +1,9 @@
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import PAPER, RaceConfig, Starts, UnknownNameError, list_tracks, load_track, run_races
-from pcs_racing.planners.lane_switcher import (
-    _FREE_COUNT,
-    _LANE,
-    _MOST_SPEED,
-    _PLACE,
-    _SIDE,
-    LANE_SWITCHER,
-    MOST_OFFSET,
-    OVERTAKING,
-    OWN_PLACE,
-    RACE_LINE,
-    STEER_LIMIT,
-    lane_offset,
-)
+from pcs_racing.planners import lane_switcher as switcher
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT, WALL_MARGIN
 from pcs_racing.planners.view import PATH_POINTS, SPEED_HIGH
@@ -27,38 +15,39 @@ VARIANTS = [str(i) for i in range(20)]
 
 def decide(track, view, memory=None, parameters=None):
     """Memory after one decision."""
-    memory = np.zeros(LANE_SWITCHER.memory_size) if memory is None else memory.copy()
-    theta = LANE_SWITCHER.policy(parameters).parameters
-    LANE_SWITCHER.plan(track.arrays, theta, view, memory, np.zeros(0), np.zeros((PATH_POINTS, 4)))
+    memory = np.zeros(switcher.LANE_SWITCHER.memory_size) if memory is None else memory.copy()
+    theta = switcher.LANE_SWITCHER.policy(parameters).parameters
+    switcher.LANE_SWITCHER.plan(track.arrays, theta, view, memory, np.zeros(0), np.zeros((PATH_POINTS, 4)))
     return memory
 
 
 def command(track, view, memory, parameters=None):
     """Steering angle and speed, and the memory after it."""
     memory, written = memory.copy(), np.full(2, np.nan)
-    theta = LANE_SWITCHER.policy(parameters).parameters
-    LANE_SWITCHER.control(track.arrays, theta, view, memory, np.zeros(0), np.zeros((PATH_POINTS, 4)), written)
+    theta = switcher.LANE_SWITCHER.policy(parameters).parameters
+    switcher.LANE_SWITCHER.control(track.arrays, theta, view, memory, np.zeros(0), np.zeros((PATH_POINTS, 4)), written)
     return written, memory
 
 
 def test_variants_are_twenty_different_drivers_within_the_bounds():
-    assert list(LANE_SWITCHER.variants) == VARIANTS
-    theta = np.array([LANE_SWITCHER.policy(name).parameters for name in VARIANTS])
+    assert list(switcher.LANE_SWITCHER.variants) == VARIANTS
+    theta = np.array([switcher.LANE_SWITCHER.policy(name).parameters for name in VARIANTS])
     assert len(np.unique(theta, axis=0)) == 20
-    assert (np.ptp(theta, axis=0) > 0.25 * np.ptp(LANE_SWITCHER.bounds, axis=1)).all()
-    assert (theta.min(axis=0) < LANE_SWITCHER.default).all()
-    assert (theta.max(axis=0) > LANE_SWITCHER.default).all()
-    count = LANE_SWITCHER.parameter_names.index("return_count")
+    assert (np.ptp(theta, axis=0) > 0.25 * np.ptp(switcher.LANE_SWITCHER.bounds, axis=1)).all()
+    assert (theta.min(axis=0) < switcher.LANE_SWITCHER.default).all()
+    assert (theta.max(axis=0) > switcher.LANE_SWITCHER.default).all()
+    count = switcher.LANE_SWITCHER.parameter_names.index("return_count")
     np.testing.assert_array_equal(theta[:, count], theta[:, count].round())
     # They are data: results name them, so they may never move.
     np.testing.assert_allclose(theta[0, [0, 2, 9]], [0.811, 1.254, 4.0])
-    with pytest.raises(UnknownNameError, match="no variant '20'"):
-        LANE_SWITCHER.policy("20")
+    refused("no variant '20'", switcher.LANE_SWITCHER.policy, "20", error=UnknownNameError)
 
 
 @pytest.mark.parametrize("name", list_tracks())
 def test_all_variants_drive_shipped_circuits_alone(name, drive_alone):
-    result = drive_alone(load_track(name), [LANE_SWITCHER.policy(variant) for variant in VARIANTS], duration=60.0)
+    result = drive_alone(
+        load_track(name), [switcher.LANE_SWITCHER.policy(variant) for variant in VARIANTS], duration=60.0
+    )
     crashed = [variant for variant, crash in zip(VARIANTS, result.crashed, strict=True) if crash]
     assert not crashed
 
@@ -68,7 +57,7 @@ def test_all_variants_drive_shipped_circuits_alone(name, drive_alone):
     ("name", "speeds"), [("Catalunya", (0.72, 0.92)), ("Oschersleben", (0.71, 0.91)), ("Spielberg", (0.69, 0.89))]
 )
 def test_all_variants_drive_real_circuits_alone(name, speeds, real_maps, drive_alone):
-    policies = [LANE_SWITCHER.policy(variant) for variant in VARIANTS]
+    policies = [switcher.LANE_SWITCHER.policy(variant) for variant in VARIANTS]
     result = drive_alone(load_track(real_maps / name), policies, speed_range=speeds)
     assert not result.crashed.any()
 
@@ -78,9 +67,9 @@ def test_all_variants_drive_real_circuits_alone(name, speeds, real_maps, drive_a
 def test_the_overtaking_lane_is_smooth_and_keeps_off_the_walls(name, side):
     track = load_track(name)
     s = np.arange(0.0, track.length, 0.1)
-    offset = np.array([lane_offset(track.arrays, at, side) for at in s])
+    offset = np.array([switcher.lane_offset(track.arrays, at, side) for at in s])
     assert (offset >= 0.0).all()
-    assert (offset <= MOST_OFFSET).all()
+    assert (offset <= switcher.MOST_OFFSET).all()
     room = track.line[(s / track.arrays.ds).astype(int), LEFT if side > 0.0 else RIGHT]
     assert (offset <= np.maximum(room - WALL_MARGIN, 0.0) + 1e-9).all()
     assert np.quantile(offset, 0.75) > 0.4
@@ -88,21 +77,29 @@ def test_the_overtaking_lane_is_smooth_and_keeps_off_the_walls(name, side):
     assert np.quantile(slope, 0.95) < 0.7
 
 
-def test_it_changes_lanes_where_the_opponent_blocks_the_race_line(oval, view_at):
+def test_it_changes_lanes_where_it_is_blocked_and_closes_up_no_faster_than_it_crosses(oval, view_at):
     memory = decide(oval, view_at(oval, STRAIGHT, gap=2.0, opp_d=0.0, opp_speed=2.0))
-    assert memory[_LANE] == OVERTAKING
+    assert memory[switcher._LANE] == switcher.OVERTAKING
     written, _ = command(oval, view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0), memory)
-    assert np.sign(written[0]) == memory[_SIDE]
+    assert np.sign(written[0]) == memory[switcher._SIDE]
     view = view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0)
     before = decide(oval, view)
     _, after = command(oval, view, before)  # the next one follows 0.02 s later
-    assert after[_PLACE] - before[_PLACE] == pytest.approx(0.02 * 1.2 * before[_SIDE])
+    assert after[switcher._PLACE] - before[switcher._PLACE] == pytest.approx(0.02 * 1.2 * before[switcher._SIDE])
+    changing = decide(oval, view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0))
+    near, far = (
+        decide(oval, view_at(oval, STRAIGHT, gap=gap, opp_speed=2.0), changing)[switcher._MOST_SPEED]
+        for gap in (1.0, 2.0)
+    )
+    assert 2.0 < near < far < 4.0
+    across = decide(oval, view_at(oval, STRAIGHT, 0.6 * changing[switcher._SIDE], gap=1.0, opp_speed=2.0), changing)
+    assert across[switcher._MOST_SPEED] < 0.0
 
 
 def test_its_speed_is_a_share_of_the_fastest_and_less_on_the_overtaking_lane(oval, view_at):
     alone = decide(oval, view_at(oval, STRAIGHT))
     across = decide(oval, view_at(oval, STRAIGHT, 0.6, gap=2.0, opp_speed=2.0))
-    assert across[_LANE] == OVERTAKING
+    assert across[switcher._LANE] == switcher.OVERTAKING
     (_, fast), (_, slow) = (command(oval, view_at(oval, STRAIGHT, speed=0.0), memory)[0] for memory in (alone, across))
     assert slow == pytest.approx(0.6 * fast)
     view = view_at(oval, STRAIGHT, speed=0.0)
@@ -112,73 +109,54 @@ def test_its_speed_is_a_share_of_the_fastest_and_less_on_the_overtaking_lane(ova
     assert command(oval, view, memory)[0][1] == pytest.approx(0.5 * fast)
 
 
-def test_it_closes_up_no_faster_than_it_crosses(oval, view_at):
-    changing = decide(oval, view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0))
-    near, far = (
-        decide(oval, view_at(oval, STRAIGHT, gap=gap, opp_speed=2.0), changing)[_MOST_SPEED] for gap in (1.0, 2.0)
-    )
-    assert 2.0 < near < far < 4.0
-    across = decide(oval, view_at(oval, STRAIGHT, 0.6 * changing[_SIDE], gap=1.0, opp_speed=2.0), changing)
-    assert across[_MOST_SPEED] < 0.0
-
-
-@pytest.mark.parametrize(
-    ("what", "view"),
-    [
+def test_it_stays_on_the_race_line_when_nobody_blocks_it(oval, view_at):
+    for what, view in [
         ("beside the line", {"gap": 2.0, "opp_d": 0.6}),
         ("too far ahead", {"gap": 6.0}),
         ("behind", {"gap": -2.0}),
-    ],
-)
-def test_it_stays_on_the_race_line_when_nobody_blocks_it(oval, view_at, what, view):
-    memory = decide(oval, view_at(oval, STRAIGHT, opp_speed=2.0, **view))
-    assert memory[_LANE] == RACE_LINE, what
-    assert memory[_MOST_SPEED] < 0.0
+    ]:
+        memory = decide(oval, view_at(oval, STRAIGHT, opp_speed=2.0, **view))
+        assert memory[switcher._LANE] == switcher.RACE_LINE, what
+        assert memory[switcher._MOST_SPEED] < 0.0
 
 
-def test_it_follows_in_corners(view_at):
+def test_it_follows_in_corners_and_where_both_lanes_are_blocked(oval, view_at):
+    view = view_at(oval, STRAIGHT, gap=2.0, opp_d=0.35, opp_speed=2.0)
+    wide = decide(oval, view, parameters={"blocking_distance": 0.6})
+    assert wide[switcher._LANE] == switcher.RACE_LINE
+    assert wide[switcher._MOST_SPEED] == pytest.approx(1.6)
     track = load_track("Kestrelheim")
     corner = float(np.argmax(np.abs(track.line[:, 5])) * track.arrays.ds)
     view = view_at(track, corner - 2.0, gap=1.5, opp_speed=2.0)
     memory = decide(track, view)
-    assert memory[_LANE] == RACE_LINE
-    assert memory[_MOST_SPEED] == pytest.approx(0.8 * 2.0)
+    assert memory[switcher._LANE] == switcher.RACE_LINE
+    assert memory[switcher._MOST_SPEED] == pytest.approx(0.8 * 2.0)
     assert command(track, view, memory)[0][1] <= max(1.6, view[4] - 0.55) + 1e-9
 
 
-def test_it_follows_when_both_lanes_are_blocked(oval, view_at):
-    view = view_at(oval, STRAIGHT, gap=2.0, opp_d=0.35, opp_speed=2.0)
-    wide = decide(oval, view, parameters={"blocking_distance": 0.6})
-    assert wide[_LANE] == RACE_LINE
-    assert wide[_MOST_SPEED] == pytest.approx(1.6)
-
-
-def test_it_returns_when_the_race_line_was_free_long_enough(oval, view_at):
+def test_it_returns_when_the_race_line_was_free_long_enough_and_not_into_a_car(oval, view_at):
     memory = decide(oval, view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0))
     gone = view_at(oval, STRAIGHT, 0.7, gap=-3.0)
     lanes = []
     for _ in range(8):
         memory = decide(oval, gone, memory)
-        lanes.append(memory[_LANE])
-    assert lanes == [OVERTAKING] * 6 + [RACE_LINE] * 2
-    assert memory[_FREE_COUNT] == 8.0
-
-
-def test_it_neither_returns_into_a_car_beside_it_nor_leaves_its_place(oval, view_at):
+        lanes.append(memory[switcher._LANE])
+    assert lanes == [switcher.OVERTAKING] * 6 + [switcher.RACE_LINE] * 2
+    assert memory[switcher._FREE_COUNT] == 8.0
     memory = decide(oval, view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0))
     for _ in range(12):
-        memory = decide(oval, view_at(oval, STRAIGHT, 0.7 * memory[_SIDE], gap=-0.2, opp_speed=4.0), memory)
-    assert memory[_LANE] == OVERTAKING
+        memory = decide(oval, view_at(oval, STRAIGHT, 0.7 * memory[switcher._SIDE], gap=-0.2, opp_speed=4.0), memory)
+    assert memory[switcher._LANE] == switcher.OVERTAKING
     memory = decide(oval, view_at(oval, STRAIGHT, 0.6, gap=0.1, opp_d=0.1, opp_speed=4.0))
-    assert memory[_LANE] == OWN_PLACE
+    assert memory[switcher._LANE] == switcher.OWN_PLACE
     memory = decide(oval, view_at(oval, STRAIGHT, 0.6, gap=-2.0, opp_d=0.1, opp_speed=4.0), memory)
-    assert memory[_LANE] == RACE_LINE
+    assert memory[switcher._LANE] == switcher.RACE_LINE
 
 
-def test_steering_is_proportional_with_a_derivative_part(oval, view_at):
+def test_steering_is_proportional_with_a_derivative_part_and_clipped(oval, view_at):
     parameters = {"gain_slow": 0.7, "gain_fast": 0.5, "lookahead_slow": 0.5, "lookahead_fast": 1.5}
     speed, offset = 3.5, 0.02
-    memory = np.zeros(LANE_SWITCHER.memory_size)
+    memory = np.zeros(switcher.LANE_SWITCHER.memory_size)
     begun = decide(oval, view_at(oval, STRAIGHT, offset, speed=speed), memory)
     begun[2] = 0.0  # steer for the race line itself
     (steer, _), after = command(oval, view_at(oval, STRAIGHT, offset, speed=speed), begun, parameters)
@@ -189,18 +167,15 @@ def test_steering_is_proportional_with_a_derivative_part(oval, view_at):
     (damped, _), _ = command(oval, later, after, {**parameters, "derivative": 2.0})
     change = -2.0 * 0.5 * offset - error
     assert damped == pytest.approx(0.6 * -2.0 * 0.5 * offset + 2.0 * change, abs=2e-4)
-
-
-def test_steering_is_clipped(oval, view_at):
     for d, sign in ((0.6, -1.0), (-0.6, 1.0)):
         begun = decide(oval, view_at(oval, STRAIGHT, d, speed=1.0))
         begun[2] = 0.0
-        assert command(oval, view_at(oval, STRAIGHT, d, speed=1.0), begun)[0][0] == sign * STEER_LIMIT
+        assert command(oval, view_at(oval, STRAIGHT, d, speed=1.0), begun)[0][0] == sign * switcher.STEER_LIMIT
 
 
-def test_it_overtakes_a_slow_car(shipped):
+def test_it_overtakes_a_slow_car_and_seldom_crashes_with_the_lattice_planner(shipped):
     """A car at less than half of its speed scale, met at thirty places of every circuit."""
-    fast = LANE_SWITCHER.policy({"other_lane_factor": 0.9, "follow_factor": 1.0})
+    fast = switcher.LANE_SWITCHER.policy({"other_lane_factor": 0.9, "follow_factor": 1.0})
     slow = PURE_PURSUIT.policy({"pace": 0.0, "follow_distance": 0.0})
     config = RaceConfig(start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(0.4, 0.9))
     overtakes, crashes = [], []
@@ -211,9 +186,6 @@ def test_it_overtakes_a_slow_car(shipped):
         crashes += result.crashed.tolist()
     assert np.mean(overtakes) > 0.85
     assert np.mean(crashes) < 0.08
-
-
-def test_races_against_the_lattice_planner_seldom_end_in_a_crash(shipped):
-    egos = [LANE_SWITCHER.policy(variant) for variant in VARIANTS]
+    egos = [switcher.LANE_SWITCHER.policy(variant) for variant in VARIANTS]
     faults = [run_races(track, egos, LATTICE.policy(), PAPER).own_crash[:, 0] for track in shipped]
     assert np.mean(faults) < 0.2

@@ -4,24 +4,14 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import (
-    RaceConfig,
-    RaceSetup,
-    Starts,
-    advance,
-    draw_starts,
-    list_tracks,
-    load_race_config,
-    load_track,
-    run_races,
-    start_races,
-)
+from pcs_racing import RaceConfig, Starts, list_tracks, load_race_config, load_track
 from pcs_racing.car.vehicle import DELTA
 from pcs_racing.planners.lattice import GRIP, LATTICE
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, hold_command
 from pcs_racing.planners.view import GAP, OPP_V, OWN_D, OWN_X, OWN_Y, PATH_POINTS, SPEED_HIGH, SPEED_LOW
+from pcs_racing.race.races import RaceSetup, advance, draw_starts, run_races, start_races
 from pcs_racing.track.frenet import KAPPA, SPEED
 
 MEMORY = np.zeros(LATTICE.memory_size)
@@ -55,7 +45,7 @@ def test_parameters():
     assert all("log10 weight" in parameter.meaning for parameter in LATTICE.parameters[:-4])
 
 
-def test_candidates_start_at_the_car_and_end_across_the_track(oval, view_at):
+def test_candidates_are_cubics_from_the_car_across_the_track(oval, view_at):
     view = view_at(oval, 3.0, 0.2)
     points, costs = candidates(oval, view)
     assert points.shape == (64, 9, 2)
@@ -70,9 +60,6 @@ def test_candidates_start_at_the_car_and_end_across_the_track(oval, view_at):
         assert np.abs(across).min() < 1e-6
         np.testing.assert_allclose(across[[0, -1]], [-0.695, 0.695], atol=0.02)  # 0.25 m beside the car's body
     assert np.isfinite(costs).sum() > 32
-
-
-def test_moves_are_cubics_across_the_track_that_end_along_the_line(oval, view_at):
     points, _ = candidates(oval, view_at(oval, 3.0, 0.2, turned=0.05, speed=4.0))
     for move in points[:16]:
         s, d = oval.to_frenet(move).T
@@ -82,7 +69,7 @@ def test_moves_are_cubics_across_the_track_that_end_along_the_line(oval, view_at
         assert cubic.deriv()(s[-1]) == pytest.approx(0.0, abs=0.01)
 
 
-def test_the_path_is_the_beginning_of_the_cheapest_candidate(oval, view_at):
+def test_pace_is_the_speed_of_the_path_which_begins_the_cheapest_candidate(oval, view_at):
     view = view_at(oval, 3.0, 0.2)
     points, costs = candidates(oval, view)
     s, d = oval.to_frenet(points[np.argmin(costs)]).T
@@ -92,9 +79,13 @@ def test_the_path_is_the_beginning_of_the_cheapest_candidate(oval, view_at):
     at, across = oval.to_frenet(written[:, :2]).T
     assert at[-1] - at[0] == pytest.approx(1.5 + 0.2 * 4.0, abs=0.01)
     np.testing.assert_allclose(across, np.polynomial.Polynomial.fit(s, d, 3)(at), atol=5e-3)
+    view = view_at(oval, 3.0)
+    slow, fast = (path(oval, view, {"pace": pace})[:, 2] for pace in (0.0, 1.0))
+    low, high = RANGE
+    np.testing.assert_allclose(slow / fast, low / high, atol=0.06)
 
 
-def test_a_wall_in_the_way_rejects_candidates(oval, view_at):
+def test_walls_and_swerves_that_would_spin_the_car_reject_candidates(oval, view_at):
     points, costs = candidates(oval, view_at(oval, 3.0))
     assert np.isfinite(costs[np.abs(oval.to_frenet(points[:, -1])[:, 1]) < 0.3]).all()
     # Next to the right wall and pointed at it, only bends to the left remain.
@@ -104,10 +95,7 @@ def test_a_wall_in_the_way_rejects_candidates(oval, view_at):
     nearest = oval.wall_distance(points).min(axis=1)
     assert nearest[~rejected].min() > 0.15
     assert rejected[nearest < 0.15].all()
-
-
-def test_a_swerve_that_would_spin_the_car_is_rejected(oval, view_at):
-    """At speed the near goals far to the side ask for more lateral acceleration than the tyres have."""
+    # At speed the near goals far to the side ask for more lateral acceleration than the tyres have.
     full_speed = np.arange(64) < 16
     points, costs = candidates(oval, view_at(oval, 3.0, speed=7.0))
     aside = np.abs(oval.to_frenet(points[:, -1])[:, 1])
@@ -117,7 +105,7 @@ def test_a_swerve_that_would_spin_the_car_is_rejected(oval, view_at):
     assert np.isfinite(costs[aside < 0.1]).all()
 
 
-def test_an_opponent_in_the_way_rejects_candidates(oval, view_at):
+def test_an_opponent_in_the_way_rejects_candidates_and_is_passed_on_the_free_side(oval, view_at):
     """Both cars' half widths and the margin are kept free beside a standing car."""
     points, costs = candidates(oval, view_at(oval, 3.0, speed=8.0, gap=8.0, opp_d=0.0))
     across = oval.to_frenet(points[:, -1])[:, 1]
@@ -129,39 +117,23 @@ def test_an_opponent_in_the_way_rejects_candidates(oval, view_at):
     assert (open_else & (np.abs(across) > 0.31 + 0.32)).any()
     full_speed = np.arange(64) < 16
     assert abs(across[full_speed][np.argmin(costs[full_speed])]) > 0.31 + 0.32
+    for opp_d in [-0.5, 0.5]:
+        end = oval.to_frenet(path(oval, view_at(oval, 3.0, gap=2.5, opp_d=opp_d, speed=3.0))[-1, :2])
+        assert np.sign(end[1]) != np.sign(opp_d) or abs(end[1]) < 0.05
+        assert abs(end[1] - opp_d) > 0.31
 
 
-@pytest.mark.parametrize("opp_d", [-0.5, 0.5])
-def test_it_passes_a_standing_car_on_the_free_side(oval, view_at, opp_d):
-    end = oval.to_frenet(path(oval, view_at(oval, 3.0, gap=2.5, opp_d=opp_d, speed=3.0))[-1, :2])
-    assert np.sign(end[1]) != np.sign(opp_d) or abs(end[1]) < 0.05
-    assert abs(end[1] - opp_d) > 0.31
-
-
-def test_pace_is_the_speed_of_the_path(oval, view_at):
-    view = view_at(oval, 3.0)
-    slow, fast = (path(oval, view, {"pace": pace})[:, 2] for pace in (0.0, 1.0))
-    low, high = RANGE
-    np.testing.assert_allclose(slow / fast, low / high, atol=0.06)
-
-
-@pytest.mark.parametrize(
-    ("gap", "expected"),
-    [(-8.0, 0.5), (-0.5, 0.5), (-0.25, 0.575), (0.0, 0.65), (0.5, 0.8), (8.0, 0.8), (100.0, 0.8)],
-)
-def test_a_policy_has_a_second_pace_behind(oval, view_at, gap, expected):
+def test_a_policy_has_a_second_pace_behind_within_the_range_of_speeds(oval, view_at):
     """A metre of lead leads from one pace to the other; a lap or more behind is behind, too."""
-    view = view_at(oval, 3.0, opp_d=0.9)
-    view[GAP] = gap
-    two = path(oval, view, {"pace": 0.5, "pace_behind": 0.3})
-    np.testing.assert_allclose(two, path(oval, view, {"pace": expected, "pace_behind": 0.0}), rtol=1e-12)
-
-
-@pytest.mark.parametrize(("pace", "behind", "expected"), [(0.8, 0.5, 1.0), (0.2, -0.5, 0.0), (0.2, -0.1, 0.1)])
-def test_the_second_pace_stays_in_the_range_of_speeds(oval, view_at, pace, behind, expected):
-    view = view_at(oval, 3.0, gap=8.0)
-    two = path(oval, view, {"pace": pace, "pace_behind": behind})
-    np.testing.assert_allclose(two, path(oval, view, {"pace": expected, "pace_behind": 0.0}), rtol=1e-12)
+    for gap, expected in [(-8.0, 0.5), (-0.5, 0.5), (-0.25, 0.575), (0.0, 0.65), (0.5, 0.8), (8.0, 0.8), (100.0, 0.8)]:
+        view = view_at(oval, 3.0, opp_d=0.9)
+        view[GAP] = gap
+        two = path(oval, view, {"pace": 0.5, "pace_behind": 0.3})
+        np.testing.assert_allclose(two, path(oval, view, {"pace": expected, "pace_behind": 0.0}), rtol=1e-12)
+    for pace, behind, expected in [(0.8, 0.5, 1.0), (0.2, -0.5, 0.0), (0.2, -0.1, 0.1)]:
+        view = view_at(oval, 3.0, gap=8.0)
+        two = path(oval, view, {"pace": pace, "pace_behind": behind})
+        np.testing.assert_allclose(two, path(oval, view, {"pace": expected, "pace_behind": 0.0}), rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", list_tracks())
@@ -187,12 +159,9 @@ def check_solo(track, drive_alone):
 def test_it_stays_near_the_race_line_when_alone(shipped, views):
     for track in shipped[:3]:
         config = RaceConfig(
-            duration=15.0,
-            start="staggered",
-            start_gap=min(0.5 * track.length, 50.0),
-            start_spacing=0.0,
+            duration=15.0, start="staggered", start_gap=min(0.5 * track.length, 50.0), start_spacing=0.0,
             speed_range=RANGE,
-        )
+        )  # fmt: skip
         seen = views(track, LATTICE.policy(), config, Starts(np.array([0.3 * track.length]), np.zeros(1, np.int64)))
         away = np.abs(seen[:, OWN_D])
         assert np.median(away) < 0.1
@@ -257,7 +226,7 @@ def test_the_paths_speed_respects_its_own_bends(scale, most, view_at):
     assert np.mean(np.array(profile) > 0.99) > 0.3  # which costs nothing where the line is straight
 
 
-def test_it_attacks_on_straights_while_a_car_is_to_be_passed_and_not_in_bends(oval, view_at):
+def test_it_attacks_on_straights_from_wholly_behind_to_wholly_ahead(oval, view_at):
     hard, soft = {"attack": 0.2, "pace_behind": 0.0}, {"attack": 0.0, "pace_behind": 0.0}
     beside = view_at(oval, 2.0, 0.5, speed=7.0, gap=2.0, opp_d=-0.6, opp_speed=6.0)
     np.testing.assert_allclose(path(oval, beside, hard)[:6, 2], 1.2 * path(oval, beside, soft)[:6, 2], rtol=0.02)
@@ -265,6 +234,13 @@ def test_it_attacks_on_straights_while_a_car_is_to_be_passed_and_not_in_bends(ov
     np.testing.assert_allclose(path(oval, bend, hard)[:, 2], path(oval, bend, soft)[:, 2], rtol=0.03)
     alone = view_at(oval, 2.0, 0.5, speed=7.0)
     np.testing.assert_array_equal(path(oval, alone, hard), path(oval, alone, soft))
+    attack = {"attack": 0.3, "pace_behind": 0.0}
+    behind, level, ahead = (view_at(oval, 1.0, 0.8, speed=7.5, gap=gap, opp_speed=7.0) for gap in (1.5, -0.3, -1.5))
+    _, attacking = plan(oval, behind, parameters=attack)
+    with_it, still = plan(oval, level, attacking, attack)
+    without, idle = plan(oval, level, parameters=attack)
+    assert with_it[:, 2].max() > without[:, 2].max() + 0.5
+    assert (still[-1], idle[-1], plan(oval, ahead, attacking, attack)[1][-1]) == (1.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("gap", [-0.65, -1.0, -2.0])
@@ -278,7 +254,7 @@ def test_a_followed_car_holds_its_place(oval, view_at, gap):
     assert np.abs(oval.to_frenet(alone[:, :2])[:, 1]).max() < 0.02
 
 
-def test_it_follows_at_a_distance_where_there_is_no_way_past(oval, view_at):
+def test_behind_a_car_it_keeps_a_distance_and_slows_before_that_car_brakes(oval, view_at):
     """With so much air to keep there is no room beside the other car: the nearer, the slower."""
     wide = {"side_margin": 0.45}
     speeds = np.array(
@@ -286,10 +262,7 @@ def test_it_follows_at_a_distance_where_there_is_no_way_past(oval, view_at):
     )
     assert (np.diff(speeds) > 0.0).all()
     assert speeds[0] < 4.0 < speeds[2] < 5.5
-
-
-def test_it_slows_before_the_car_ahead_brakes(oval, view_at):
-    """At 1.4 m and equal speed: on a straight it keeps its speed, before a bend it falls back, long before its own."""
+    # At 1.4 m and equal speed: on a straight it keeps its speed, before a bend it falls back, long before its own.
     calm = {"attack": 0.0, "side_margin": 0.45, "pace_behind": 0.0}
     straight, bend = (path(oval, view_at(oval, s, speed=5.5, gap=1.4, opp_speed=5.5), calm)[0, 2] for s in (3.0, 8.0))
     alone = path(oval, view_at(oval, 8.0, speed=5.5), calm)[0, 2]
@@ -297,22 +270,12 @@ def test_it_slows_before_the_car_ahead_brakes(oval, view_at):
     assert bend < alone - 1.0
 
 
-def test_an_attack_lasts_from_wholly_behind_to_wholly_ahead(oval, view_at):
-    attack = {"attack": 0.3, "pace_behind": 0.0}
-    behind, level, ahead = (view_at(oval, 1.0, 0.8, speed=7.5, gap=gap, opp_speed=7.0) for gap in (1.5, -0.3, -1.5))
-    _, attacking = plan(oval, behind, parameters=attack)
-    with_it, still = plan(oval, level, attacking, attack)
-    without, idle = plan(oval, level, parameters=attack)
-    assert with_it[:, 2].max() > without[:, 2].max() + 0.5
-    assert (still[-1], idle[-1], plan(oval, ahead, attacking, attack)[1][-1]) == (1.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize("gap", [2.0, 3.5, 5.0, 6.5, 8.0])
-def test_a_standing_car_is_seen_between_two_steps_of_the_prediction(oval, view_at, gap):
+def test_a_standing_car_is_seen_between_two_steps_of_the_prediction(oval, view_at):
     """At 9 m/s a step is 2.3 m, more than both cars are long; ahead is a straight."""
-    points, costs = candidates(oval, view_at(oval, 0.5, speed=9.0, gap=gap, opp_d=0.0))
-    across = oval.to_frenet(points[:, -1])[:, 1]
-    assert not np.isfinite(costs[(np.abs(across) < 0.05) & (np.arange(64) < 32)]).any()
+    for gap in [2.0, 3.5, 5.0, 6.5, 8.0]:
+        points, costs = candidates(oval, view_at(oval, 0.5, speed=9.0, gap=gap, opp_d=0.0))
+        across = oval.to_frenet(points[:, -1])[:, 1]
+        assert not np.isfinite(costs[(np.abs(across) < 0.05) & (np.arange(64) < 32)]).any()
 
 
 def test_alone_it_neither_crashes_nor_falls_behind_pure_pursuit(oval, drive_alone):

@@ -41,30 +41,24 @@ def test_the_compiled_network_is_the_networks_formula(oval, view_at, hidden):
     np.testing.assert_allclose(command, [view[STEER_MAX] * steer, 0.5 * TOP_SPEED * (1.0 + speed)], atol=1e-12)
 
 
-def test_parameters_are_the_weights():
+def test_parameters_are_the_weights_and_must_fit():
     planner = network_planner("net", (3,), np.linspace(-1.0, 1.0, 59))
     assert driver_weight_count((3,)) == (16 + 1) * 3 + (3 + 1) * 2 == len(planner.parameters)
     assert planner.parameter_names[0] == "layer0_bias_neuron0"
     assert planner.parameter_names[3] == "layer0_speed_neuron0"
     assert planner.parameter_names[-1] == "layer1_neuron2_neuron1"
     np.testing.assert_allclose(planner.default, np.linspace(-1.0, 1.0, 59))
-
-
-@pytest.mark.parametrize("hidden", [(0,), (-3,), (4, 0), (2.5,), (True,), ("8",)])
-def test_layers_have_whole_positive_widths(hidden):
-    refused("network 'net' has a hidden layer of width", network_planner, "net", hidden)
-
-
-@pytest.mark.parametrize("hidden", [(100_000,), (3000, 3000)])
-def test_networks_have_a_size_limit(hidden):
-    refused("100000 is the limit", network_planner, "net", hidden)
-
-
-def test_weights_must_fit():
     refused(r"weights of shape \(58,\)", network_planner, "net", (3,), np.zeros(58))
     refused("a weight of nan", network_planner, "net", (3,), np.full(59, np.nan))
     refused("a weight of 11", network_planner, "net", (3,), np.full(59, 11.0))
     refused(r"parameters of shape \(4,\)", network_planner("net", (3,)).policy, np.zeros(4))
+
+
+def test_layers_have_whole_positive_widths_and_networks_a_size_limit():
+    for hidden in [(0,), (-3,), (4, 0), (2.5,), (True,), ("8",)]:
+        refused("network 'net' has a hidden layer of width", network_planner, "net", hidden)
+    for hidden in [(100_000,), (3000, 3000)]:
+        refused("100000 is the limit", network_planner, "net", hidden)
 
 
 def test_inputs_are_of_order_one(oval, view_at):

@@ -6,52 +6,29 @@ from refusal import refused
 
 from pcs_racing import InputError, Parameter, Planner, Policy, UnknownNameError
 from pcs_racing.car.vehicle import BETA, DELTA, F1TENTH, PSI, Y, step
+from pcs_racing.planners import view as views
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, calm_speed, follow_path, pursuit_steering, steady_course
-from pcs_racing.planners.view import (
-    OWN_BETA,
-    OWN_PSI,
-    OWN_V,
-    OWN_X,
-    OWN_Y,
-    PATH_KAPPA,
-    PATH_POINTS,
-    PATH_SPEED,
-    PATH_X,
-    PATH_Y,
-    REAR_AXLE,
-    REAR_SLIP,
-    STEER_MAX,
-    UNDERSTEER,
-    UNDERSTEER_GAIN,
-    VIEW,
-    VIEW_SIZE,
-    WHEELBASE,
-)
 
 PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
 AIR = Parameter("air", 0.05, 0.35, 0.15, "how far away, m")
 PLANNER = Planner("example", (PACE, AIR), variants={"brave": (0.9, 0.1)})
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "default"), [(1.0, 0.0, 0.5), (0.0, 0.0, 0.0), (0.0, np.inf, 1.0), (np.nan, 1.0, 0.5)]
-)
-def test_a_parameter_needs_bounds_in_order(low, high, default):
-    refused("parameter 'x' has bounds", Parameter, "x", low, high, default, "")
-
-
-@pytest.mark.parametrize("default", [-0.1, 1.1, np.nan])
-def test_a_default_lies_between_the_bounds(default):
-    refused("parameter 'x' has default", Parameter, "x", 0.0, 1.0, default, "")
-
-
-def test_a_planner_checks_itself():
+def test_parameters_and_planners_check_themselves():
+    for low, high, default in [(1.0, 0.0, 0.5), (0.0, 0.0, 0.0), (0.0, np.inf, 1.0), (np.nan, 1.0, 0.5)]:
+        refused("parameter 'x' has bounds", Parameter, "x", low, high, default, "")
+    for default in [-0.1, 1.1, np.nan]:
+        refused("parameter 'x' has default", Parameter, "x", 0.0, 1.0, default, "")
     refused("planner 'p' names a parameter twice: pace, pace", Planner, "p", (PACE, PACE))
     refused("planner 'p' has memory_size -1", Planner, "p", (), memory_size=-1)
     refused("planner 'p' has sight nan", Planner, "p", (), sight=float("nan"))
+    assert PLANNER.memory_total == 0
+    assert Planner("p", (), drive=lambda *_: (0.0, 0.0), memory_size=3).memory_total == 3 + COMMAND_SLOTS
+    assert len(views.VIEW) == views.VIEW_SIZE
+    assert all(meaning for meaning in views.VIEW.values())
 
 
-def test_the_vector_of_a_policy():
+def test_a_policy_keeps_a_vector_of_its_own():
     assert PLANNER.parameter_names == ("pace", "air")
     np.testing.assert_array_equal(PLANNER.bounds, [[0.0, 1.0], [0.05, 0.35]])
     np.testing.assert_array_equal(PLANNER.policy().parameters, [0.5, 0.15])
@@ -60,9 +37,6 @@ def test_the_vector_of_a_policy():
     np.testing.assert_array_equal(PLANNER.policy([0.1, 0.2]).parameters, [0.1, 0.2])
     assert PLANNER.policy("brave").name == "example:brave"
     assert PLANNER.policy({"air": 0.2}, name="wide").name == "wide"
-
-
-def test_a_policy_keeps_a_vector_of_its_own_of_the_right_length():
     vector = np.array([0.1, 0.2])
     policy = PLANNER.policy(vector)
     vector[0] = 0.9
@@ -80,24 +54,20 @@ def test_samples_are_policies(seed):
     np.testing.assert_array_equal(PLANNER.sample(np.random.default_rng(seed)), theta)
 
 
-def test_fixed_parameters_keep_their_defaults_and_cost_no_draw():
+def test_fixed_parameters_keep_their_defaults_and_vectors_are_completed():
     one, other = np.random.default_rng(3), np.random.default_rng(3)
     theta = PLANNER.sample(one, fixed=("pace",))
     np.testing.assert_array_equal(theta, [PACE.default, other.uniform(AIR.low, AIR.high)])
     assert one.random() == other.random()
     assert PLANNER.without(("pace",)) == ("air",)
     refused("no parameter 'speed'", PLANNER.sample, one, fixed=("speed",), error=UnknownNameError)
-
-
-def test_vectors_of_some_parameters_are_completed():
     np.testing.assert_array_equal(PLANNER.complete(("air",), [[0.2], [0.3]]), [[0.5, 0.2], [0.5, 0.3]])
     np.testing.assert_array_equal(PLANNER.complete(("air", "pace"), [[0.2, 0.9]]), [[0.9, 0.2]])
     refused("no parameter 'speed'", PLANNER.complete, ("speed",), [[0.2]], error=UnknownNameError)
 
 
-@pytest.mark.parametrize(
-    ("parameters", "error", "message"),
-    [
+def test_bad_parameters_are_refused():
+    for parameters, error, message in [
         ([0.5], InputError, r"shape \(1,\); planner 'example'"),
         ([[0.5, 0.1]], InputError, r"shape \(1, 2\)"),
         ([np.nan, 0.1], InputError, "parameter 'pace' is nan"),
@@ -105,48 +75,33 @@ def test_vectors_of_some_parameters_are_completed():
         ([0.5, 0.5], InputError, r"parameter 'air' is 0.5"),
         ({"speed": 1.0}, UnknownNameError, "no parameter 'speed'"),
         ("timid", UnknownNameError, "no variant 'timid'"),
-    ],
-)
-def test_bad_parameters_are_refused(parameters, error, message):
-    refused(message, PLANNER.policy, parameters, error=error)
-
-
-def test_memory_and_view_have_room_and_meaning():
-    assert PLANNER.memory_total == 0
-    assert Planner("p", (), drive=lambda *_: (0.0, 0.0), memory_size=3).memory_total == 3 + COMMAND_SLOTS
-    assert len(VIEW) == VIEW_SIZE
-    assert all(meaning for meaning in VIEW.values())
-
-
-# The default control
+    ]:
+        refused(message, PLANNER.policy, parameters, error=error)
 
 
 @pytest.fixture
 def view() -> np.ndarray:
     """A car in the origin that drives along x at 4 m/s."""
-    view = np.zeros(VIEW_SIZE)
-    view[OWN_V], view[WHEELBASE], view[STEER_MAX] = 4.0, 0.33, 0.4
+    view = np.zeros(views.VIEW_SIZE)
+    view[views.OWN_V], view[views.WHEELBASE], view[views.STEER_MAX] = 4.0, 0.33, 0.4
     return view
 
 
-def test_pure_pursuit_drives_the_arc_through_the_point(view):
+def test_pure_pursuit_drives_the_arc_along_the_course_of_a_steady_bend(view):
     radius = 3.0
     x, y = radius * np.sin(0.3), radius * (1.0 - np.cos(0.3))  # on the circle that the car touches
     assert pursuit_steering(view, x, y, 0.0, 0.0) == pytest.approx(np.arctan(0.33 / radius))
     assert pursuit_steering(view, x, -y, 0.0, 0.0) == pytest.approx(-np.arctan(0.33 / radius))
     assert pursuit_steering(view, x, 0.0, 0.0, 0.0) == 0.0
     assert pursuit_steering(view, 0.1, 5.0, 0.0, 0.0) <= 0.4  # the limit of the car
-
-
-def test_pure_pursuit_aims_along_the_course_of_a_steady_bend(view):
-    """Heading and slip of the bend that cancel leave the steering as it was; the slip of the moment says nothing."""
-    view[REAR_AXLE], view[REAR_SLIP] = 0.17, 0.02
+    # Heading and slip of the bend that cancel leave the steering as it was; the slip of the moment says nothing.
+    view[views.REAR_AXLE], view[views.REAR_SLIP] = 0.17, 0.02
     usual = pursuit_steering(view, 1.0, 0.2, 0.0, 0.0)
     slip = 0.5 * (0.17 - 0.02 * 4.0**2)
-    view[OWN_PSI] = -slip
+    view[views.OWN_PSI] = -slip
     assert steady_course(view, 0.5) == pytest.approx(0.0, abs=1e-12)
     assert pursuit_steering(view, 1.0, 0.2, 0.5, 0.0) == pytest.approx(usual)
-    view[OWN_BETA] = 0.1
+    view[views.OWN_BETA] = 0.1
     assert pursuit_steering(view, 1.0, 0.2, 0.5, 0.0) == pytest.approx(usual)
 
 
@@ -154,14 +109,14 @@ def strays(speed, course, seconds=4.0):
     """How far a car strays from a straight each second after a push, when it is steered by pursuit from a course, m."""
     car = F1TENTH.as_row()
     state = np.array([0.0, 0.02, 0.0, speed, 0.0, 0.0, 0.0])
-    view = np.zeros(VIEW_SIZE)
-    view[WHEELBASE], view[STEER_MAX] = F1TENTH.wheelbase, F1TENTH.steer_max
-    view[REAR_AXLE], view[REAR_SLIP] = F1TENTH.lr, 1.0 / (F1TENTH.mu * 9.81 * F1TENTH.c_sr)
+    view = np.zeros(views.VIEW_SIZE)
+    view[views.WHEELBASE], view[views.STEER_MAX] = F1TENTH.wheelbase, F1TENTH.steer_max
+    view[views.REAR_AXLE], view[views.REAR_SLIP] = F1TENTH.lr, 1.0 / (F1TENTH.mu * 9.81 * F1TENTH.c_sr)
     ahead, away = 0.3 + 0.1 * speed, []
     for _ in range(round(50 * seconds)):  # a command every 0.02 s
         psi = np.mod(state[PSI] + np.pi, 2.0 * np.pi) - np.pi
-        view[OWN_V], view[OWN_PSI], view[OWN_Y] = speed, psi + course(state[BETA]), state[Y]
-        view[OWN_BETA] = state[BETA]
+        view[views.OWN_V], view[views.OWN_PSI], view[views.OWN_Y] = speed, psi + course(state[BETA]), state[Y]
+        view[views.OWN_BETA] = state[BETA]
         x, y = np.sqrt(ahead**2 - min(state[Y] ** 2, 0.9 * ahead**2)), 0.0
         steer = pursuit_steering(view, x, y, 0.0, 0.0)
         for _ in range(2):
@@ -170,20 +125,17 @@ def strays(speed, course, seconds=4.0):
     return np.array(away).reshape(-1, 50).max(axis=1)
 
 
-@pytest.mark.parametrize("speed", [4.0, 6.0, 9.0, 11.0])
-def test_pursuit_along_the_steady_course_is_stable_at_all_speeds(speed):
-    away = strays(speed, lambda slip: 0.0)
-    assert (np.diff(away) < 0.0).all()
-    assert away[-1] < 0.1 * away[0]
-
-
-def test_pursuit_along_the_slip_of_the_moment_would_not_be():
+def test_pursuit_is_stable_along_the_steady_course_and_not_along_the_slip_of_the_moment():
+    for speed in [4.0, 6.0, 9.0, 11.0]:
+        away = strays(speed, lambda slip: 0.0)
+        assert (np.diff(away) < 0.0).all()
+        assert away[-1] < 0.1 * away[0]
     assert strays(9.0, lambda slip: slip)[-1] > 0.2
     assert strays(4.0, lambda slip: slip)[-1] < 0.002
 
 
 def test_understeer_is_made_up_for_and_braking_is_calm(view):
-    view[UNDERSTEER] = 0.003
+    view[views.UNDERSTEER] = 0.003
     more = pursuit_steering(view, 1.0, 0.1, 0.5, 0.0) - pursuit_steering(view, 1.0, 0.1, 0.0, 0.0)
     assert more == pytest.approx(0.003 * 4.0**2 * 0.5)
     speed, acceleration = calm_speed(8.0, 2.0)
@@ -199,21 +151,18 @@ def followed(path, view):
     return command
 
 
-def test_a_path_is_followed_at_its_speed(view):
-    path = np.zeros((PATH_POINTS, 4))
-    path[:, PATH_X] = np.linspace(-1.0, 2.0, PATH_POINTS)  # the car is past its beginning
-    path[:, PATH_SPEED] = np.linspace(3.0, 6.0, PATH_POINTS)
+def test_a_path_is_followed_at_its_speed_through_the_point_at_the_right_distance(view):
+    path = np.zeros((views.PATH_POINTS, 4))
+    path[:, views.PATH_X] = np.linspace(-1.0, 2.0, views.PATH_POINTS)  # the car is past its beginning
+    path[:, views.PATH_SPEED] = np.linspace(3.0, 6.0, views.PATH_POINTS)
     command = followed(path, view)
     assert command[0] == 0.0
-    assert command[1] == pytest.approx(np.interp(0.4, path[:, PATH_X], path[:, PATH_SPEED]), abs=0.05)
-
-
-def test_a_point_of_the_path_nearer_than_its_second_one_is_aimed_at(view):
-    path = np.zeros((PATH_POINTS, 4))
-    path[:, PATH_X] = 2.0 * np.arange(PATH_POINTS)
-    path[1:, PATH_Y] = 1.0
-    path[:, PATH_SPEED] = view[OWN_V]
-    share = (0.3 + 0.1 * view[OWN_V]) / np.hypot(2.0, 1.0)
+    assert command[1] == pytest.approx(np.interp(0.4, path[:, views.PATH_X], path[:, views.PATH_SPEED]), abs=0.05)
+    path = np.zeros((views.PATH_POINTS, 4))
+    path[:, views.PATH_X] = 2.0 * np.arange(views.PATH_POINTS)
+    path[1:, views.PATH_Y] = 1.0
+    path[:, views.PATH_SPEED] = view[views.OWN_V]
+    share = (0.3 + 0.1 * view[views.OWN_V]) / np.hypot(2.0, 1.0)
     assert followed(path, view)[0] == pytest.approx(pursuit_steering(view, 2.0 * share, share, 0.0, 0.0))
 
 
@@ -230,29 +179,46 @@ def at_distance(values, away, wanted):
 def test_the_default_control_drives_through_a_point_ahead_at_the_speed_that_the_path_has_there(view, seed):
     """Paths that bend, begin behind the car or end before the point; the car slides, and its tyres yield."""
     rng = np.random.default_rng(seed)
-    v = view[OWN_V] = rng.uniform(0.5, 7.0)
-    view[OWN_X], view[OWN_Y], view[OWN_PSI], view[OWN_BETA] = rng.uniform(-2.0, 2.0, 4) * [1.0, 1.0, 1.0, 0.1]
-    view[UNDERSTEER], view[UNDERSTEER_GAIN], view[REAR_SLIP], view[REAR_AXLE] = 0.0028, -0.0004, 0.01, 0.17
-    course, t = view[OWN_PSI] + view[OWN_BETA], np.linspace(-0.15, rng.uniform(0.2, 0.6), PATH_POINTS) * v
+    v = view[views.OWN_V] = rng.uniform(0.5, 7.0)
+    view[views.OWN_X], view[views.OWN_Y], view[views.OWN_PSI], view[views.OWN_BETA] = rng.uniform(-2.0, 2.0, 4) * [
+        1.0,
+        1.0,
+        1.0,
+        0.1,
+    ]
+    view[views.UNDERSTEER], view[views.UNDERSTEER_GAIN], view[views.REAR_SLIP], view[views.REAR_AXLE] = (
+        0.0028,
+        -0.0004,
+        0.01,
+        0.17,
+    )
+    course, t = (
+        view[views.OWN_PSI] + view[views.OWN_BETA],
+        np.linspace(-0.15, rng.uniform(0.2, 0.6), views.PATH_POINTS) * v,
+    )
     bend = rng.uniform(-0.3, 0.3)
     x, y = t, 0.5 * bend * t**2 + rng.uniform(-0.05, 0.05)
     points = np.column_stack([np.cos(course) * x - np.sin(course) * y, np.sin(course) * x + np.cos(course) * y])
     path = np.column_stack(
-        [points + view[[OWN_X, OWN_Y]], v + rng.uniform(-1.0, 1.5, PATH_POINTS), bend + 0.1 * np.arange(PATH_POINTS)]
+        [
+            points + view[[views.OWN_X, views.OWN_Y]],
+            v + rng.uniform(-1.0, 1.5, views.PATH_POINTS),
+            bend + 0.1 * np.arange(views.PATH_POINTS),
+        ]
     )
-    away = np.hypot(*(path[:, :2] - view[[OWN_X, OWN_Y]]).T)
+    away = np.hypot(*(path[:, :2] - view[[views.OWN_X, views.OWN_Y]]).T)
     nearest = int(np.argmin(away))
     rest, away = path[nearest:], away[nearest:]
 
-    speed = max(at_distance(rest[:, PATH_SPEED], away, 0.1 * v), v - 0.55)  # braking at 5.5 m/s^2 at most
+    speed = max(at_distance(rest[:, views.PATH_SPEED], away, 0.1 * v), v - 0.55)  # braking at 5.5 m/s^2 at most
     reach = 0.3 + 0.1 * v
     goal = np.array([at_distance(rest[:, k], away, reach) for k in range(2)])
     past = next((k for k in range(1, len(away)) if away[k] >= reach), None)
-    kappa = rest[-1 if past is None else past - 1, PATH_KAPPA]
+    kappa = rest[-1 if past is None else past - 1, views.PATH_KAPPA]
     # The circle that touches the course and leads through the goal has the curvature 2 sin(angle) / distance. In a
     # steady bend the rear axle moves along the heading, but for the slip of its tyres.
-    course = view[OWN_PSI] + kappa * (0.17 - 0.01 * v**2)
-    way = goal - view[[OWN_X, OWN_Y]]
+    course = view[views.OWN_PSI] + kappa * (0.17 - 0.01 * v**2)
+    way = goal - view[[views.OWN_X, views.OWN_Y]]
     arc = 2.0 * np.sin(np.arctan2(way[1], way[0]) - course) / np.hypot(*way)
     yielding = 0.0028 - 0.0004 * min(10.0 * (speed - v), 9.5)
     steer = np.clip(np.arctan(0.33 * arc) + yielding * v**2 * kappa, -0.4, 0.4)

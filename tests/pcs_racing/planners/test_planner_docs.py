@@ -2,7 +2,6 @@
 
 import re
 
-import pytest
 from repository import REPOSITORY, python_blocks, run_python
 
 from pcs_racing.planners import view
@@ -12,27 +11,21 @@ from pcs_racing.planners.view import VIEW
 PAGE = (REPOSITORY / "docs" / "planners.md").read_text(encoding="utf-8")
 
 
-def test_the_table_of_the_view_is_the_view():
+def test_the_page_has_the_table_of_the_view_and_every_shipped_planner():
     section = PAGE.split("\n### The view\n")[1].split("\n#")[0]
     constants = [name for row in re.findall(r"^\|.*", section, flags=re.M) for name in re.findall(r"`(\w+)`", row)]
     assert [name.removeprefix("OWN_") for name in constants] == list(VIEW)
     assert [getattr(view, constant) for constant in constants] == list(range(len(VIEW)))
+    for name in SHIPPED:
+        assert f"| `{name}` |" in PAGE
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_every_shipped_planner_is_on_the_page(name):
-    assert f"| `{name}` |" in PAGE
-
-
-def test_the_pages_code_runs(tmp_path):
+def test_the_code_of_the_page_and_the_example_run(tmp_path):
     blocks = python_blocks(PAGE)
     assert len(blocks) >= 5
     page = tmp_path / "page.py"
     page.write_text("\n".join([*blocks, "print(result.state.memory[0, 0].max() > 10, policy.planner.name)\n"]))
     assert run_python(str(page)).splitlines()[-1] == "True follower"
-
-
-def test_the_example_runs():
     rows = run_python("examples/custom_planner.py", "--races", "4", "--track", "Pipkin").splitlines()
     assert len([row for row in rows[:7] if row]) == 7
     assert "60 races of 40 s, preset contest, on Pipkin; seed 0" in rows  # its drivers against agents of the zoo

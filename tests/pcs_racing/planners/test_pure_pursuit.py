@@ -1,15 +1,7 @@
 import numpy as np
 import pytest
 
-from pcs_racing import (
-    CONTEST,
-    PAPER,
-    RaceConfig,
-    RaceSetup,
-    Starts,
-    list_tracks,
-    load_track,
-)
+from pcs_racing import CONTEST, PAPER, RaceConfig, RaceSetup, Starts, list_tracks, load_track
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.view import OWN_D, PATH_POINTS, TIME
 from pcs_racing.race.races import run_races
@@ -22,7 +14,7 @@ def path(track, view, parameters=None):
     return written
 
 
-def test_the_path_eases_from_the_car_onto_the_race_line(oval, view_at):
+def test_the_path_eases_from_the_car_and_its_course_onto_the_race_line(oval, view_at):
     view = view_at(oval, 3.0, 0.5, speed=4.0)
     written = path(oval, view)
     sd = oval.to_frenet(written[:, :2])
@@ -32,23 +24,17 @@ def test_the_path_eases_from_the_car_onto_the_race_line(oval, view_at):
     # It starts along the car's course and ends along the line.
     assert abs(sd[1, 1] - 0.5) < 0.02
     assert abs(sd[-2, 1]) < 0.02
-
-
-def test_the_path_starts_along_the_cars_course(oval, view_at):
     written = path(oval, view_at(oval, 3.0, 0.3, turned=0.3))
     sd = oval.to_frenet(written[:2, :2])
     assert np.arctan2(sd[1, 1] - sd[0, 1], sd[1, 0] - sd[0, 0]) == pytest.approx(0.3, abs=0.1)
 
 
-def test_the_paths_curvature_is_that_of_its_points(oval, view_at):
+def test_the_path_has_the_curvature_of_its_points_and_the_pace_of_the_profile(oval, view_at):
     written = path(oval, view_at(oval, 3.0, 0.4, turned=-0.1, speed=5.0))
     steps = np.diff(written[:, :2], axis=0)
     headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
     bends = np.diff(headings) / np.hypot(*(0.5 * (steps[1:] + steps[:-1])).T)
     np.testing.assert_allclose(written[1:-1, 3], bends, atol=0.06)
-
-
-def test_pace_scales_the_profile(oval, view_at):
     view = view_at(oval, 3.0)
     low, high = RaceSetup(oval, PAPER, (PURE_PURSUIT, PURE_PURSUIT)).speed_range
     profile = oval.line[
@@ -59,16 +45,13 @@ def test_pace_scales_the_profile(oval, view_at):
         np.testing.assert_allclose(path(oval, view, {"pace": pace})[:, 2], expected, rtol=0.05)
 
 
-def test_it_slows_down_behind_an_opponent_unless_told_not_to(oval, view_at):
+def test_it_slows_down_behind_an_opponent_and_leaves_the_line_to_one_that_is_nearer_to_it(oval, view_at):
     free = path(oval, view_at(oval, 3.0))[:, 2]
     close = view_at(oval, 3.0, gap=1.0, opp_speed=2.0)
     assert (path(oval, close)[:, 2] <= 2.0).all()
     np.testing.assert_array_equal(path(oval, close, {"follow_distance": 0.0})[:, 2], free)
     beside_the_line = view_at(oval, 3.0, gap=1.0, opp_d=0.7, opp_speed=2.0)
     np.testing.assert_array_equal(path(oval, beside_the_line)[:, 2], free)
-
-
-def test_it_leaves_the_line_to_a_car_beside_it_that_is_nearer_to_it(oval, view_at):
     yields = path(oval, view_at(oval, 3.0, 0.6, gap=0.1, opp_d=0.1, opp_speed=4.0))
     assert oval.to_frenet(yields[-1, :2])[1] == pytest.approx(0.6, abs=1e-3)
     goes = path(oval, view_at(oval, 3.0, 0.1, gap=0.1, opp_d=0.6, opp_speed=4.0))
@@ -92,16 +75,13 @@ def test_it_drives_real_circuits(name, real_maps, drive_alone):
     assert not result.crashed.any()
 
 
-def test_it_keeps_to_the_line(views):
+def test_it_keeps_to_the_line_and_two_of_them_sort_themselves_out_at_the_start(views):
     track = load_track("Larkmoor")
     config = RaceConfig(duration=20.0, start="staggered", start_gap=50.0, start_spacing=0.0)
     seen = views(track, PURE_PURSUIT.policy(), config, Starts(np.array([60.0]), np.zeros(1, np.int64)))
     settled = seen[:, TIME] > 3.0  # the start is in the middle of the track
     assert settled.sum() > 100
     assert np.abs(seen[settled, OWN_D]).max() < 0.1
-
-
-def test_two_of_them_sort_themselves_out_at_the_start():
     for config in (PAPER, CONTEST):
         crashes = [
             run_races(load_track(name), [PURE_PURSUIT.policy()] * 10, PURE_PURSUIT.policy(), config).crashed
@@ -109,6 +89,3 @@ def test_two_of_them_sort_themselves_out_at_the_start():
         ]
         # They start in bends, too, and know no way round each other.
         assert np.mean(crashes) < 0.35
-
-
-# A driver written twice: compiled for numba, and in plain Python with the math module.

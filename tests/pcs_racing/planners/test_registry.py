@@ -8,15 +8,7 @@ from types import ModuleType
 import pytest
 from refusal import refused
 
-from pcs_racing import (
-    Parameter,
-    Planner,
-    UnknownNameError,
-    get_planner,
-    parse_policy,
-    planner_names,
-    register_planner,
-)
+from pcs_racing import Parameter, Planner, UnknownNameError, get_planner, parse_policy, planner_names, register_planner
 from pcs_racing.planners import registry
 
 PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
@@ -29,36 +21,32 @@ def _own_registry(monkeypatch):
     monkeypatch.setattr(registry, "_places", dict(registry._places))
 
 
-def test_a_registered_planner_is_found_by_name():
+def test_planners_are_found_by_their_names_and_others_are_pickled_whole():
     planner = Planner("mine", (PACE,))
     register_planner(planner)
     register_planner(planner)  # again: nothing happens
     assert get_planner("mine") is planner
     assert "mine" in planner_names()
-
-
-def test_two_planners_can_not_share_a_name():
-    register_planner(Planner("mine", (PACE,)))
     refused("planner 'mine' already", register_planner, Planner("mine", (PACE,), memory_size=1))
     refused("planner 'lattice' already", register_planner, Planner("lattice", ()))
     refused("planner 'lattice' already", register_planner, "somewhere.else:LATTICE", name="lattice")
+    with pytest.raises(UnknownNameError, match=r"planner 'latice' is unknown; did you mean 'lattice'\? there are: .*"):
+        get_planner("latice")
+    for name, place in registry.SHIPPED.items():
+        assert get_planner(name).name == name
+        assert get_planner(name) is resolve_name(place)
+    mine = replace(get_planner("pure-pursuit"), name="pursuit of mine")
+    found = pickle.loads(pickle.dumps(mine))
+    assert (found.name, found.parameters) == (mine.name, mine.parameters)
 
 
-@pytest.mark.parametrize("name", ["", "a:b", "a=b", "a b", "a,b", None])
-def test_a_name_can_be_told_from_the_rest_of_a_policy(name):
-    refused("must be text without", register_planner, "module:PLANNER", name=name)
-
-
-def test_a_place_is_imported_when_it_is_needed(monkeypatch):
+def test_a_place_is_imported_when_it_is_needed_or_named(monkeypatch):
     register_planner("a_module_of_mine:PLANNER", name="later")
     assert "later" in planner_names()
     module = ModuleType("a_module_of_mine")
     module.PLANNER = Planner("later", (PACE,))
     monkeypatch.setitem(sys.modules, "a_module_of_mine", module)
     assert get_planner("later") is module.PLANNER
-
-
-def test_a_place_without_a_planner_is_one_clear_error():
     register_planner("no_such_module:PLANNER", name="absent")
     refused("planner 'absent' can't be loaded from no_such_module:PLANNER: No module", get_planner, "absent")
     register_planner("math:pi", name="pi")
@@ -72,20 +60,6 @@ def test_a_planner_with_a_place_is_the_same_one_in_a_copy_and_in_another_process
     assert pickle.loads(pickle.dumps(policy)).planner is policy.planner
     assert copy.deepcopy(policy).planner is policy.planner
     assert len(pickle.dumps(policy)) < 2000
-
-
-def test_another_planner_is_pickled_with_all_that_it_holds():
-    mine = replace(get_planner("pure-pursuit"), name="pursuit of mine")
-    found = pickle.loads(pickle.dumps(mine))
-    assert (found.name, found.parameters) == (mine.name, mine.parameters)
-
-
-def test_planners_are_found_by_name_or_the_nearest_is_told():
-    with pytest.raises(UnknownNameError, match=r"planner 'latice' is unknown; did you mean 'lattice'\? there are: .*"):
-        get_planner("latice")
-    for name, place in registry.SHIPPED.items():
-        assert get_planner(name).name == name
-        assert get_planner(name) is resolve_name(place)
 
 
 def test_a_shipped_planner_is_a_file_and_a_line(monkeypatch, tmp_path):
@@ -111,42 +85,30 @@ def example() -> Planner:
     return planner
 
 
-@pytest.mark.parametrize(
-    ("text", "parameters", "name"),
-    [
+def test_a_policy_as_text(example):
+    for text, parameters, name in [
         ("example", [0.5, 1.0], "example"),
         ("example:brave", [1.0, 0.0], "example:brave"),
         ("example:1", [0.1, 0.1], "example:1"),
         ("example:air=0.25", [0.5, 0.25], "example:air=0.25"),
         (" example : air = 1e-1, pace = 1", [1.0, 0.1], "example:air=1e-1,pace=1"),
-    ],
-)
-def test_a_policy_as_text(example, text, parameters, name):
-    policy = parse_policy(text)
-    assert policy.planner is example
-    assert policy.parameters.tolist() == parameters
-    assert policy.name == name
+    ]:
+        policy = parse_policy(text)
+        assert policy.planner is example
+        assert policy.parameters.tolist() == parameters
+        assert policy.name == name
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "planner '' is unknown"),
-        (":brave", "planner '' is unknown"),
-        ("exampel", "did you mean 'example'"),
-        ("example:timid", "no variant 'timid'"),
-        ("example:", "no variant ''"),
-        ("example:speed=1", "no parameter 'speed'"),
-        ("example:pce=1", "did you mean 'pace'"),
-        ("example:pace=fast", "pace is 'fast'"),
-        ("example:pace=", "pace is ''"),
-        ("example:pace=nan", "'pace' is nan"),
-        ("example:pace=2", "'pace' is 2"),
-        ("example:pace=1,pace=0", "sets parameter 'pace' twice"),
-        ("example:pace=1,", "'' is not"),
-        ("example:brave,pace=1", "'brave' is not"),
-        (None, "policy None"),
-    ],
-)
-def test_a_bad_policy_is_one_clear_error(example, text, message):
-    refused(message, parse_policy, text)
+def test_names_and_policies_that_can_not_be_told_apart_are_one_clear_error(example):
+    for text, message in [
+        ("", "planner '' is unknown"), (":brave", "planner '' is unknown"),
+        ("exampel", "did you mean 'example'"), ("example:timid", "no variant 'timid'"),
+        ("example:", "no variant ''"), ("example:speed=1", "no parameter 'speed'"),
+        ("example:pce=1", "did you mean 'pace'"), ("example:pace=fast", "pace is 'fast'"),
+        ("example:pace=", "pace is ''"), ("example:pace=nan", "'pace' is nan"),
+        ("example:pace=2", "'pace' is 2"), ("example:pace=1,pace=0", "sets parameter 'pace' twice"),
+        ("example:pace=1,", "'' is not"), ("example:brave,pace=1", "'brave' is not"), (None, "policy None"),
+    ]:  # fmt: skip
+        refused(message, parse_policy, text)
+    for name in ["", "a:b", "a=b", "a b", "a,b", None]:
+        refused("must be text without", register_planner, "module:PLANNER", name=name)

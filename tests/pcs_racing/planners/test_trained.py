@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from random_layers import random_layers
 from refusal import refused
 
 from pcs_racing import UnknownNameError
@@ -15,13 +16,8 @@ from pcs_racing.planners.trained import load_driver, read_driver, save_driver, t
 from pcs_racing.planners.view import TIME, VIEW_SIZE
 
 
-def layers(*hidden: int, seed=1) -> DenseLayers:
-    rng = np.random.default_rng(seed)
-    sizes = [len(INPUTS), *hidden, 2]
-    shapes = list(zip(sizes[1:], sizes[:-1], strict=True))
-    return DenseLayers(
-        tuple(rng.normal(size=shape) for shape in shapes), tuple(rng.normal(size=shape[0]) for shape in shapes)
-    )
+def layers(*hidden: int) -> DenseLayers:
+    return random_layers(len(INPUTS), *hidden, 2, seed=1)
 
 
 @pytest.fixture
@@ -81,13 +77,17 @@ def test_manifests_that_do_not_fit_are_refused(folder, changes, message):
     refused(message, load_driver, folder)
 
 
-def test_files_that_are_no_driver_are_refused(folder, tmp_path):
+def test_files_and_layers_that_are_no_driver_are_refused(folder, tmp_path):
     content = (folder / "weights.safetensors").read_bytes()
     (folder / "weights.safetensors").write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
     refused("its digest differs", load_driver, folder)
     with pytest.raises(UnknownNameError, match="unknown driver 'nobody': neither a folder nor one of those shipped"):
         load_driver("nobody")
     refused(r"can't read .*manifest\.yaml", load_driver, tmp_path)
+    sound = layers(8)
+    refused("16 inputs and 8 outputs", trained_planner, "d", DenseLayers(sound.weights[:1], sound.biases[:1]), 2)
+    refused("a weight of 11", trained_planner, "d", DenseLayers(sound.weights, (sound.biases[0], np.full(2, 11))), 2)
+    refused("for 3 steps", trained_planner, "d", sound, 3)
 
 
 def test_the_shipped_driver_is_read_when_it_is_first_asked_for(folder, monkeypatch):
@@ -99,10 +99,3 @@ def test_the_shipped_driver_is_read_when_it_is_first_asked_for(folder, monkeypat
     with pytest.raises(AttributeError, match="no attribute 'OTHER'"):
         trained.OTHER  # noqa: B018
     del trained.PPO_DRIVE  # monkeypatch puts back what was there
-
-
-def test_drivers_must_fit():
-    sound = layers(8)
-    refused("16 inputs and 8 outputs", trained_planner, "d", DenseLayers(sound.weights[:1], sound.biases[:1]), 2)
-    refused("a weight of 11", trained_planner, "d", DenseLayers(sound.weights, (sound.biases[0], np.full(2, 11))), 2)
-    refused("for 3 steps", trained_planner, "d", sound, 3)

@@ -36,15 +36,10 @@ def race_on_a_straight():
     paths[:, :, :4, 1] = cars[:20:2, :, None, 1]
     paths[:, :, :4, 2:] = 0.0
     return Replay(
-        title="straight",
-        track_name="box",
-        car_names=("a", "b"),
-        cars=cars,
-        progress=cars[:, :, 0],
+        title="straight", track_name="box", car_names=("a", "b"), cars=cars, progress=cars[:, :, 0],
         walls=np.vstack([np.hstack([loop[:-1], loop[1:]]) for loop in (corners, inner)]),
-        line=np.array([[0.5, 0.9], [19.5, 0.9], [19.5, 9.5], [0.5, 9.5]]),
-        paths=paths,
-    )
+        line=np.array([[0.5, 0.9], [19.5, 0.9], [19.5, 9.5], [0.5, 9.5]]), paths=paths,
+    )  # fmt: skip
 
 
 def race_on_a_circle(seconds=4.0, candidates=0, every=1, seed=0, **changes):

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from test_many_cars import V, of_cars, placed
+from placed_cars import V, placed
+from test_many_cars import of_cars
 
 from pcs_racing import advance, load_race_config, load_track, parse_policy, run_races
 from pcs_racing.car.collision import Rectangle, car_hits_wall, rectangles_overlap
@@ -53,7 +54,7 @@ def test_the_car_that_ran_into_another_stands_still_and_may_drive_on(oval, first
     assert state.tick[0] == 2 * round(state.tick[0] / 2) > 300
 
 
-def test_a_wall_stops_a_car(oval):
+def test_a_wall_stops_a_car_and_cars_that_overlapped_may_part(oval):
     setup, state, theta = placed(oval, [(3.0, 0.0, 0.6), (20.0, 0.0)], [4.0, 0.0], contact="stop")
     drive_until_fault(setup, state, theta)
     assert (state.cars[0, 0, V], state.contact[0].tolist()) == (0.0, [WALL_CRASH, NO_CRASH])
@@ -64,9 +65,15 @@ def test_a_wall_stops_a_car(oval):
     before = state.frenet[0, 0, 1]
     advance(setup, state, theta, 100)
     assert state.frenet[0, 0, 1] < before - 0.5
+    # The car behind stands, the one ahead drives off; neither is held, whoever was to blame.
+    setup, state, theta = placed(oval, [(3.0, 0.0), (3.4, 0.0)], [0.0, 2.0], contact="stop")
+    state.crash[:], state.fault[:] = 0, 0
+    advance(setup, state, theta, 200)
+    assert state.frenet[0, 1, 0] > 6.0
+    assert state.fault[0].tolist() == [0, 0]
 
 
-def test_the_car_at_fault_is_put_back_behind_the_other(oval):
+def test_the_car_at_fault_is_put_back_behind_the_other_where_there_is_room(oval):
     setup, state, theta = placed(oval, [(3.0, 0.2), (6.0, 0.3)], [5.0, 1.0], contact="restart", duration=6.0)
     drive_until_fault(setup, state, theta)
     assert state.frenet[0, 0] == pytest.approx([state.frenet[0, 1, 0] - 2.0, 0.0], abs=0.1)
@@ -77,31 +84,7 @@ def test_the_car_at_fault_is_put_back_behind_the_other(oval):
     advance(setup, state, theta, 600)
     assert state.tick[0] == 600
     assert winners(setup.config, state).tolist() == [1]
-
-
-def test_a_car_in_a_wall_is_put_back_on_the_line_where_it_was(oval):
-    setup, state, theta = placed(oval, [(3.0, 0.0, 0.6), (20.0, 0.0)], [4.0, 0.0], contact="restart")
-    before = None
-    while not state.fault.any():
-        before = state.frenet[0, 0].copy()
-        advance(setup, state, theta, 2)
-    assert before[1] > 0.5
-    assert state.frenet[0, 0] == pytest.approx([before[0], 0.0], abs=0.15)
-    assert (state.cars[0, 0, V], state.fault[0].tolist()) == (0.0, [1, 0])
-
-
-def test_of_two_at_fault_the_one_ahead_stays_where_it_is(oval):
-    """They drive towards each other, as fast; then both face forward on the line."""
-    setup, state, theta = placed(oval, [(3.0, 0.2), (6.0, 0.2, np.pi)], [3.0, 3.0], contact="restart")
-    drive_until_fault(setup, state, theta)
-    assert state.fault[0].tolist() == [1, 1]
-    assert state.frenet[0, 1] == pytest.approx([4.8, 0.0], abs=0.15)
-    assert state.frenet[0, 1, 0] - state.frenet[0, 0, 0] == pytest.approx(2.0, abs=0.1)
-    assert (state.cars[0, :, V] == 0.0).all()
-
-
-def test_a_place_that_is_taken_is_left_free(oval):
-    """A third car stands where the first would be put: it is put behind that one."""
+    # A third car stands where the first would be put: it is put behind that one.
     places, speeds = [(6.0, 0.9), (9.0, 0.9), (6.9, 0.0)], [5.0, 0.0, 0.0]
     setup, state, theta = placed(oval, places, speeds, contact="restart")
     drive_until_fault(setup, state, theta)
@@ -110,13 +93,22 @@ def test_a_place_that_is_taken_is_left_free(oval):
     assert not touches(oval, state)
 
 
-def test_cars_that_overlapped_already_may_part(oval):
-    """The car behind stands, the one ahead drives off; neither is held, whoever was to blame."""
-    setup, state, theta = placed(oval, [(3.0, 0.0), (3.4, 0.0)], [0.0, 2.0], contact="stop")
-    state.crash[:], state.fault[:] = 0, 0
-    advance(setup, state, theta, 200)
-    assert state.frenet[0, 1, 0] > 6.0
-    assert state.fault[0].tolist() == [0, 0]
+def test_a_car_in_a_wall_is_put_back_on_the_line_and_of_two_at_fault_the_one_ahead_stays(oval):
+    setup, state, theta = placed(oval, [(3.0, 0.0, 0.6), (20.0, 0.0)], [4.0, 0.0], contact="restart")
+    before = None
+    while not state.fault.any():
+        before = state.frenet[0, 0].copy()
+        advance(setup, state, theta, 2)
+    assert before[1] > 0.5
+    assert state.frenet[0, 0] == pytest.approx([before[0], 0.0], abs=0.15)
+    assert (state.cars[0, 0, V], state.fault[0].tolist()) == (0.0, [1, 0])
+    # They drive towards each other, as fast; then both face forward on the line.
+    setup, state, theta = placed(oval, [(3.0, 0.2), (6.0, 0.2, np.pi)], [3.0, 3.0], contact="restart")
+    drive_until_fault(setup, state, theta)
+    assert state.fault[0].tolist() == [1, 1]
+    assert state.frenet[0, 1] == pytest.approx([4.8, 0.0], abs=0.15)
+    assert state.frenet[0, 1, 0] - state.frenet[0, 0, 0] == pytest.approx(2.0, abs=0.1)
+    assert (state.cars[0, :, V] == 0.0).all()
 
 
 @pytest.mark.parametrize("contact", ["stop", "restart"])

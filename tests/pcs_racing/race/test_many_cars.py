@@ -4,57 +4,18 @@ import itertools
 
 import numpy as np
 import pytest
+from placed_cars import HOLD, placed
+from refusal import refused
 
-from pcs_racing import (
-    InputError,
-    Parameter,
-    Planner,
-    RaceSetup,
-    Starts,
-    advance,
-    load_race_config,
-    parse_policy,
-    read_replay,
-    record_race,
-    run_field,
-    save_replay,
-    start_races,
-)
-from pcs_racing.base.compilation import compiled
+from pcs_racing import Starts, load_race_config, parse_policy, read_replay, record_race, save_replay
 from pcs_racing.planners.view import VIEW, VIEW_SIZE
 from pcs_racing.race.kernel import fill_view
-from pcs_racing.race.positions import place_cars
-from pcs_racing.race.races import finishing_order, pair_scores, winners
+from pcs_racing.race.races import RaceSetup, advance, finishing_order, pair_scores, run_field, start_races, winners
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, empty_state
 
-X, Y, _, V, PSI = range(5)
 QUIET = load_race_config("paper", duration=8.0, start="staggered", start_gap=1.4, start_spacing=0.45)
 FIELD = [parse_policy(text) for text in ("lattice:pace=0.3", "lattice:pace=0.8", "pure-pursuit", "lane-switcher:3")]
-
-
-@compiled
-def hold(track, theta, view, memory, scratch, path, command):
-    command[0] = theta[0]
-    command[1] = theta[1]
-
-
-HOLD = Planner(
-    "hold", (Parameter("steer", -1.0, 1.0, 0.0, "rad"), Parameter("speed", -3.0, 9.0, 0.0, "m/s")), control=hold
-)
-
-
-def placed(track, places, speeds=None, planner=HOLD, **rules):
-    """A race of cars that stand at (s, d) or (s, d, turned by) or drive so fast; they hold their speed."""
-    speeds = [0.0] * len(places) if speeds is None else speeds
-    setup = RaceSetup(track, load_race_config("paper", **rules), (planner,) * len(places))
-    state = empty_state(1, setup.memory_size, len(places))
-    for car, (s, d, *turned) in enumerate(places):
-        x, y, psi = track.to_cartesian([s, d])
-        state.cars[0, car, [X, Y, V, PSI]] = x, y, speeds[car], psi + sum(turned)
-        state.progress[0, car] = s
-    place_cars(track.arrays, state, np.stack([[vehicle.as_row() for vehicle in setup.vehicles]]))
-    return setup, state, np.array([[(0.0, speed) for speed in speeds]])
 
 
 def of_cars(state, cars):
@@ -68,7 +29,7 @@ def assert_same(found, expected):
         np.testing.assert_array_equal(found[name], array, err_msg=name)
 
 
-def test_numbers_of_cars_do_not_matter(oval):
+def test_numbers_of_cars_do_not_matter_nor_does_a_car_far_away(oval):
     """Lattice cars that meet each other, in every order: the same race to the last bit."""
     places, paces = [(2.0, 0.3), (3.6, -0.3), (5.5, 0.2)], [0.9, 0.5, 0.1]
     policy = {pace: parse_policy(f"lattice:pace={pace}") for pace in paces}
@@ -81,9 +42,6 @@ def test_numbers_of_cars_do_not_matter(oval):
     for end in ends:
         assert_same(end, ends[0])
     assert ends[0]["sums"][..., list(SUMS).index("BLOCKING")].any()
-
-
-def test_a_car_far_away_changes_nothing(oval):
     race, lattice = load_race_config("contest"), parse_policy("lattice").planner
     ends = []
     for count in (2, 3):
@@ -98,7 +56,7 @@ def test_a_car_far_away_changes_nothing(oval):
     assert ends[0]["disturbance"].all()
 
 
-@pytest.mark.parametrize("count", [1, 3, 8])
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
 def test_a_race_does_not_depend_on_batch_or_threads(oval, count):
     rules = load_race_config("contest", duration=3.0, contact="stop")
     drivers = [[FIELD[(car + race) % 2] for race in range(5)] for car in range(count)]
@@ -107,13 +65,6 @@ def test_a_race_does_not_depend_on_batch_or_threads(oval, count):
         np.testing.assert_array_equal(getattr(two.state, name), array, err_msg=name)
     first = run_field(oval, [car[:1] for car in drivers], rules, seed=3)
     np.testing.assert_array_equal(first.state.cars[0], one.state.cars[0])
-
-
-def test_a_race_has_one_to_eight_drivers(oval):
-    with pytest.raises(InputError, match="1 to 8"):
-        run_field(oval, FIELD * 3, QUIET)
-    with pytest.raises(InputError, match=r"\[2, 3\]"):
-        run_field(oval, [FIELD[:2], FIELD[:3]], QUIET)
 
 
 @pytest.mark.parametrize(("start", "gap"), [("staggered", 1.4), ("side-by-side", 0.0)])
@@ -159,7 +110,7 @@ def test_a_crash_of_two_ends_the_race_of_all(oval):
     assert pair_scores(rules, state)[0].tolist() == [[0.5, 1.0, 1.0], [0.0, 0.5, 0.0], [0.0, 1.0, 0.5]]
 
 
-def test_the_finishing_order_is_that_of_progress():
+def test_a_race_has_one_to_eight_drivers_and_a_finishing_order(oval):
     state = empty_state(2, 0, 4)
     state.progress[:] = [[5.0, 9.0, 1.0, 7.0], [5.0, 4.0, 5.005, 1.0]]
     assert finishing_order(state).tolist() == [[1, 3, 0, 2], [2, 0, 1, 3]]
@@ -169,19 +120,18 @@ def test_the_finishing_order_is_that_of_progress():
     np.testing.assert_array_equal(scores + scores.transpose(0, 2, 1), 1.0)
     assert scores[1, 0].tolist() == [0.5, 1.0, 0.5, 1.0]
     assert winners(rules, empty_state(1, 0, 1)).tolist() == [-1]
+    refused("1 to 8", run_field, oval, FIELD * 3, QUIET)
+    refused(r"\[2, 3\]", run_field, oval, [FIELD[:2], FIELD[:3]], QUIET)
 
 
-def test_passes_are_counted_for_every_pair(oval):
+def test_passes_and_times_to_collision_count_every_pair(oval):
     setup, state, theta = placed(oval, [(3.0, 0.5), (6.0, 0.5), (9.0, -0.5)])
     for progress in ([0.0, 2.0, 4.0], [3.0, 2.0, 4.0], [5.0, 2.0, 4.0], [5.0, 4.7, 4.0], [5.0, 6.0, 4.0]):
         state.progress[0] = progress
         advance(setup, state, theta, 2)
     assert state.overtakes[0].tolist() == [2, 2, 0]
     assert state.leader[0] == 1
-
-
-def test_the_time_to_collision_counts_the_third_car(oval):
-    """At 2 m/s towards one that stands 1.2 m ahead, nearer than the walls: the mean after 0.05 and 0.1 s."""
+    # At 2 m/s towards one that stands 1.2 m ahead, nearer than the walls: the mean after 0.05 and 0.1 s.
     column, times = list(SUMS).index("ITTC"), []
     for count in (2, 3):
         setup, state, theta = placed(oval, [(2.0, 0.0), (22.0, 0.0), (3.2, 0.0)][:count], [2.0, 0.0, 0.0][:count])

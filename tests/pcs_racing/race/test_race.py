@@ -7,34 +7,17 @@ from hypothesis import strategies as st
 from recorded_races import PYTHON
 from refusal import refused
 
-from pcs_racing import (
-    CONTEST,
-    PAPER,
-    InputError,
-    Parameter,
-    Planner,
-    RaceResult,
-    RaceSetup,
-    RaceState,
-    Starts,
-    VehicleParams,
-    advance,
-    draw_starts,
-    load_race_config,
-    load_state,
-    run_races,
-    save_state,
-    start_races,
-)
+from pcs_racing import CONTEST, PAPER, InputError, Parameter, Planner, RaceResult, RaceState, Starts, load_race_config
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.config import DT
 from pcs_racing.race.driving import _pieces, pad_parameters
 from pcs_racing.race.positions import count_crossing
-from pcs_racing.race.races import start_lines, starts_of
-from pcs_racing.race.state import ITTC, ITTC_SAMPLES, NO_CRASH, WALL_CRASH, empty_state
+from pcs_racing.race.races import RaceSetup, advance, draw_starts, run_races, start_lines, start_races, starts_of
+from pcs_racing.race.state import ITTC, ITTC_SAMPLES, NO_CRASH, WALL_CRASH, empty_state, load_state, save_state
 from pcs_racing.track.track import Calibration
 
 SHORT = load_race_config("paper", duration=6.0)
@@ -74,20 +57,11 @@ def begin(track, config, egos, opponents, seed=0):
     return setup, state, theta
 
 
-# Determinism
-
-
 @pytest.mark.parametrize("config", [SHORT, NOISY], ids=lambda config: config.name)
 def test_a_race_does_not_depend_on_the_batch_it_is_in(oval, config):
     many = run_races(oval, [lattice(pace=0.1 * k) for k in range(8)], lattice(), config, seed=5)
     few = run_races(oval, [lattice(pace=0.1 * k) for k in range(3)], lattice(), config, seed=5)
     assert_same(few.state, RaceState._make(array[:3] for array in many.state))
-
-
-def test_a_race_does_not_depend_on_the_number_of_threads(oval):
-    egos = [lattice(pace=0.1 * k) for k in range(9)]
-    one, three = (run_races(oval, egos, lattice(), NOISY, seed=2, threads=threads) for threads in (1, 3))
-    assert_same(three.state, one.state)
 
 
 @pytest.mark.parametrize(("ticks", "size"), [(4000, 4), (100, 28), (2, 100)])
@@ -100,7 +74,7 @@ def test_threads_get_pieces_of_whole_groups_or_of_equal_size(oval, ticks, size):
     assert max(last - first for first, last in ranges) == size
 
 
-def test_without_the_time_to_collision_a_race_is_the_same(oval):
+def test_the_seed_decides_a_race_and_its_times_to_collision_do_not(oval):
     setup, state, theta = begin(oval, NOISY, [lattice(pace=0.7)] * 3, [lattice()] * 3)
     bare = state.copy()
     advance(setup, state, theta, 400)
@@ -109,14 +83,14 @@ def test_without_the_time_to_collision_a_race_is_the_same(oval):
     assert (state.sums[..., ITTC_SAMPLES] > 0).all()
     np.testing.assert_array_equal(bare.sums[..., [ITTC, ITTC_SAMPLES]], 0.0)
     np.testing.assert_array_equal(bare.sums[..., ITTC_SAMPLES + 1 :], state.sums[..., ITTC_SAMPLES + 1 :])
-
-
-def test_the_seed_decides_starts_and_noise(oval):
     one, other = (run_races(oval, [lattice()] * 4, lattice(), NOISY, seed=seed) for seed in (1, 2))
     assert not np.array_equal(one.starts.s, other.starts.s)
     assert not np.array_equal(one.state.disturbance, other.state.disturbance)
     moved = run_races(oval, [lattice()] * 4, lattice(), NOISY, seed=2, starts=one.starts)
     assert not np.array_equal(one.state.cars, moved.state.cars)
+    batch = draw_starts(oval, PAPER, 200, seed=3)
+    one = starts_of(oval, PAPER, [137], seed=3)
+    assert (one.s[0], one.side[0]) == (batch.s[137], batch.side[137])
 
 
 @settings(max_examples=12)
@@ -149,22 +123,6 @@ def test_a_python_driver_can_be_stopped_and_continued(oval):
     assert_same(continued, whole)
 
 
-@pytest.mark.parametrize("planner", [LATTICE, PURE_PURSUIT])
-def test_the_number_of_a_car_does_not_matter(oval, planner):
-    """The same two drivers in the same places, numbered the other way round, drive the same race."""
-    slow, fast = lattice(pace=0.3), planner.policy({"pace": 0.8})
-    starts = draw_starts(oval, SHORT, 6, seed=0)
-    mirrored = Starts(starts.s, 1 - starts.side)
-    one = run_races(oval, [slow] * 6, fast, SHORT, starts=starts)
-    other = run_races(oval, [fast] * 6, slow, SHORT, starts=mirrored)
-    np.testing.assert_array_equal(one.state.cars, other.state.cars[:, ::-1])
-    np.testing.assert_array_equal(one.lead, -other.lead)
-    np.testing.assert_array_equal(one.state.fault, other.state.fault[:, ::-1])
-
-
-# Planners and tracks side by side
-
-
 def test_different_planners_in_one_batch_equal_separate_runs(oval):
     egos = [lattice(pace=0.4), PYTHON.policy(), lattice(pace=0.8), STRAIGHT.policy()]
     opponents = [lattice(), lattice(), PYTHON.policy({"pace": 0.5}), PYTHON.policy()]
@@ -178,16 +136,13 @@ def test_different_planners_in_one_batch_equal_separate_runs(oval):
         np.testing.assert_array_equal(row.memory[..., :used], alone.state.memory)
 
 
-def test_the_same_driver_compiled_and_in_python_drives_the_same_race(oval):
+def test_the_same_driver_compiled_and_in_python_drives_the_same_race_at_fifty_hertz(oval):
     starts = draw_starts(oval, NOISY, 3, seed=0)
     races = [
         run_races(oval, [planner.policy()] * 3, lattice(), NOISY, starts=starts)
         for planner in (STRAIGHT, STRAIGHT_IN_PYTHON)
     ]
     assert_same(races[1].state, races[0].state, skip=("memory",))
-
-
-def test_a_python_driver_is_asked_fifty_times_a_second(oval):
     result = run_races(oval, PYTHON.policy(), PYTHON.policy({"pace": 0.5}), SHORT)
     assert not result.crashed.any()
     asked = result.state.memory[0, :, 2]  # after the two numbers of its command
@@ -206,9 +161,6 @@ def test_each_car_has_its_own_vehicle_and_the_memory_that_its_steering_needs(ova
     for vehicles in ((late, prompt), (prompt, late)):
         assert dataclasses.replace(usual, vehicles=vehicles).memory_size == usual.memory_size + 5
     assert dataclasses.replace(usual, most_delay=0.04).memory_size == usual.memory_size + 2
-
-
-# Laps
 
 
 def test_laps_are_those_that_progress_tells(oval):
@@ -238,19 +190,7 @@ def test_laps_are_those_that_progress_tells(oval):
     assert state.lap_count[0, 0] >= 2
 
 
-def test_who_rolls_back_over_the_line_has_driven_no_lap():
-    state, length = empty_state(1, 0), 100.0
-    for tick, driven in ((0, 0.5), (10, -0.5), (20, 0.5), (5000, 0.5), (5010, -0.5), (5020, 0.5), (9000, 0.5)):
-        count_crossing(length, length - 0.25 if driven > 0 else 0.25, driven, tick, state.laps, 0, 0)
-    assert state.lap_count.tolist() == [[2, 0]]
-    assert state.lap_time[0, 0] == pytest.approx(40.0)
-    assert state.best_lap[0, 0] == pytest.approx(40.0)
-
-
-# Crashes
-
-
-def test_driving_into_a_wall_is_the_drivers_own_fault_and_ends_the_race(oval):
+def test_driving_into_a_wall_ends_the_race_and_who_rolls_back_drives_no_lap(oval):
     ahead = load_race_config("paper", start="staggered", start_gap=4.0, start_spacing=0.5)
     result = run_races(oval, STRAIGHT.policy(), lattice(), ahead)
     assert result.state.crash[0].tolist() == [WALL_CRASH, NO_CRASH]
@@ -258,6 +198,12 @@ def test_driving_into_a_wall_is_the_drivers_own_fault_and_ends_the_race(oval):
     assert result.crashed.all()
     assert result.own_crash.tolist() == [[True, False]]
     assert 0.0 < result.time[0] < PAPER.duration
+    state, length = empty_state(1, 0), 100.0
+    for tick, driven in ((0, 0.5), (10, -0.5), (20, 0.5), (5000, 0.5), (5010, -0.5), (5020, 0.5), (9000, 0.5)):
+        count_crossing(length, length - 0.25 if driven > 0 else 0.25, driven, tick, state.laps, 0, 0)
+    assert state.lap_count.tolist() == [[2, 0]]
+    assert state.lap_time[0, 0] == pytest.approx(40.0)
+    assert state.best_lap[0, 0] == pytest.approx(40.0)
 
 
 @pytest.mark.parametrize(
@@ -284,22 +230,11 @@ def test_who_wins(fault, lead, nobody, fault_loses):
         assert RaceResult(config, state, starts).winner.tolist() == [expected]
 
 
-# Starts
-
-
 ROLLING = load_race_config("contest", start="rolling")
 
 
 @pytest.mark.parametrize("config", [PAPER, CONTEST, ROLLING], ids=lambda config: config.start)
-def test_starts_alternate_sides_on_several_lines(oval, config):
-    starts = draw_starts(oval, config, 10, seed=0)
-    assert len(np.unique(starts.s)) == 5
-    np.testing.assert_array_equal(starts.side, [0, 1] * 5)
-    np.testing.assert_array_equal(starts.s[::2], starts.s[1::2])  # each line from both sides
-
-
-@pytest.mark.parametrize("config", [PAPER, CONTEST, ROLLING], ids=lambda config: config.start)
-def test_the_cars_stand_beside_or_behind_each_other(oval, config):
+def test_the_cars_stand_beside_or_behind_each_other_on_several_lines(oval, config):
     setup = RaceSetup(oval, config, (LATTICE, LATTICE))
     # On the straights, where distances along and across the track are those between the cars.
     starts = Starts(np.repeat([4.0, 6.0, 8.0, 28.0, 32.0], 2), np.tile([0, 1], 5))
@@ -315,6 +250,10 @@ def test_the_cars_stand_beside_or_behind_each_other(oval, config):
     low = setup.speed_range[0]
     speed = state.cars[..., 3]
     assert (speed > (5.0 if config.start == "rolling" else 3.9) * low).all()
+    starts = draw_starts(oval, config, 10, seed=0)
+    assert len(np.unique(starts.s)) == 5
+    np.testing.assert_array_equal(starts.side, [0, 1] * 5)
+    np.testing.assert_array_equal(starts.s[::2], starts.s[1::2])  # each line from both sides
 
 
 def test_the_speed_range_comes_from_the_rules_else_from_the_calibration_of_the_circuit(oval):
@@ -334,9 +273,6 @@ def test_games_of_training_start_from_places_that_tables_do_not_use(oval):
         assert test
         assert not train & test
     refused("split is 'both'", start_lines, oval, PAPER, 0, split="both")
-
-
-def test_a_side_with_a_single_place_leaves_the_other_split_to_the_other_side(oval):
     places = {"left": ((2.0, 9.5),), "right": ((26.5, 26.5),)}
     lopsided = dataclasses.replace(oval, calibration={"paper": Calibration((0.8, 1.0), 0.9, places)})
     train, test = (start_lines(lopsided, PAPER, 0, split=split) for split in ("train", "test"))
@@ -345,43 +281,27 @@ def test_a_side_with_a_single_place_leaves_the_other_split_to_the_other_side(ova
     assert not set(train) & set(test)
 
 
-def test_the_start_of_one_race_is_that_of_the_batch(oval):
-    batch = draw_starts(oval, PAPER, 200, seed=3)
-    one = starts_of(oval, PAPER, [137], seed=3)
-    assert (one.s[0], one.side[0]) == (batch.s[137], batch.side[137])
-
-
-@pytest.mark.parametrize(
-    ("s", "side", "message"),
-    [
+def test_starts_off_the_track_and_in_the_wall_are_refused(oval):
+    for s, side, message in [
         (-0.1, 0, r"start line -0.1 m"),
         (1e6, 0, r"it must lie in \[0, 49"),
         (np.nan, 0, "start line nan m"),
         (1.0, 2, r"start sides .* 2"),
-    ],
-)
-def test_a_start_off_the_track_is_refused(oval, s, side, message):
-    starts = Starts(np.array([1.0, s]), np.array([0, side]))
-    refused(message, run_races, oval, [lattice()] * 2, lattice(), SHORT, starts=starts)
-
-
-def test_a_start_in_the_wall_is_refused(oval):
+    ]:
+        starts = Starts(np.array([1.0, s]), np.array([0, side]))
+        refused(message, run_races, oval, [lattice()] * 2, lattice(), SHORT, starts=starts)
     wide = load_race_config("paper", start_spacing=2.0)
     with pytest.raises(InputError, match=r"race 0: at start line 0\.00 m"):
         run_races(oval, lattice(), lattice(), wide, starts=Starts(np.zeros(1), np.zeros(1, np.int64)))
     refused("has no place", run_races, oval, lattice(), lattice(), wide)
 
 
-# Bad input
-
-
 LINE = Starts(np.zeros(1), np.zeros(1, np.int64))
 BROKEN = Planner("broken", (), drive=lambda track, theta, view, memory: (np.nan, 1.0))
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
+def test_bad_arguments_are_refused(oval):
+    for call, message in [
         (lambda oval, *_: draw_starts(oval, PAPER, 2, 1.5), "seed is 1.5"),
         (lambda *_: race_seeds(-1, 2), "seed is -1"),
         (lambda oval, *_: run_races(oval, [lattice()] * 2, [lattice()] * 3, SHORT), "2 egos but 3 opponents"),
@@ -393,7 +313,5 @@ BROKEN = Planner("broken", (), drive=lambda track, theta, view, memory: (np.nan,
         (lambda _, setup, state, theta: advance(setup, state, theta, 3), "ticks is 3"),
         (lambda _, setup, state, theta: advance(setup, state, theta[..., :3], 2), r"theta .*\(1, 2, 3\)"),
         (lambda _, setup, state, theta: advance(setup, state, theta.astype(np.float32), 2), "type float32"),
-    ],
-)
-def test_bad_arguments_are_refused(oval, call, message):
-    refused(message, call, oval, *begin(oval, SHORT, [lattice()], [lattice()]))
+    ]:
+        refused(message, call, oval, *begin(oval, SHORT, [lattice()], [lattice()]))

@@ -5,6 +5,7 @@ All of it also runs as plain Python (``NUMBA_DISABLE_JIT=1``) in little time: ``
 
 import numpy as np
 import pytest
+from placed_cars import BETA, DELTA, PSI, PSI_DOT, V, X, Y, placed
 
 from pcs_racing import Parameter, Planner, RaceSetup, Starts, VehicleParams, advance, load_race_config, start_races
 from pcs_racing.base.compilation import compiled
@@ -12,14 +13,13 @@ from pcs_racing.car.ittc import minimum_ittc
 from pcs_racing.car.vehicle import F1TENTH, simulate
 from pcs_racing.planners.view import VIEW, VIEW_SIZE
 from pcs_racing.race.kernel import fill_view
-from pcs_racing.race.positions import place_cars, update_progress
+from pcs_racing.race.positions import update_progress
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
 from pcs_racing.race.steering import delayed, steering_noise
 from pcs_racing.track.frenet import SPEED
 
-X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
 COLUMN = {name: k for k, name in enumerate(SUMS)}
-STEP, PERIOD = 0.01, 0.02  # s: of the simulation, and between two commands
+PERIOD = 0.02  # s, between two commands
 
 # Two cars that have no number in common, so that none can stand for the other's.
 SHORT = VehicleParams(mu=1.0, c_sf=4.5, c_sr=5.3, lf=0.15, lr=0.17, h=0.07, width=0.30, length=0.50)
@@ -36,45 +36,11 @@ def change_lanes(track, theta, view, memory):
     return 1.2 * turn - 0.8 * (seen["D"] - lane) + 0.33 * sample[5], theta[0] + theta[1] * np.sin(seen["TIME"])
 
 
-@compiled
-def hold(track, theta, view, memory, scratch, path, command):
-    command[0] = theta[0]
-    command[1] = theta[1]
-
-
-DRIVER = Planner(
-    "lanes",
-    (
-        Parameter("speed", 0.0, 9.0, 4.0, "m/s"),
-        Parameter("swell", -3.0, 3.0, 0.0, "m/s"),
-        Parameter("lane", -1.0, 1.0, 0.0, "m"),
-    ),
-    drive=change_lanes,
-)
-HOLD = Planner(
-    "hold", (Parameter("steer", -0.4, 0.4, 0.0, "rad"), Parameter("speed", -3.0, 9.0, 4.0, "m/s")), control=hold
-)
+LANES = (("speed", 0.0, 9.0, 4.0, "m/s"), ("swell", -3.0, 3.0, 0.0, "m/s"), ("lane", -1.0, 1.0, 0.0, "m"))
+DRIVER = Planner("lanes", tuple(Parameter(*one) for one in LANES), drive=change_lanes)
 RULES = load_race_config(
     "paper", start="staggered", start_gap=2.4, start_spacing=0.0, steering_noise=0.02, noise_time=0.5, duration=9.0
 )
-
-
-def wrapped(angle):
-    return np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
-
-
-def placed(track, poses, speeds=(0.0, 0.0), drivers=((0.0, 0.0), (0.0, 0.0)), vehicles=(F1TENTH, F1TENTH), **rules):
-    """A race of two cars that stand at (s, d) or (s, d, turned by), with what is needed to drive it on."""
-    config = load_race_config("paper", **rules)
-    setup = RaceSetup(track, config, (HOLD, HOLD), vehicles)
-    state = empty_state(1, setup.memory_size)
-    for car, (s, d, *turned) in enumerate(poses):
-        x, y, psi = track.to_cartesian([s, d])
-        state.cars[0, car, [X, Y, PSI]] = x, y, psi + sum(turned)
-        state.cars[0, car, V] = speeds[car]
-        state.progress[0, car] = s
-    place_cars(track.arrays, state, np.stack([[vehicle.as_row() for vehicle in vehicles]]))
-    return setup, state, np.array([drivers])
 
 
 class Account:
@@ -173,9 +139,6 @@ def test_a_race_counts_what_a_second_account_of_it_counts(coarse_oval):
     np.testing.assert_array_equal(account.sums[:, COLUMN["ITTC_SAMPLES"]], 9.0 * 20)
 
 
-# What drivers see
-
-
 def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
     setup = RaceSetup(coarse_oval, RULES, (DRIVER, DRIVER), CARS)
     state = start_races(setup, Starts(np.array([10.0]), np.array([0])), np.array([5], np.uint64))
@@ -192,55 +155,22 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
         later = coarse_oval.to_frenet(other[:2] + 1e-4 * np.array(velocity(other)))[1]
         stiffness = body.mu * 9.81
         expected = {
-            "TIME": 1.5,
-            "X": own[X],
-            "Y": own[Y],
-            "DELTA": own[DELTA],
-            "V": own[V],
-            "PSI": own[PSI],
-            "PSI_DOT": own[PSI_DOT],
-            "BETA": own[BETA],
-            "S": s,
-            "D": d,
-            "OPP_X": other[X],
-            "OPP_Y": other[Y],
-            "OPP_V": other[V],
-            "OPP_PSI": other[PSI],
-            "OPP_BETA": other[BETA],
-            "OPP_S": other_s,
-            "OPP_D": other_d,
-            "GAP": state.progress[0, 1 - car] - state.progress[0, car],
-            "LENGTH": body.length,
-            "WIDTH": body.width,
-            "WHEELBASE": body.wheelbase,
-            "STEER_MAX": body.steer_max,
+            "TIME": 1.5, "X": own[X], "Y": own[Y], "DELTA": own[DELTA], "V": own[V], "PSI": own[PSI],
+            "PSI_DOT": own[PSI_DOT], "BETA": own[BETA], "S": s, "D": d,
+            "OPP_X": other[X], "OPP_Y": other[Y], "OPP_V": other[V], "OPP_PSI": other[PSI], "OPP_BETA": other[BETA],
+            "OPP_S": other_s, "OPP_D": other_d, "GAP": state.progress[0, 1 - car] - state.progress[0, car],
+            "LENGTH": body.length, "WIDTH": body.width, "WHEELBASE": body.wheelbase, "STEER_MAX": body.steer_max,
             "UNDERSTEER": (1.0 / body.c_sf - 1.0 / body.c_sr) / stiffness,
-            "UNDERSTEER_GAIN": body.h
-            * (1.0 / (body.c_sf * body.lr) + 1.0 / (body.c_sr * body.lf))
-            / (stiffness * 9.81),
-            "REAR_SLIP": 1.0 / (stiffness * body.c_sr),
-            "REAR_AXLE": body.lr,
-            "OPP_LENGTH": rival.length,
-            "OPP_WIDTH": rival.width,
-            "SPEED_LOW": 0.8,
-            "SPEED_HIGH": 1.0,
-        }
+            "UNDERSTEER_GAIN": body.h * (1.0 / (body.c_sf * body.lr) + 1.0 / (body.c_sr * body.lf)) / stiffness / 9.81,
+            "REAR_SLIP": 1.0 / (stiffness * body.c_sr), "REAR_AXLE": body.lr,
+            "OPP_LENGTH": rival.length, "OPP_WIDTH": rival.width, "SPEED_LOW": 0.8, "SPEED_HIGH": 1.0,
+        }  # fmt: skip
         seen = dict(zip(VIEW, view, strict=True))
         assert seen.pop("OPP_D_DOT") == pytest.approx((later - other_d) / 1e-4, abs=0.15)
         assert seen == pytest.approx(expected, abs=1e-6)
 
 
-# Noise
-
-
-def test_a_command_is_due_after_the_delay_of_its_car():
-    """The queue stands at the end of the driver's memory; what is before belongs to the driver."""
-    memory, queue = np.array([9.0, 9.0, 0.0, 0.0, 0.0]), getattr(delayed, "py_func", delayed)
-    assert [queue(memory, 3.0, 2 * k, k + 1.0) for k in range(8)] == [0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    assert memory[:2].tolist() == [9.0, 9.0]
-
-
-def test_noise_is_the_sum_of_the_four_parts_of_a_scrambled_number():
+def test_noise_is_the_sum_of_four_parts_and_a_command_is_due_after_its_delay():
     """With whole numbers of Python's, which do not overflow."""
 
     def scrambled(key):
@@ -254,38 +184,35 @@ def test_noise_is_the_sum_of_the_four_parts_of_a_scrambled_number():
         parts = [(key >> shift) % 65536 / 65535 for shift in (0, 16, 32, 48)]
         expected = (sum(parts) - 2.0) * np.sqrt(3.0)  # four uniform numbers have the variance 4 / 12
         assert steering_noise(np.uint64(seed), car, tick) == pytest.approx(expected, abs=1e-12)
-
-
-# Crashes and who is to blame
+    # The queue stands at the end of the driver's memory; what is before belongs to the driver.
+    memory, queue = np.array([9.0, 9.0, 0.0, 0.0, 0.0]), getattr(delayed, "py_func", delayed)
+    assert [queue(memory, 3.0, 2 * k, k + 1.0) for k in range(8)] == [0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert memory[:2].tolist() == [9.0, 9.0]
 
 
 def crash_and_fault(state):
     return state.crash[0].tolist(), state.fault[0].tolist()
 
 
-@pytest.mark.parametrize(
-    ("places", "crash", "fault"),
-    [
+def test_a_wall_is_the_fault_of_the_car_that_stands_in_it(coarse_oval):
+    for places, crash, fault in [
         ([(2.0, 0.0), (6.0, 0.0)], [NO_CRASH, NO_CRASH], [0, 0]),
         ([(2.0, 1.15), (6.0, 0.0)], [WALL_CRASH, NO_CRASH], [1, 0]),
         ([(2.0, 0.0), (6.0, 1.15)], [NO_CRASH, WALL_CRASH], [0, 1]),
         ([(2.0, -1.15), (6.0, 1.15)], [WALL_CRASH, WALL_CRASH], [1, 1]),
         ([(6.0, 1.15), (6.3, 1.0)], [WALL_CRASH, NO_CRASH], [1, 0]),  # and in each other
         ([(6.0, 0.0), (6.5, 0.0)], [CAR_CRASH, CAR_CRASH], [1, 1]),  # both stand
-    ],
-)
-def test_a_wall_is_the_fault_of_the_car_that_stands_in_it(coarse_oval, places, crash, fault):
-    _, state, _ = placed(coarse_oval, places)
-    assert crash_and_fault(state) == (crash, fault)
+    ]:
+        _, state, _ = placed(coarse_oval, places)
+        assert crash_and_fault(state) == (crash, fault)
 
 
 @pytest.mark.parametrize("runs", [0, 1])
 def test_a_car_that_runs_into_a_wall_is_blamed_alone(coarse_oval, runs):
     """It steers to the side on the straight while the other one stands in the middle."""
     poses = [(3.0, 0.0, 0.6), (9.0, 0.0)]
-    drivers, speeds = [(0.0, 4.0), (0.0, 0.0)], [4.0, 0.0]
     order = slice(None) if runs == 0 else slice(None, None, -1)
-    setup, state, theta = placed(coarse_oval, poses[order], speeds[order], drivers[order])
+    setup, state, theta = placed(coarse_oval, poses[order], [4.0, 0.0][order])
     advance(setup, state, theta, 200)
     blamed = [1, 0][order]
     assert crash_and_fault(state) == ([WALL_CRASH * own for own in blamed], blamed)
@@ -298,9 +225,8 @@ def test_a_car_that_runs_into_a_wall_is_blamed_alone(coarse_oval, runs):
 
 @pytest.mark.parametrize("runs", [0, 1])
 def test_a_car_that_runs_into_the_other_is_blamed_alone(coarse_oval, runs):
-    poses, speeds, drivers = [(3.0, 0.0), (6.0, 0.0)], [5.0, 0.0], [(0.0, 5.0), (0.0, 0.0)]
     order = slice(None) if runs == 0 else slice(None, None, -1)
-    setup, state, theta = placed(coarse_oval, poses[order], speeds[order], drivers[order])
+    setup, state, theta = placed(coarse_oval, [(3.0, 0.0), (6.0, 0.0)][order], [5.0, 0.0][order])
     advance(setup, state, theta, 200)
     assert crash_and_fault(state) == ([CAR_CRASH, CAR_CRASH], [1, 0][order])
 
@@ -334,9 +260,6 @@ def wall_at(track, s, side):
         way = (ax * by - ay * bx) / (across[0] * (by - ay) - across[1] * (bx - ax))
         along = (ax * across[1] - ay * across[0]) / (across[0] * (by - ay) - across[1] * (bx - ax))
     return way[(way > 0.0) & (along >= 0.0) & (along <= 1.0)].min()
-
-
-# Passes, blocking and progress
 
 
 def lead_by(track, leads, vehicles=(F1TENTH, F1TENTH)):
@@ -384,11 +307,14 @@ def test_blocking_is_credited_to_the_car_ahead(coarse_oval, leader, ahead, besid
     np.testing.assert_allclose(state.sums[0, :, COLUMN["BLOCKING"]], expected)
 
 
-def test_cars_side_by_side_block_nobody(coarse_oval):
+def test_cars_side_by_side_block_nobody_and_times_to_collision_end_at_the_horizon(coarse_oval):
     setup, state, theta = placed(coarse_oval, [(4.0, -0.4), (4.0, 0.4)])
     state.progress[0] = 4.0
     advance(setup, state, theta, 20)
     assert (state.sums[0, :, COLUMN["BLOCKING"]] == 0.0).all()
+    setup, state, theta = placed(coarse_oval, [(2.0, 0.0), (8.0, 0.0)], ittc_horizon=7.0)
+    advance(setup, state, theta, 10)
+    np.testing.assert_array_equal(state.sums[0, :, :2], [[14.0, 2.0]] * 2)
 
 
 def test_crossing_the_start_line_either_way_does_not_jump(coarse_oval):
@@ -406,12 +332,6 @@ def test_crossing_the_start_line_either_way_does_not_jump(coarse_oval):
         np.testing.assert_allclose(state.progress[0], [100.0, 100.0 + to_s - from_s], atol=1e-6)
         np.testing.assert_allclose(state.frenet[0, :, 0], np.mod([from_s, to_s], coarse_oval.length), atol=1e-6)
         np.testing.assert_allclose(state.frenet[0, :, 1], 0.3, atol=1e-6)
-
-
-def test_the_time_to_collision_of_a_race_is_capped_at_the_horizon(coarse_oval):
-    setup, state, theta = placed(coarse_oval, [(2.0, 0.0), (8.0, 0.0)], ittc_horizon=7.0)
-    advance(setup, state, theta, 10)
-    np.testing.assert_array_equal(state.sums[0, :, :2], [[14.0, 2.0]] * 2)
 
 
 def test_planners_are_asked_ten_and_fifty_times_a_second_before_the_cars_move(coarse_oval):

@@ -21,22 +21,7 @@ def assert_same(found: RaceState, expected: RaceState) -> None:
         np.testing.assert_array_equal(getattr(found, name), array, err_msg=name, strict=True)
 
 
-def test_an_empty_state_has_a_row_for_every_race():
-    state = empty_state(3, 4)
-    assert state.races == 3
-    assert not state.crashed.any()
-    for name in ("tick", "seed", "leader"):
-        assert getattr(state, name).shape == (3,)
-    for name in ("progress", "disturbance", "crash", "fault", "overtakes"):
-        assert getattr(state, name).shape == (3, 2)
-    sizes = {"cars": (7,), "frenet": (2,), "command": (2,), "path": (12, 4), "memory": (4,), "sums": (len(SUMS),)}
-    for name, size in sizes.items():
-        assert getattr(state, name).shape == (3, 2, *size)
-    for name, array in state._asdict().items():
-        assert (array == (-1 if name == "leader" else 0)).all(), name
-
-
-def test_copies_parts_and_files_are_the_same_state(state, tmp_path):
+def test_copies_parts_and_files_are_the_same_state_and_an_empty_one_is_zero(state, tmp_path):
     before = state.copy()
     copy = state.copy()
     for array in copy:
@@ -51,6 +36,18 @@ def test_copies_parts_and_files_are_the_same_state(state, tmp_path):
     save_state(state, tmp_path / "race.npz")
     assert_same(load_state(tmp_path / "race.npz"), state)
     assert [path.name for path in tmp_path.iterdir()] == ["race.npz"]
+    state = empty_state(3, 4)
+    assert state.races == 3
+    assert not state.crashed.any()
+    for name in ("tick", "seed", "leader"):
+        assert getattr(state, name).shape == (3,)
+    for name in ("progress", "disturbance", "crash", "fault", "overtakes"):
+        assert getattr(state, name).shape == (3, 2)
+    sizes = {"cars": (7,), "frenet": (2,), "command": (2,), "path": (12, 4), "memory": (4,), "sums": (len(SUMS),)}
+    for name, size in sizes.items():
+        assert getattr(state, name).shape == (3, 2, *size)
+    for name, array in state._asdict().items():
+        assert (array == (-1 if name == "leader" else 0)).all(), name
 
 
 def test_a_failed_save_leaves_nothing_behind(state, tmp_path, monkeypatch):
@@ -63,7 +60,7 @@ def test_a_failed_save_leaves_nothing_behind(state, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_missing_or_broken_file_is_one_clear_error(state, tmp_path):
+def test_missing_and_broken_files_and_arrays_that_do_not_fit_are_refused(state, tmp_path):
     refused(r"nowhere\.npz", load_state, tmp_path / "nowhere.npz")
     file = tmp_path / "race.npz"
     save_state(state, file)
@@ -71,19 +68,13 @@ def test_a_missing_or_broken_file_is_one_clear_error(state, tmp_path):
     for broken in (b"", b"not a zip", whole[: len(whole) // 2], whole[:200] + b"\0" * 50 + whole[250:]):
         file.write_bytes(broken)
         refused(r"race\.npz", load_state, file)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+    for change, message in [
         ({"cars": np.zeros((3, 2, 6))}, r"cars has shape \(3, 2, 6\)"),
         ({"tick": np.zeros(3, np.int32)}, "tick has shape .* type int32"),
         ({"progress": np.full((3, 2), np.nan)}, "progress holds NaN"),
         ({"extra": np.zeros(1)}, "holds .*extra"),
         ({"tick": np.zeros(())}, "must have"),
         ({"cars": np.array([{"a": 1}], dtype=object)}, "race state"),  # a pickle: never read
-    ],
-)
-def test_arrays_that_do_not_fit_are_refused(state, tmp_path, change, message):
-    np.savez(tmp_path / "race.npz", **(state._asdict() | change))
-    refused(message, load_state, tmp_path / "race.npz")
+    ]:
+        np.savez(tmp_path / "race.npz", **(state._asdict() | change))
+        refused(message, load_state, tmp_path / "race.npz")

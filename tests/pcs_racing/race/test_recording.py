@@ -3,23 +3,14 @@ import re
 import numpy as np
 import pytest
 from recorded_races import PYTHON
+from refusal import refused
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import (
-    InputError,
-    Planner,
-    RaceSetup,
-    Starts,
-    VehicleParams,
-    advance,
-    load_race_config,
-    record_race,
-    run_races,
-    start_races,
-)
+from pcs_racing import InputError, Planner, Starts, VehicleParams, load_race_config, record_race
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race.config import PLAN_EVERY
 from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.races import RaceSetup, advance, run_races, start_races
 from pcs_racing.race.recording import LAST_INDEX, record_drive, tell_apart
 
 PAPER = load_race_config("paper", duration=6.0)
@@ -67,8 +58,7 @@ def test_policies_may_change_on_the_way(oval):
     assert replay.car_names == ("a", "b")
     assert replay.candidates is None
     assert replay.paths is not None
-    with pytest.raises(InputError, match="step_ticks is 15"):
-        record_drive(setup, start, noise[0], theta, names=("a", "b"), step_ticks=15)
+    refused("step_ticks is 15", record_drive, setup, start, noise[0], theta, names=("a", "b"), step_ticks=15)
     with pytest.raises(InputError, match="there are 2 starts"):
         record_drive(setup, start.take([0, 0]), noise[0], theta, names=("a", "b"), step_ticks=200)
 
@@ -91,7 +81,7 @@ def test_what_a_replay_holds(oval):
     assert ((replay.ittc > 0.0) & (replay.ittc <= PAPER.ittc_horizon)).all()
 
 
-def test_plans_begin_near_the_car_and_run_ahead_in_time(oval):
+def test_plans_begin_near_the_car_and_follow_the_cheapest_candidate(oval):
     """The first at the car itself; the others go on from the plan before, and half of what a car strays is forgiven."""
     replay = record_race(oval, *policies("lattice"), PAPER)
     times = replay.paths[..., 3]
@@ -102,10 +92,7 @@ def test_plans_begin_near_the_car_and_run_ahead_in_time(oval):
     away = np.hypot(*(replay.paths[::2, :, 0, :2] - at_plan).T)
     np.testing.assert_allclose(away[:, 0], 0.0, atol=1e-9)
     assert away.max() < 0.1
-
-
-def test_the_plan_that_is_followed_is_the_cheapest_candidate(oval):
-    """Candidates are asked for before the plan is made: they show what was on offer, farther than the path is."""
+    # Candidates are asked for before the plan is made: they show what was on offer, farther than the path is.
     replay = record_race(oval, *policies("lattice"), PAPER)
     compared = 0
     for row, step in enumerate(replay.candidate_steps):
@@ -121,7 +108,7 @@ def test_the_plan_that_is_followed_is_the_cheapest_candidate(oval):
     assert compared > 0.9 * replay.costs.shape[0] * replay.costs.shape[1]
 
 
-def test_a_driver_without_plans_leaves_them_out(oval):
+def test_a_driver_without_plans_leaves_them_out_and_a_crash_ends_the_replay(oval):
     replay = record_race(oval, *policies("python"), PAPER)
     assert np.isnan(replay.paths[:, 1]).all()
     assert np.isfinite(replay.paths[:, 0]).all()
@@ -129,9 +116,6 @@ def test_a_driver_without_plans_leaves_them_out(oval):
     neither = record_race(oval, PYTHON.policy(), PYTHON.policy({"pace": 0.4}), PAPER)
     assert neither.paths is None
     assert neither.candidates is None
-
-
-def test_a_race_that_ends_in_a_crash_ends_the_replay(oval):
     replay = record_race(oval, *policies("blind"), PAPER)
     (crash,) = [event for event in replay.events if event.kind == "crash"]
     assert crash.car == 1
@@ -152,9 +136,5 @@ def test_the_race_of_a_large_number_is_drawn_without_those_before_it(oval):
     )
     np.testing.assert_array_equal(near.cars[0], far.cars[0])
     assert not np.array_equal(near.cars[-1], far.cars[-1])
-
-
-@pytest.mark.parametrize("index", [-1, 1.5, True, LAST_INDEX + 1, 10**12])
-def test_a_bad_index_is_refused(oval, index):
-    with pytest.raises(InputError, match=f"index is {index}"):
-        record_race(oval, *policies("lattice"), PAPER, index=index)
+    for index in [-1, 1.5, True, LAST_INDEX + 1, 10**12]:
+        refused(f"index is {index}", record_race, oval, *policies("lattice"), PAPER, index=index)

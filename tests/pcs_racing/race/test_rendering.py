@@ -27,23 +27,17 @@ def race():
     return race_on_a_straight()
 
 
-def test_a_frame_shows_both_cars_where_they_are(race):
+def test_a_frame_shows_both_cars_where_they_are_and_the_track_between_its_walls(race):
     renderer = Renderer(race, 800, 400)
     frame = renderer.render(race.cars[0])
     assert frame.shape == (400, 800, 3)
     assert frame.dtype == np.uint8
+    scale = 0.91 * 400 / 10.0  # the picture's middle is the track's, 20 m x 10 m fit with a margin: 36.4 pixels a metre
     for colour, (x, y) in [(BLUE, race.cars[0, 0, :2]), (AMBER, race.cars[0, 1, :2])]:
         rows, columns = np.nonzero(near(frame, colour))
-        # The picture's middle is the track's, 20 m x 10 m fit with a margin: 36.4 pixels a metre.
-        scale = 0.91 * 400 / 10.0
         assert columns.mean() == pytest.approx(400 + (x - 10.0) * scale, abs=3)
         assert rows.mean() == pytest.approx(200 - (y - 5.0) * scale, abs=3)
-
-
-def test_the_track_lies_between_its_walls(race):
-    frame = Renderer(race, 800, 400).render(race.cars[0])
     asphalt, ground = (253, 253, 254), (227, 232, 237)
-    scale = 0.91 * 400 / 10.0
     for (x, y), colour in [((15.0, 0.5), asphalt), ((10.0, 5.0), ground), ((10.0, -0.2), ground)]:
         pixel = frame[round(200 - (y - 5.0) * scale), round(400 + (x - 10.0) * scale)]
         assert tuple(pixel) == colour
@@ -60,12 +54,17 @@ def test_a_followed_car_stays_in_the_middle(race, view):
         assert rows[middle].mean() == pytest.approx(150, abs=3)
 
 
-def test_both_cars_stay_in_sight(race):
+def test_both_cars_stay_in_sight_and_names_stand_on_the_side_away_from_the_other(race):
     renderer = Renderer(race, 300, 300, view="both")
     for apart in (0.5, 4.0, 14.0):
         frame = renderer.render(np.array([state(2.0, 0.6, 0.0), state(2.0 + apart, 0.6, 0.0)]))
         assert near(frame, BLUE).sum() > 20
         assert near(frame, AMBER).sum() > 20
+    cars = np.array([state(6.0, 1.0, 0.0), state(9.0, 1.0, 0.0)])
+    frame = Renderer(race, 600, 400, view="both").render(cars, names=("you", "opponent"))
+    columns = [np.nonzero(near(frame, colour, 9))[1] for colour in (NAME_BLUE, NAME_AMBER, BLUE, AMBER)]
+    you, opponent, blue, amber = (np.median(found) for found in columns)
+    assert you < blue < amber < opponent
 
 
 @pytest.mark.parametrize("view", views(2))
@@ -104,21 +103,37 @@ def test_plans_trails_and_candidates_are_drawn(race):
 
 
 @pytest.mark.parametrize("theme", THEMES)
-def test_a_track_is_a_scene_too(oval, theme):
+def test_a_track_is_a_scene_in_every_theme_whose_names_can_be_read(oval, theme, race):
     renderer = Renderer(oval, 320, 200, theme=theme)
     x, y = oval.line[0, :2]
     frame = renderer.render(np.array([state(x, y, 0.0)]))
     assert frame.shape == (200, 320, 3)
     assert len(np.unique(frame.reshape(-1, 3), axis=0)) > 50
+    # Contrast of the letters to the halo around them: at least 4.5 to 1, as WCAG 2.2 asks for text.
+
+    def luminance(colour):
+        share = np.array(colour) / 255
+        return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
+
+    colours = Renderer(race, 64, 64, theme=theme)._colours
+    for car in range(2):
+        dark, light = sorted(luminance(colours[name]) + 0.05 for name in (f"name{car}", "asphalt"))
+        assert light / dark >= 4.5
 
 
-def test_impossible_arguments_are_named(race):
+def test_impossible_wishes_are_named(race, tmp_path):
     for name, value in [("mode", "ansi"), ("view", "car_2"), ("theme", "pink"), ("width", 10), ("height", 2.5)]:
         refused(name, Renderer, race, **{name: value})
     refused("scene", Renderer, "Spielberg")
     renderer = Renderer(race, 100, 100)
     for cars in (np.zeros((9, 7)), np.zeros(7), np.full((2, 7), np.nan)):
         refused("cars", renderer.render, cars)
+    refused("fps", replay_frames, race, fps=0.0)
+    refused("gif", write_gif, race, tmp_path / "race.mp4")
+    refused(r"fps .* 60", write_gif, race, tmp_path / "race.gif", fps=60)
+    refused("folder", write_gif, race, tmp_path / "none" / "race.gif")
+    renderer.mode = "human"
+    refused("rgb_array", replay_frames, race, renderer)
 
 
 def test_a_window_shows_frames(race, monkeypatch):
@@ -166,14 +181,6 @@ def test_each_car_has_its_name_beside_it(race, view, apart):
     assert not (letters[0] & letters[1]).any()
 
 
-def test_names_stand_on_the_side_away_from_the_other_car(race):
-    cars = np.array([state(6.0, 1.0, 0.0), state(9.0, 1.0, 0.0)])
-    frame = Renderer(race, 600, 400, view="both").render(cars, names=("you", "opponent"))
-    columns = [np.nonzero(near(frame, colour, 9))[1] for colour in (NAME_BLUE, NAME_AMBER, BLUE, AMBER)]
-    you, opponent, blue, amber = (np.median(found) for found in columns)
-    assert you < blue < amber < opponent
-
-
 @pytest.mark.parametrize("view", ["track", "car_0"])
 @pytest.mark.parametrize("heading", [0.0, np.pi / 2, np.pi, -np.pi / 2])
 def test_a_frame_tells_which_way_a_car_drives(race, view, heading):
@@ -186,33 +193,13 @@ def test_a_frame_tells_which_way_a_car_drives(race, view, heading):
     assert across[ahead > 0.85 * ahead.max()].max() < 0.6 * across[ahead < 0.7 * ahead.min()].max()
 
 
-@pytest.mark.parametrize("theme", THEMES)
-def test_names_can_be_read(race, theme):
-    """Contrast of the letters to the halo around them: at least 4.5 to 1, as WCAG 2.2 asks for text."""
-
-    def luminance(colour):
-        share = np.array(colour) / 255
-        return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
-
-    colours = Renderer(race, 64, 64, theme=theme)._colours
-    for car in range(2):
-        dark, light = sorted(luminance(colours[name]) + 0.05 for name in (f"name{car}", "asphalt"))
-        assert light / dark >= 4.5
-
-
-# Frames of a recorded race
-
-
-def test_frames_of_a_replay(race):
+def test_frames_of_a_replay_show_the_candidates_that_were_kept(race):
     frames = list(replay_frames(race, Renderer(race, 160, 100), fps=10.0))
     assert len(frames) == 11
     assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=10.0, speed=0.5))) == 21
     # Candidates that were not kept are not missed.
     assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=5.0, candidates=True))) == 6
-
-
-def test_frames_show_the_candidates_that_were_kept(race):
-    """From the plan on for which they were kept; before, there are none."""
+    # From the plan on for which they were kept; before, there are none.
     fan = np.stack([race.cars[10, :, None, :2] + [[0.0, 0.0], [4.0, slope]] for slope in (-1.0, 0.0, 1.0)], axis=1)
     kept = dataclasses.replace(race, candidate_steps=[5], candidates=fan[None], costs=np.array([[[1.0, 2.0, 3.0]] * 2]))
     with_them, without = (
@@ -230,13 +217,3 @@ def test_a_gif_plays_the_race(race, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["race.gif"]
     again = write_gif(race, tmp_path / "b.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0)
     assert again.read_bytes() == path.read_bytes()
-
-
-def test_impossible_wishes_for_frames_are_named(race, tmp_path):
-    refused("fps", replay_frames, race, fps=0.0)
-    refused("gif", write_gif, race, tmp_path / "race.mp4")
-    refused(r"fps .* 60", write_gif, race, tmp_path / "race.gif", fps=60)
-    refused("folder", write_gif, race, tmp_path / "none" / "race.gif")
-    renderer = Renderer(race, 100, 100)
-    renderer.mode = "human"
-    refused("rgb_array", replay_frames, race, renderer)

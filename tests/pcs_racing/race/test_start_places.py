@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.race import start_places
 from pcs_racing.race.config import CONTEST, PAPER
 from pcs_racing.race.driving import kernel_settings
@@ -33,18 +33,8 @@ def test_what_is_counted_at_a_place_is_what_races_from_there_do(oval, driven):
     assert result.crashed.mean() == crashes[place]
     left_leads = np.sign(np.where(starts.side == 0, result.lead, -result.lead)).reshape(-1, 2)
     assert favour[place] == left_leads[start_places.EQUALS].mean()
-
-
-def test_the_number_of_threads_changes_nothing(oval, driven):
     again = drive_away(oval, PAPER, kernel_settings(PAPER, (1.2, 1.5)), 0.9, threads=1)
     np.testing.assert_array_equal(again, driven)
-
-
-def test_a_place_where_the_cars_do_not_fit_is_no_place(oval):
-    settings = kernel_settings(PAPER, (0.8, 1.0))
-    assert (drive_away(oval, PAPER, settings, 2.2)[0] == 1.0).all()
-    with pytest.raises(InputError, match=r"track 'oval' has no place .* side-by-side start .* 2.2 m apart"):
-        fit_places(oval, PAPER, settings, [2.2])
 
 
 @pytest.fixture
@@ -63,22 +53,19 @@ def pretend(oval, monkeypatch):
     return pretend_so
 
 
-def test_the_first_spacing_that_works_is_taken(oval, pretend):
+def test_the_first_spacing_that_works_is_taken_and_the_front_may_be_favoured(oval, pretend):
     count = pretend({0.9: 1.0, 1.0: 0.5, 0.8: 0.0, 1.1: 0.0})
     spacing, places, share = fit_places(oval, PAPER, kernel_settings(PAPER, (0.8, 1.0)), [0.9, 1.0, 0.8, 1.1])
     assert spacing == 0.8
     assert share == 0.33
     half = count // 2 * PLACE_EVERY
     assert places == {"left": ((0.0, half - PLACE_EVERY),), "right": ((half, (count - 1) * PLACE_EVERY),)}
-
-
-def test_a_start_one_behind_the_other_favours_the_front(oval, pretend):
     count = pretend({0.45: 0.0})
     places = fit_places(oval, CONTEST, kernel_settings(CONTEST, (0.8, 1.0)), [0.45])[1]
     assert places == {"front": ((0.0, (count - 1) * PLACE_EVERY),)}
 
 
-def test_stretches_hold_the_places_that_are_fit_with_their_neighbours(oval, pretend):
+def test_stretches_hold_the_places_that_are_fit_and_training_and_tests_share_them(oval, pretend):
     crashes = np.ones(pretend({0.45: 0.0}))
     crashes[10:30] = 0.0
     crashes[50:70] = 0.0
@@ -87,16 +74,25 @@ def test_stretches_hold_the_places_that_are_fit_with_their_neighbours(oval, pret
     # The outermost places have a neighbour that always crashes.
     assert stretches == ((11 * PLACE_EVERY, 28 * PLACE_EVERY), (51 * PLACE_EVERY, 68 * PLACE_EVERY))
     np.testing.assert_array_equal(places_of(stretches) / PLACE_EVERY, [*range(11, 29), *range(51, 69)])
+    places = np.arange(0.0, 40.0, PLACE_EVERY)
+    train, test = (split_places(places, split) for split in ("train", "test"))
+    np.testing.assert_array_equal(np.sort(np.concatenate([train, test])), places)
+    assert (train // BLOCK % 2 == 1).all()
+    assert (test // BLOCK % 2 == 0).all()
+    places = np.array([0.0, 0.5, 2.0, 4.0, 4.5, 6.0, 8.0, 8.5])
+    np.testing.assert_array_equal(split_places(places, "train"), places[1::2])
+    np.testing.assert_array_equal(split_places(places, "test"), places[::2])
 
 
-@pytest.mark.parametrize(
-    ("left", "right", "share"),
-    [(0.2, -0.1, 0.33), (0.1, -0.3, 0.75), (0.1, -0.1, 0.5), (0.1, 0.3, 1.0), (-0.2, -0.1, 0.0)],
-)
-def test_where_the_left_gains_more_it_gets_fewer_lines(left, right, share):
-    assert start_places._left_share(left, right) == share
-    if left * right < 0.0:
-        assert share * left + (1.0 - share) * right == pytest.approx(0.0, abs=0.005)
+def test_where_the_left_gains_more_it_gets_fewer_lines_and_none_where_cars_do_not_fit(oval):
+    gains = [(0.2, -0.1, 0.33), (0.1, -0.3, 0.75), (0.1, -0.1, 0.5), (0.1, 0.3, 1.0), (-0.2, -0.1, 0.0)]
+    for left, right, share in gains:
+        assert start_places._left_share(left, right) == share
+        if left * right < 0.0:
+            assert share * left + (1.0 - share) * right == pytest.approx(0.0, abs=0.005)
+    settings = kernel_settings(PAPER, (0.8, 1.0))
+    assert (drive_away(oval, PAPER, settings, 2.2)[0] == 1.0).all()
+    refused(r"track 'oval' has no place .* side-by-side start .* 2.2 m apart", fit_places, oval, PAPER, settings, [2.2])
 
 
 def test_more_crashes_are_allowed_only_where_places_are_few(oval, pretend):
@@ -109,17 +105,6 @@ def test_more_crashes_are_allowed_only_where_places_are_few(oval, pretend):
     pretend({0.9: crashes}, np.where(np.arange(len(crashes)) < 70, 1.0, -1.0))  # no safe place favours the right
     many = fit_places(oval, PAPER, settings, [0.9])[1]
     assert many["right"] == ((70 * PLACE_EVERY, (len(crashes) - 1) * PLACE_EVERY),)
-
-
-def test_training_and_tests_share_the_places_by_blocks_or_one_by_one():
-    places = np.arange(0.0, 40.0, PLACE_EVERY)
-    train, test = (split_places(places, split) for split in ("train", "test"))
-    np.testing.assert_array_equal(np.sort(np.concatenate([train, test])), places)
-    assert (train // BLOCK % 2 == 1).all()
-    assert (test // BLOCK % 2 == 0).all()
-    places = np.array([0.0, 0.5, 2.0, 4.0, 4.5, 6.0, 8.0, 8.5])
-    np.testing.assert_array_equal(split_places(places, "train"), places[1::2])
-    np.testing.assert_array_equal(split_places(places, "test"), places[::2])
 
 
 def test_shipped_circuits_start_where_hardly_a_race_is_over_at_once():

@@ -18,9 +18,18 @@ def driver(drive, memory_size=0) -> Planner:
     return Planner("mine", (PACE,), drive=drive, memory_size=memory_size)
 
 
-def test_a_sound_planner_passes(track):
+def test_a_sound_planner_passes_and_one_that_sees_too_far_or_stands_does_not(track):
     check_planner(get_planner("lattice"), track)
     check_planner(driver(lambda track, theta, view, memory: (0.0, 1.0 + theta[0])), track, seconds=0.8)
+
+    def drive(track, theta, view, memory):
+        return 0.0, 2.0 + 0.01 * view[OPP_V]
+
+    check_planner(driver(drive), track, seconds=0.8)
+    with pytest.raises(AssertionError, match="sight 5"):
+        check_planner(Planner("mine", (PACE,), drive=drive, sight=5.0), track, seconds=0.8)
+    with pytest.raises(AssertionError, match="stand still after 2 s"):
+        check_planner(driver(lambda track, theta, view, memory: (0.0, 0.0)), track, seconds=2.0)
 
 
 def keeps_a_secret():
@@ -43,30 +52,13 @@ def remembers_nonsense(track, theta, view, memory):
     return 0.0, 2.0
 
 
-@pytest.mark.parametrize(
-    ("planner", "message"),
-    [
+def test_the_checks_find_what_is_wrong_with_planners_and_archives(track):
+    for planner, message in [
         (driver(keeps_a_secret()), "end differently"),
         (driver(writes_to_theta), "writes to its parameters"),
         (driver(remembers_nonsense, 1), "memory of race 0"),
-    ],
-)
-def test_the_check_finds_what_is_wrong_with_a_planner(track, planner, message):
-    refused(f"planner 'mine'.*{message}", check_planner, planner, track, seconds=0.8, error=AssertionError)
-
-
-def test_a_planner_that_sees_too_far_or_stands_is_noticed(track):
-    def drive(track, theta, view, memory):
-        return 0.0, 2.0 + 0.01 * view[OPP_V]
-
-    check_planner(driver(drive), track, seconds=0.8)
-    with pytest.raises(AssertionError, match="sight 5"):
-        check_planner(Planner("mine", (PACE,), drive=drive, sight=5.0), track, seconds=0.8)
-    with pytest.raises(AssertionError, match="stand still after 2 s"):
-        check_planner(driver(lambda track, theta, view, memory: (0.0, 0.0)), track, seconds=2.0)
-
-
-def test_the_check_finds_what_is_wrong_with_an_archive(track):
+    ]:
+        refused(f"planner 'mine'.*{message}", check_planner, planner, track, seconds=0.8, error=AssertionError)
     check_archive(load_archive("default"))
     check_archive(load_archive("default"), track)
     refused("planner 'nobody' is unknown", check_archive, change(planner="nobody"), error=AssertionError)

@@ -16,7 +16,7 @@ def _difference(track, a, b):
     return (a - b + 0.5 * track.length) % track.length - 0.5 * track.length
 
 
-def test_the_oval_is_what_geometry_says_on_and_off_the_map(oval):
+def test_the_oval_is_what_geometry_says_on_and_off_the_map_and_so_is_its_slope(oval):
     x, y, psi = oval.to_cartesian([[0.0, 0.0], [6.0, 0.5], [12.0 + 2.0 * np.pi, 1.0]]).T
     np.testing.assert_allclose(np.column_stack([x, y]), [[-6.0, -4.0], [0.0, -3.5], [9.0, 0.0]], atol=0.01)
     np.testing.assert_allclose(psi, [0.0, 0.0, 0.5 * np.pi], atol=0.02)
@@ -27,13 +27,17 @@ def test_the_oval_is_what_geometry_says_on_and_off_the_map(oval):
     assert oval.to_frenet(np.zeros((3, 4, 2))).shape == (3, 4, 2)
     assert oval.to_cartesian(np.zeros((3, 4, 2))).shape == (3, 4, 3)
     assert oval.wall_distance(np.zeros((3, 4, 2))).shape == (3, 4)
+    # Heading against finite differences of the points, all along the line and off it.
+    s = np.arange(0.013, oval.length - 0.1, 0.037)
+    for d in (0.0, 0.7, -0.9):
+        at = np.full_like(s, d)
+        here = oval.to_cartesian(np.column_stack([s, at]))
+        ahead, behind = (oval.to_cartesian(np.column_stack([s + h, at]))[:, :2] for h in (1e-5, -1e-5))
+        way = np.arctan2(*(ahead - behind).T[::-1])
+        np.testing.assert_allclose(np.cos(way - here[:, 2]), 1.0, atol=1e-7)
 
 
-@given(
-    along=fractions,
-    across=st.floats(-0.9, 0.9),
-    direction=st.floats(-np.pi, np.pi),
-)
+@given(along=fractions, across=st.floats(-0.9, 0.9), direction=st.floats(-np.pi, np.pi))
 def test_s_and_d_are_continuous_in_every_direction(oval, along, across, direction):
     """Steps of 1 mm change s by at most 1 mm / (1 - kappa d), and d by at most 1 mm."""
     x, y, _ = frenet.to_cartesian(oval.arrays, along * oval.length, across)
@@ -89,17 +93,6 @@ def test_wall_distance_is_interpolated_between_the_centres_of_the_four_cells_aro
     found = oval.wall_distance(points * arrays.cell + [arrays.origin_x, arrays.origin_y])
     np.testing.assert_allclose(found, expected, atol=1e-6)
     assert np.max(found) > 1.0
-
-
-def test_the_slope_of_the_line_between_samples_is_that_of_its_points(oval):
-    """Heading against finite differences of the points, all along the line and off it."""
-    s = np.arange(0.013, oval.length - 0.1, 0.037)
-    for d in (0.0, 0.7, -0.9):
-        at = np.full_like(s, d)
-        here = oval.to_cartesian(np.column_stack([s, at]))
-        ahead, behind = (oval.to_cartesian(np.column_stack([s + h, at]))[:, :2] for h in (1e-5, -1e-5))
-        way = np.arctan2(*(ahead - behind).T[::-1])
-        np.testing.assert_allclose(np.cos(way - here[:, 2]), 1.0, atol=1e-7)
 
 
 @given(along=fractions, share=st.floats(-0.9, 0.9), off=st.floats(-1.0, 1.0))

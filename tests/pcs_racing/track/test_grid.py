@@ -83,7 +83,7 @@ def test_a_ray_ends_at_the_first_wall_that_small_steps_find(drivable, x, y, angl
         assert (given_up[0], given_up[3]) == (0.5 * distance, -1)
 
 
-def test_the_lookup_does_not_go_through_walls():
+def test_the_lookup_does_not_go_through_walls_and_the_way_out_leads_through_the_gap():
     """Two corridors, one cell of wall between them; a point of the upper one lies close to the wall."""
     drivable = _padded(np.ones((7, 20), dtype=bool))
     drivable[4, 1:19] = False  # open at the right end only
@@ -98,9 +98,6 @@ def test_the_lookup_does_not_go_through_walls():
     coarse = lookup_grid(drivable, x, y, 4)
     assert coarse.shape == (3, 6)
     assert (coarse >= 0).all()
-
-
-def test_the_way_out_leads_through_the_gap():
     occupied = np.zeros((30, 40), dtype=bool)
     occupied[5, 5:35] = occupied[25, 5:35] = occupied[5:26, 5] = occupied[5:26, 34] = True
     occupied[25, 20] = False

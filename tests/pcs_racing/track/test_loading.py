@@ -36,7 +36,7 @@ def folder(values, tmp_path):
     return write_map(MapFolder("Big Oval", tmp_path / "Big Oval", *grid, values["centerline"], rows, info))
 
 
-def test_a_folder_gives_the_same_track_as_its_values_and_again_the_same_object(folder, oval):
+def test_a_folder_gives_the_same_track_as_its_values_and_again_the_same_object(folder, oval, values):
     loaded = load_track(folder)
     assert loaded.name == "Big Oval"
     assert loaded.calibration == {"contest": Calibration((0.9, 1.1), 0.45, {"front": ((1.0, 5.5),)})}
@@ -46,6 +46,11 @@ def test_a_folder_gives_the_same_track_as_its_values_and_again_the_same_object(f
     one = load_track(folder)
     assert load_track(str(folder)) is one
     assert load_track(folder / "Big Oval_map.yaml") is one
+    load_track(folder)
+    loading._loaded.clear()
+    restored = load_track(folder)
+    types = {numba.typeof(track.arrays) for track in (oval, build_track("again", **values), restored)}
+    assert len(types) == 1
 
 
 def test_the_cache_on_disk_gives_the_same_track(folder, cache, monkeypatch):
@@ -93,12 +98,6 @@ def test_what_other_code_has_cached_is_made_anew(folder, cache, monkeypatch):
     assert len(list(cache.iterdir())) == 2
 
 
-def test_a_cache_that_can_not_be_written_is_no_error(folder, monkeypatch, tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    monkeypatch.setenv("PCS_RACING_CACHE", str(tmp_path / "file"))
-    assert load_track(folder).name == "Big Oval"
-
-
 def test_a_full_disk_leaves_no_half_a_cache_and_is_no_error(folder, cache, monkeypatch):
     def half_written(file, **arrays):
         file.write(b"PK")
@@ -109,16 +108,20 @@ def test_a_full_disk_leaves_no_half_a_cache_and_is_no_error(folder, cache, monke
     assert list(cache.iterdir()) == []
 
 
-def test_without_a_home_nothing_is_kept(folder, monkeypatch):
+def test_where_nothing_can_be_written_nothing_is_kept_and_that_is_no_error(folder, monkeypatch, tmp_path):
     def homeless():
         raise RuntimeError("Could not determine home directory.")
 
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("PCS_RACING_CACHE", str(tmp_path / "file"))
+    assert load_track(folder).name == "Big Oval"
+    loading._loaded.clear()
     monkeypatch.delenv("PCS_RACING_CACHE")
     monkeypatch.setattr("pcs_racing.track.cache.Path.home", homeless)
     assert load_track(folder).name == "Big Oval"
 
 
-def test_a_changed_file_is_noticed(folder):
+def test_a_changed_file_is_noticed_and_errors_name_the_file(folder):
     one = load_track(folder)
     info = folder / "Big Oval_track.yaml"
     own = "{speed_range: [0.5, 0.6], start_spacing: 0.5, start_places: {front: [[2, 3]]}, left_share: 0.5}"
@@ -127,6 +130,14 @@ def test_a_changed_file_is_noticed(folder):
     info.unlink()
     assert load_track(folder).calibration == {}
     assert load_track(folder).content_hash == one.content_hash
+    file = folder / "Big Oval_map.yaml"
+    file.write_text(file.read_text().replace("resolution: 0.05", "resolution: 0.06"))
+    refused(r"Big Oval_(map\.yaml|raceline\.csv)", load_track, folder, error=MapError)
+    file.write_text(file.read_text().replace("resolution: 0.06", "resolution: 0.05"))
+    line = folder / "Big Oval_raceline.csv"
+    rows = line.read_text().splitlines()
+    line.write_text("\n".join(rows[: len(rows) // 2]))
+    refused(r"Big Oval_raceline\.csv is open", load_track, folder, error=MapError)
 
 
 def test_missing_lines_are_made_from_the_picture(folder, oval, caplog):
@@ -164,30 +175,16 @@ def test_a_race_line_without_air_to_the_walls_is_replaced(folder, oval, caplog):
     refused(r"Oval_raceline\.csv leads", load_track, folder, error=MapError)
 
 
-def test_without_the_mapping_tools_complete_maps_load_and_others_say_what_to_install(folder, monkeypatch):
-    monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
-    load_track(folder)
-    (folder / "Big Oval_raceline.csv").unlink()
-    refused(r"race line; .*pcs-racing\[mapping\]", load_track, folder, error=ModuleNotFoundError)
-
-
-def test_errors_name_the_file(folder):
-    file = folder / "Big Oval_map.yaml"
-    file.write_text(file.read_text().replace("resolution: 0.05", "resolution: 0.06"))
-    refused(r"Big Oval_(map\.yaml|raceline\.csv)", load_track, folder, error=MapError)
-    file.write_text(file.read_text().replace("resolution: 0.06", "resolution: 0.05"))
-    line = folder / "Big Oval_raceline.csv"
-    rows = line.read_text().splitlines()
-    line.write_text("\n".join(rows[: len(rows) // 2]))
-    refused(r"Big Oval_raceline\.csv is open", load_track, folder, error=MapError)
-
-
-def test_names_that_stand_for_nothing_are_refused(tmp_path, monkeypatch):
+def test_names_that_stand_for_nothing_and_missing_mapping_tools_are_told(tmp_path, monkeypatch, folder):
     monkeypatch.chdir(tmp_path)
     refused("unknown track 'Nowhere'", load_track, "Nowhere", error=UnknownNameError)
     refused(r"map folder .*nowhere", load_track, tmp_path / "nowhere", error=MapError)
     (tmp_path / "empty").mkdir()
     refused(r"holds no map: .*empty_map\.yaml", load_track, "empty", error=MapError)
+    monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
+    load_track(folder)
+    (folder / "Big Oval_raceline.csv").unlink()
+    refused(r"race line; .*pcs-racing\[mapping\]", load_track, folder, error=ModuleNotFoundError)
 
 
 @pytest.mark.parametrize("name", ["Spielberg", "Catalunya", "Oschersleben"])
@@ -200,11 +197,3 @@ def test_real_circuits_can_be_raced_on(real_maps, name):
     assert on_track.min() > 0.4
     jumps = np.abs(np.diff(track.to_frenet(track.centerline[:, :2])[:, 0]))
     assert np.minimum(jumps, track.length - jumps).max() < 1.5
-
-
-def test_all_tracks_have_one_compiled_type(oval, values, folder):
-    load_track(folder)
-    loading._loaded.clear()
-    restored = load_track(folder)
-    types = {numba.typeof(track.arrays) for track in (oval, build_track("again", **values), restored)}
-    assert len(types) == 1

@@ -45,10 +45,7 @@ def _picture(folder, array, mode=None, name="Ring_map.png"):
     Image.fromarray(np.asarray(array, dtype=np.uint8), mode=None).convert(mode).save(folder / name)
 
 
-# Written and read
-
-
-def test_what_is_written_reads_back(folder):
+def test_what_is_written_reads_back_and_replaces_another(folder, tmp_path):
     written, found = _map(folder), read_map(folder)
     np.testing.assert_array_equal(found.occupied, written.occupied)
     np.testing.assert_allclose(found.centerline, written.centerline, atol=1e-9)
@@ -56,9 +53,6 @@ def test_what_is_written_reads_back(folder):
     assert (found.name, found.folder, found.resolution, found.origin) == ("Ring", folder, 0.05, (-1.25, 2.5))
     assert found.info == written.info
     assert sorted(file.name for file in folder.parent.iterdir()) == ["Ring"]
-
-
-def test_the_same_map_has_the_same_bytes_and_replaces_another(folder, tmp_path):
     again = write_map(_map(tmp_path / "other"))
     for file in folder.iterdir():
         assert (again / file.name).read_bytes() == file.read_bytes()
@@ -68,7 +62,7 @@ def test_the_same_map_has_the_same_bytes_and_replaces_another(folder, tmp_path):
     assert (folder / "notes.txt").read_text() == "kept"
 
 
-def test_foreign_folders_and_impossible_names_are_refused(tmp_path):
+def test_foreign_folders_and_impossible_names_and_places_are_refused(tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("...")
     refused("map called Ring", write_map, _map(tmp_path / "mine"), error=MapError)
@@ -76,22 +70,22 @@ def test_foreign_folders_and_impossible_names_are_refused(tmp_path):
     for name in ("", "a/b", "..", ".hidden", "a\nb", " a"):
         refused("can't name a map", write_map, _map(tmp_path / "new", name), error=MapError)
     assert not (tmp_path / "new").exists()
-
-
-def test_a_folder_that_can_not_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(MapError, match=r"can't write .*Ring: (Not a directory|File exists)"):
         write_map(_map(tmp_path / "file" / "Ring"))
 
 
-def test_nothing_is_written_if_a_value_is_impossible(tmp_path):
-    for change in ({"info": {"color": "red"}}, {"resolution": 2.0}, {"centerline": np.full((20, 4), np.nan)}):
-        with pytest.raises(MapError):
-            write_map(_map(tmp_path / "new")._replace(**change))
+def test_nothing_is_written_of_impossible_values_and_unreadable_folders_are_named(tmp_path):
+    for message, change in [
+        ("unknown 'color'", {"info": {"color": "red"}}),
+        ("resolution is 2.0", {"resolution": 2.0}),
+        ("line 2: 'nan", {"centerline": np.full((20, 4), np.nan)}),
+    ]:
+        refused(message, write_map, _map(tmp_path / "new")._replace(**change), error=MapError)
     assert list(tmp_path.iterdir()) == []
-
-
-# Found
+    refused(r"map folder .*gone", read_map, tmp_path / "gone", error=MapError)
+    (tmp_path / "a.txt").write_text("")
+    refused("no map folder at", read_map, tmp_path / "a.txt", error=MapError)
 
 
 def test_the_map_is_found_by_the_folders_name_or_as_the_only_one(folder, tmp_path):
@@ -114,9 +108,6 @@ def test_shipped_tracks_are_found_whatever_the_case(folder, monkeypatch):
     refused(r"unknown track 'Rong': .* \(Ring\)", find_shipped, "Rong", error=UnknownNameError)
 
 
-# The grid
-
-
 @pytest.mark.parametrize(("negate", "wall"), [(0, 0), (1, 255)])
 def test_walls_are_dark_or_light_as_the_yaml_says(folder, negate, wall):
     grey = np.full((20, 20), 255 - wall, dtype=np.uint8)
@@ -137,7 +128,7 @@ def test_the_threshold_is_that_of_ros(tmp_path_factory, level, threshold):
     assert read_map(folder).occupied[4, 4] == ((255 - level) / 255.0 > threshold)
 
 
-def test_unknown_regions_are_walls_and_soft_edges_are_not(folder):
+def test_unknown_regions_are_walls_and_numbers_may_be_written_as_text(folder):
     grey = np.full((30, 30), 255, dtype=np.uint8)
     grey[:, :8] = 205  # as SLAM tools paint what they have not seen
     grey[10, 12:20] = 180  # the fringe of a line
@@ -147,6 +138,9 @@ def test_unknown_regions_are_walls_and_soft_edges_are_not(folder):
     assert occupied[:, :8].all()
     assert np.count_nonzero(occupied[:, 8:]) == 8
     assert occupied[11, 12:20].all()
+    file = folder / "Ring_map.yaml"
+    file.write_text(file.read_text().replace("0.05", "5e-2"))
+    assert read_map(folder).resolution == 0.05
 
 
 @pytest.mark.parametrize("name", ["Spielberg", "Catalunya", "Oschersleben"])
@@ -163,9 +157,6 @@ def test_grey_pictures_of_any_mode_are_read(folder, mode):
     grey = np.where(_map(folder).occupied, 0, 255)[::-1]
     _picture(folder, grey, mode)
     np.testing.assert_array_equal(read_map(folder).occupied, _map(folder).occupied)
-
-
-# Bad input
 
 
 @pytest.mark.parametrize(
@@ -198,12 +189,6 @@ def test_impossible_yaml_values_are_refused(folder, changes, message):
     with pytest.raises(MapError, match=message) as caught:
         read_map(folder)
     assert str(folder) in str(caught.value)
-
-
-def test_numbers_that_yaml_takes_for_text_are_read(folder):
-    file = folder / "Ring_map.yaml"
-    file.write_text(file.read_text().replace("0.05", "5e-2"))
-    assert read_map(folder).resolution == 0.05
 
 
 def _png_header(width, height):
@@ -283,9 +268,3 @@ def test_files_of_something_else_are_refused(folder, name, content, message):
     with pytest.raises(MapError, match=message) as caught:
         read_map(folder)
     assert str(file) in str(caught.value)
-
-
-def test_folders_that_can_not_be_read_are_named(tmp_path):
-    refused(r"map folder .*gone", read_map, tmp_path / "gone", error=MapError)
-    (tmp_path / "a.txt").write_text("")
-    refused("no map folder at", read_map, tmp_path / "a.txt", error=MapError)

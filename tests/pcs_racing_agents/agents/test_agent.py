@@ -2,17 +2,16 @@ import pickle
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from refusal import refused
 
 from pcs_racing import get_planner
-from pcs_racing_agents.agents import Agent, Driver, as_competitor, make
+from pcs_racing_agents.agents import Agent, Driver, as_competitor, make, observing
 from pcs_racing_agents.agents.agent import competitor_hash, draw, hash_rows
 from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.zoo import build
 
 
-def test_an_agent_answers_like_a_model_of_sb3(setting, seen):
+def test_an_agent_answers_like_a_model_of_sb3_and_draws_by_what_is_seen_and_its_seed(setting, seen):
     agent = always(setting, "restraint +")
     moves, state = agent.predict(seen[0])
     assert moves.shape == (40,)
@@ -21,9 +20,6 @@ def test_an_agent_answers_like_a_model_of_sb3(setting, seen):
     one, state = agent.predict(seen[0][3], None, np.array([True]), deterministic=False)
     assert (one.shape, int(one), state) == ((), 2, None)
     assert agent.probabilities(seen[0][:0]).shape == (0, 5)
-
-
-def test_what_a_mixed_strategy_draws_depends_on_what_is_seen_and_its_seed_alone(setting, seen):
     agent = random_moves(setting, seed=4)
     everything = np.concatenate(seen)
     moves, _ = agent.predict(everything)
@@ -36,7 +32,7 @@ def test_what_a_mixed_strategy_draws_depends_on_what_is_seen_and_its_seed_alone(
     assert 0.1 < np.mean(other == moves) < 0.4
 
 
-def test_draws_follow_the_chances():
+def test_draws_follow_the_chances_and_rounding_never_draws_what_is_impossible():
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(20_000, 31)).astype(np.float32)
     chances = np.tile([0.1, 0.0, 0.6, 0.3, 0.0], (20_000, 1))
@@ -51,26 +47,11 @@ def test_draws_follow_the_chances():
     np.testing.assert_array_equal(
         hash_rows(np.zeros((1, 3), np.float32), 1), hash_rows(-np.zeros((1, 3), np.float32), 1)
     )
-
-
-def test_rounding_never_draws_what_is_impossible():
-    """Chances that add up to a bit less or more than 1."""
+    # Chances that add up to a bit less or more than 1.
     rows = np.random.default_rng(1).normal(size=(5000, 2)).astype(np.float32)
     for chances in ([0.0, 1.0 - 1e-16, 0.0], [0.3, 0.3, 0.4 - 1e-12], [0.0, 1e-300, 0.0], [0.1] * 10):
         drawn = draw(np.tile(chances, (5000, 1)), rows, 3)
         assert (np.array(chances)[drawn] > 0.0).all()
-
-
-@pytest.mark.parametrize(
-    ("observation", "message"),
-    [
-        (np.zeros(30), r"got an observation of shape \(1, 30\)"),
-        (np.zeros((2, 3, 31)), r"shape \(2, 3, 31\)"),
-        (np.full(31, np.nan), "holds NaN or infinity"),
-    ],
-)
-def test_observations_that_do_not_fit_are_refused(setting, observation, message):
-    refused(message, random_moves(setting).predict, observation)
 
 
 def test_agents_and_drivers_travel_to_other_processes(setting, seen):
@@ -83,7 +64,7 @@ def test_agents_and_drivers_travel_to_other_processes(setting, seen):
     assert driver.content_hash == make("lane-switcher").content_hash
 
 
-def test_digests_tell_what_somebody_does(setting, network):
+def test_digests_tell_what_somebody_does_and_nothing_is_kept_of_whom_they_can_not(setting, network):
     first = always(setting, "restraint +")
     assert first.content_hash == always(setting, "restraint+", name="other name").content_hash
     others = [always(setting, "restraint -"), random_moves(setting), random_moves(setting, seed=1)]
@@ -94,9 +75,6 @@ def test_digests_tell_what_somebody_does(setting, network):
     others.append(build("cfr-argmax", setting, network=changed))
     assert len({first.content_hash, *(agent.content_hash for agent in others)}) == 7
     assert competitor_hash(make("lattice:pace=0.3")) != competitor_hash(make("lattice:pace=0.4"))
-
-
-def test_what_can_not_be_told_from_another_is_not_kept(setting):
     function = Agent("function", lambda seen: np.full((len(seen), 5), 0.2), setting)
     for unknown in (Model(), as_competitor(Model(), "named"), function):
         refused("of that name", competitor_hash, as_competitor(unknown))
@@ -112,7 +90,7 @@ class Model:
         return np.zeros(len(observation), int), state
 
 
-def test_models_and_policies_become_competitors(setting):
+def test_bad_agents_drivers_and_observations_are_refused(setting):
     assert as_competitor(Model()).name == "Model"
     assert as_competitor(Model(), "mine").name == "mine"
     driver = as_competitor(get_planner("lattice").policy(), "L")
@@ -125,12 +103,36 @@ def test_models_and_policies_become_competitors(setting):
     assert (renamed.name, renamed.policies) == ("M", driver.policies)
     for wrong in ("never-switch", 3, Model):
         refused("can't race", as_competitor, wrong)
-
-
-def test_bad_agents_and_drivers_are_refused(setting):
     refused("an agent's name is ''", random_moves, setting, name="")
     refused("seed of agent 'random-moves' is -1", random_moves, setting, seed=-1)
     refused("'jump' is no move", always, setting, "jump")
     refused("'d' has no policy", Driver, "d", ())
     lattice, pursuit = get_planner("lattice").policy(), get_planner("pure-pursuit").policy()
     refused("one planner", Driver, "d", (lattice, pursuit))
+    for observation, message in [
+        (np.zeros(30), r"got an observation of shape \(1, 30\)"),
+        (np.zeros((2, 3, 31)), r"shape \(2, 3, 31\)"),
+        (np.full(31, np.nan), "holds NaN or infinity"),
+    ]:
+        refused(message, random_moves(setting).predict, observation)
+
+
+def test_observations_are_read_as_the_game_writes_them_and_tell_what_was_earlier(game, seen, setting):
+    names = [element.name for element in game.observation_elements]
+    for step, rows in enumerate(seen):
+        running = rows[:, names.index(f"seen_{step}")] == 1.0  # games that crashed stay behind
+        assert running.any()
+        np.testing.assert_array_equal(observing.moves_made(rows, 2)[running], step)
+        for coordinates, name in ((observing.own, "own"), (observing.opponent, "opponent")):
+            at = [names.index(f"{name}_{axis}_{step}") for axis in ("aggressiveness", "restraint")]
+            np.testing.assert_array_equal(coordinates(rows, 2)[running], rows[running][:, at])
+            np.testing.assert_array_equal(coordinates(rows, 2, step)[running], rows[running][:, at])
+    assert observing.step_count(seen[0], 2) == 5
+    last = seen[-1]
+    count = observing.moves_made(last, 2)
+    for step, rows in enumerate(seen[:-1]):
+        long_enough = count >= step
+        np.testing.assert_array_equal(observing.earlier(last, 2, step)[long_enough], rows[long_enough])
+    state = game.reset(games=10, seed=3)
+    rows = game.observation(state)[:, 1]
+    np.testing.assert_array_equal(setting.archive.nearest(observing.own(rows, 2)), state.policy[:, 1])

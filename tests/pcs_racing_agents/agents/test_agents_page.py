@@ -23,17 +23,16 @@ PAGE = (DOCS / "agents.md").read_text(encoding="utf-8")
 AGAIN = "run: python benchmarks/zoo.py --write"
 
 
-def test_the_page_of_the_zoo_has_a_section_for_every_agent_and_a_row_for_every_measurement():
+def test_the_page_of_the_zoo_explains_every_option_with_and_without_measurements(monkeypatch):
     page = zoo_page.zoo_page()
     for name in (*SHIPPED, "always-MOVE"):
         assert f"\n### `{name}`\n" in page
     for one in measurements().values():
         assert f"\n| `{one.agent}` | {one.score:.3f} | " in page
     assert "nan" not in page
-
-
-def test_without_measurements_the_page_says_so(monkeypatch):
-    """As between the day agents are made and the day they are measured."""
+    for name, entry in entries().items():
+        assert set(options(name)) <= set(option_meanings(entry.build)), name
+    # As between the day agents are made and the day they are measured.
     monkeypatch.setattr(zoo_page, "measurements", dict)
     assert zoo_page.zoo_page().count("Not measured yet.") == len(zoo_page.SETTINGS)
 
@@ -49,11 +48,6 @@ def test_every_agent_was_measured_as_it_is_now(archive, race):
             continue
     changed = sorted(name for name in {*known, *shipped} if known.get(name) != shipped.get(name))
     assert not changed, f"{', '.join(changed)} not measured as they are: {AGAIN}"
-
-
-def test_every_option_is_explained():
-    for name, entry in entries().items():
-        assert set(options(name)) <= set(option_meanings(entry.build)), name
 
 
 def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, tmp_path):

@@ -7,12 +7,7 @@ from refusal import refused
 from pcs_racing_agents.agents.blind import best_fixed, best_lead_plan, best_schedule, never_switch, path_moves
 
 
-def test_never_switching_is_staying(setting, seen):
-    chances = never_switch(setting).probabilities(seen[2])
-    np.testing.assert_array_equal(chances, np.tile([0, 0, 0, 0, 1], (40, 1)))
-
-
-def test_a_schedule_follows_the_steps(setting, game):
+def test_a_schedule_follows_the_steps_and_never_switching_is_staying(setting, game, seen):
     plan = ["restraint +", "stay", "aggressiveness-", "restraint +"]
     agent = best_schedule(setting, moves=plan)
     state = game.reset(games=3, seed=5)
@@ -23,6 +18,8 @@ def test_a_schedule_follows_the_steps(setting, game):
     assert agent.facts["plan"] == "restraint +, stay, aggressiveness -, restraint +"
     refused("has 4 moves", best_schedule, setting, moves=plan[:3])
     refused("and a fit", best_schedule, setting, moves=plan, fit="somewhere.yaml")
+    chances = never_switch(setting).probabilities(seen[2])
+    np.testing.assert_array_equal(chances, np.tile([0, 0, 0, 0, 1], (40, 1)))
 
 
 @pytest.mark.parametrize("target", [0, 5, 11])
@@ -62,11 +59,6 @@ def test_a_lead_plan_looks_at_who_leads_and_at_nothing_else(setting, game, seen)
     assert plan.facts["ahead"].startswith("policy 1 (")
 
 
-@pytest.mark.parametrize("targets", [{"behind": 1}, {"behind": 1, "level": 2}, 3, {"behind": 1, "ahead": 12}])
-def test_impossible_lead_plans_are_refused(setting, targets):
-    refused(r"behind, ahead|index", best_lead_plan, setting, targets=targets)
-
-
 def _reachable(table) -> list[list[int]]:
     result = []
     for start in range(len(table)):
@@ -104,6 +96,8 @@ def test_paths_are_shortest(world):
         assert policy == goal
 
 
-def test_targets_that_do_not_exist_are_refused(setting):
+def test_targets_and_lead_plans_that_do_not_exist_are_refused(setting):
     for target in (-1, 12, "7", True):
         refused("archive 'toy', 0 to 11", best_fixed, setting, target=target)
+    for targets in [{"behind": 1}, {"behind": 1, "level": 2}, 3, {"behind": 1, "ahead": 12}]:
+        refused(r"behind, ahead|index", best_lead_plan, setting, targets=targets)

@@ -2,8 +2,9 @@
 
 import pickle
 
-import numpy as np
 import pytest
+from random_layers import random_layers
+from refusal import refused
 
 from pcs_racing import get_planner, make_game
 from pcs_racing.base.dense import DenseLayers
@@ -16,12 +17,7 @@ from pcs_racing_agents.tournament import cross_pairing, play_pairing
 
 @pytest.fixture(scope="module")
 def layers():
-    rng = np.random.default_rng(1)
-    shapes = [(6, len(INPUTS)), (2, 6)]
-    return DenseLayers(
-        tuple(rng.normal(size=shape).astype(np.float32) for shape in shapes),
-        tuple(rng.normal(size=shape[0]).astype(np.float32) for shape in shapes),
-    )
+    return random_layers(len(INPUTS), 6, 2, seed=1)
 
 
 @pytest.fixture
@@ -29,18 +25,14 @@ def folder(layers, tmp_path):
     return save_driver(tmp_path / "mine", layers, name="mine", hold=4, training={"steps": 7})
 
 
-def test_the_zoo_races_the_shipped_driver_or_another_one(folder):
+def test_the_zoo_races_the_shipped_driver_or_another_one_with_a_hash_of_its_own(folder, layers, tmp_path):
     shipped, own = make("ppo-drive"), make("ppo-drive", network=folder)
     assert shipped.planner is get_planner("ppo-drive")
     assert pickle.loads(pickle.dumps(shipped)).planner is shipped.planner
     assert own.planner.name == "mine"
     assert len({shipped.content_hash, own.content_hash, make("pure-pursuit").content_hash}) == 3
-    with pytest.raises(UnknownNameError, match="unknown driver 'nobody'"):
-        make("ppo-drive", network="nobody")
-
-
-def test_drivers_with_other_weights_have_other_hashes(layers, tmp_path):
-    """They are of one name and have no parameters: results of one must not be taken for the other's."""
+    refused("unknown driver 'nobody'", make, "ppo-drive", error=UnknownNameError, network="nobody")
+    # They are of one name and have no parameters: results of one must not be taken for the other's.
     hashes = set()
     for factor in (1.0, 1.5):
         scaled = DenseLayers(tuple(factor * weight for weight in layers.weights), layers.biases)

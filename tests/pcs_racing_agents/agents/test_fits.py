@@ -37,18 +37,15 @@ def test_a_fit_of_another_game_is_refused(setting, archive):
     refused("archive 'toy' and rules 'paper'", find_fit, "best-schedule", setting, error=UnknownNameError)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_files_that_are_no_fit_are_refused(setting, tmp_path):
+    for change, message in [
         ({"kind": "worst"}, "fit of 'worst' is unknown"),
         ({"choice": "7"}, "index of a policy"),
         ({"race": 3}, "race is 3"),
         ({"training": [1]}, r"training is \[1\]"),
-    ],
-)
-def test_files_that_are_no_fit_are_refused(setting, tmp_path, change, message):
-    import yaml
+    ]:
+        import yaml
 
-    path = save_fit(make_fit("best-fixed", 3, setting, {}), tmp_path / "fit.yaml")
-    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **change}))
-    refused(message, load_fit, path)
+        path = save_fit(make_fit("best-fixed", 3, setting, {}), tmp_path / "fit.yaml")
+        path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **change}))
+        refused(message, load_fit, path)

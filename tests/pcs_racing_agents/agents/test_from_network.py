@@ -2,17 +2,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from refusal import refused
 from zoo_games import untrained
 
 from pcs_racing import InputError, UnknownNameError
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.blind import random_moves
-from pcs_racing_agents.agents.from_network import adaptive, from_network
+from pcs_racing_agents.agents.from_network import DECISIONS, adaptive, from_network, get_decision
 from pcs_racing_agents.agents.zoo import build
 
 
-def test_the_papers_agent_makes_the_move_of_highest_regret(setting, network, seen):
+def test_the_papers_agent_makes_the_move_of_highest_regret_and_matching_draws_in_proportion(setting, network, seen):
     agent = build("cfr-argmax", setting, network=network)
     rows = np.concatenate(seen)
     np.testing.assert_array_equal(agent.predict(rows)[0], network.choose(rows))
@@ -20,9 +23,6 @@ def test_the_papers_agent_makes_the_move_of_highest_regret(setting, network, see
     np.testing.assert_array_equal(clipped.predict(rows)[0], network.choose(rows))
     assert agent.facts["source"] == "the paper's GT agent, Equations 8 and 9"
     assert len(agent.facts["weights sha256"]) == 64
-
-
-def test_regret_matching_draws_in_proportion_to_positive_regret(setting, network, seen):
     agent = build("cfr-regret-matching", setting, network=network)
     values = np.maximum(network.unclipped(seen[1]), 0.0).astype(float)
     some = values.sum(axis=1) > 0.0
@@ -30,14 +30,19 @@ def test_regret_matching_draws_in_proportion_to_positive_regret(setting, network
     np.testing.assert_allclose(agent.probabilities(seen[1])[some], expected)
 
 
-def test_a_network_may_not_know_the_move_stay(setting, seen):
+def test_a_network_may_not_know_stay_which_is_worth_nothing_to_it(setting, seen):
     short = untrained(setting, stay=False)
     agent = build("cfr-argmax", setting, network=short)
     assert (agent.probabilities(seen[0])[:, 4] == 0.0).all()
     np.testing.assert_array_equal(agent.predict(seen[0])[0], short.choose(seen[0]))
+    short = untrained(setting, "gain", stay=False)
+    agent = adaptive(setting, network=short, blind="never-switch", margin=0.0)
+    values = short.unclipped(seen[0])
+    expected = np.where(values.max(axis=1) > 0.0, values.argmax(axis=1), 4)
+    np.testing.assert_array_equal(agent.predict(seen[0])[0], expected)
 
 
-def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more(setting, seen):
+def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more_and_keeps_a_random_one(setting, seen):
     network = untrained(setting, "gain")
     rows = np.concatenate(seen)
     values = network.unclipped(rows)
@@ -55,18 +60,6 @@ def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more(setting, seen
     assert (trained.predict(rows)[0] == 4).all()
     assert trained.facts["keeps to"] == "never-switch"
     refused("margin of agent 'adaptive' is -1", adaptive, setting, network=network, blind=habit, margin=-1)
-
-
-def test_staying_is_worth_nothing_to_a_network_of_advantages(setting, seen):
-    short = untrained(setting, "gain", stay=False)
-    agent = adaptive(setting, network=short, blind="never-switch", margin=0.0)
-    values = short.unclipped(seen[0])
-    expected = np.where(values.max(axis=1) > 0.0, values.argmax(axis=1), 4)
-    np.testing.assert_array_equal(agent.predict(seen[0])[0], expected)
-
-
-def test_a_random_habit_is_kept_at_random(setting, seen):
-    network = untrained(setting, "gain")
     agent = adaptive(setting, network=network, blind=random_moves(setting), margin=1e9)
     np.testing.assert_allclose(agent.probabilities(seen[0]), [[0.25, 0.25, 0.25, 0.25, 0.0]] * 40)
 
@@ -82,3 +75,26 @@ def test_a_network_of_another_game_is_refused(setting, network, archive):
     refused(r"network, .*'toy-paper-nash'", build, "nash", setting, error=UnknownNameError)
     with pytest.raises(UnknownNameError, match="decision 'best' is unknown"):
         from_network(setting, name="mine", kind="regret", decision="best", network=network)
+
+
+VALUES = arrays(np.float32, (5, 4), elements=st.floats(-100.0, 100.0, width=32))
+
+
+@given(VALUES)
+@pytest.mark.parametrize("name", DECISIONS)
+def test_chances_are_chances(name, values):
+    chances = get_decision(name)(values)
+    assert (chances >= 0.0).all()
+    np.testing.assert_allclose(chances.sum(axis=1), 1.0, atol=1e-12)
+    best = np.argmax(values, axis=1)
+    np.testing.assert_allclose(chances[np.arange(5), best], chances.max(axis=1), atol=1e-6)
+
+
+def test_what_each_rule_does():
+    # Of equal values argmax takes the first; where no regret is positive, regret matching takes the highest.
+    values = np.array([[1.0, 3.0, -2.0, 0.0], [-3.0, -1.0, -1.0, -9.0]])
+    argmax, regret_matching, softmax = map(get_decision, ("argmax", "regret-matching", "softmax"))
+    np.testing.assert_array_equal(argmax(values), [[0, 1, 0, 0], [0, 1, 0, 0]])
+    np.testing.assert_allclose(regret_matching(values), [[0.25, 0.75, 0, 0], [0, 1, 0, 0]])
+    np.testing.assert_allclose(softmax(np.log([[1.0, 2.0, 5.0, 2.0]])), [[0.1, 0.2, 0.5, 0.2]])
+    refused("'best' is unknown", get_decision, "best", error=UnknownNameError)

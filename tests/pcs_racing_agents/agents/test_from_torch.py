@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import InputError
 from pcs_racing.game.identity import game_identity
 from pcs_racing_agents.agents import as_competitor
 from pcs_racing_agents.agents.agent import competitor_hash
@@ -20,7 +19,7 @@ def linear(seed):
     return torch.nn.Sequential(torch.nn.Linear(5, 3), torch.nn.Dropout(0.5))
 
 
-def test_the_move_with_the_largest_output_is_made():
+def test_the_move_with_the_largest_output_is_made_and_what_is_no_network_refused():
     module = linear(0)
     weight, bias = module[0].weight.detach().numpy(), module[0].bias.detach().numpy()
     seen = np.random.default_rng(0).normal(size=(20, 5)).astype(np.float32)
@@ -30,24 +29,22 @@ def test_the_move_with_the_largest_output_is_made():
     assert state is None
     assert policy.predict(seen[3])[0].shape == ()
     assert policy.predict(seen[3])[0] == moves[3]
+    broken = linear(0)
+    with torch.no_grad():
+        broken[0].bias[1] = float("nan")
+    refused("module is a str", TorchPolicy, "text")
+    refused("'0.bias' .* NaN", TorchPolicy, broken)
+    seen = np.zeros((4, 5), np.float32)
+    refused(r"\(1, 5\)", TorchPolicy(Summed()).predict, seen)
 
 
-def test_models_are_told_apart_by_their_weights(models):
+def test_models_are_told_apart_by_their_weights_and_others_are_refused(models, game):
     assert competitor_hash(TorchPolicy(linear(0))) == competitor_hash(TorchPolicy(linear(0), "other name"))
     assert competitor_hash(TorchPolicy(linear(0))) != competitor_hash(TorchPolicy(linear(1)))
     digests = {competitor_hash(as_competitor(model, name)) for model in models for name in ("a", "b")}
     assert len(digests) == 2
-
-
-def test_what_is_no_network_of_moves_is_refused():
-    broken = linear(0)
-    with torch.no_grad():
-        broken[0].bias[1] = float("nan")
-    for wrong in ("text", broken):
-        with pytest.raises(InputError):
-            TorchPolicy(wrong)
-    seen = np.zeros((4, 5), np.float32)
-    refused(r"\(1, 5\)", TorchPolicy(Summed()).predict, seen)
+    refused(r"layer 1 .*Tanh", network_from_sb3, models[1], game_identity(game))
+    refused("str has no actor", network_from_sb3, "model", game_identity(game))
 
 
 class Summed(torch.nn.Module):
@@ -75,8 +72,3 @@ def test_a_model_decides_alike_as_our_own_network(models, game, setting, seen):
         chances = model.policy.get_distribution(torch.as_tensor(rows)).distribution.probs.numpy()
     drawn = build("ppo", setting, network=network, decision="softmax")
     np.testing.assert_allclose(drawn.probabilities(rows), chances, atol=1e-5)
-
-
-def test_other_models_are_refused(models, game):
-    refused(r"layer 1 .*Tanh", network_from_sb3, models[1], game_identity(game))
-    refused("str has no actor", network_from_sb3, "model", game_identity(game))

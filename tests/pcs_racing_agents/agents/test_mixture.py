@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from refusal import refused
 from zoo_games import untrained
 
@@ -73,16 +72,13 @@ def test_a_set_of_networks_is_played_as_the_mixture_of_its_members(setting, seen
     assert agent.content_hash != build("self-play", setting, networks=other).content_hash
 
 
-@pytest.mark.parametrize("name", ["robust", "psro", "self-play"])
-def test_without_a_set_of_networks_the_error_says_how_to_make_one(setting, name):
-    refused(f"'toy-paper-{name}'.*pcs-racing learn {name}", build, name, setting, error=UnknownNameError)
-    refused("'nowhere'", build, name, setting, networks="nowhere", error=UnknownNameError)
-
-
-def test_bad_mixtures_are_refused(setting, archive):
+def test_bad_mixtures_are_refused_and_without_networks_the_error_says_how_to_make_them(setting, archive):
     stay = never_switch(setting)
     for weights in ([], [1.0, 2.0], [-1.0], [0.0], [np.nan]):
         refused("weights", make_mixture, [stay], weights)
     refused("'never-switch' can't be a member of a mixture", make_mixture, [stay, "never-switch"], [1, 1])
     other = never_switch(make_setting(archive, "contest"))
     refused("different archives or rules", make_mixture, [stay, other], [1, 1])
+    for name in ["robust", "psro", "self-play"]:
+        refused(f"'toy-paper-{name}'.*pcs-racing learn {name}", build, name, setting, error=UnknownNameError)
+        refused("'nowhere'", build, name, setting, networks="nowhere", error=UnknownNameError)

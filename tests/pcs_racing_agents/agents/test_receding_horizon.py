@@ -34,12 +34,20 @@ def some_games(game: RaceGame, games: int = 6, seed: int = 1, moves: int = 1):
     return state
 
 
-def test_merged_histories_are_those_of_the_same_policies():
+def test_merged_histories_are_those_of_the_same_policies_in_small_games():
     table = np.array([[1, 1, 0], [0, 2, 2], [2, 2, 2]])
     for policy, same in enumerate(zip(*merge_histories(table, np.arange(3), 2), strict=True)):
         paths = [(table[policy, a], table[table[policy, a], b]) for a in range(3) for b in range(3)]
         np.testing.assert_array_equal(same[2], [paths.index(path) for path in paths])
     np.testing.assert_array_equal(same[2], np.zeros(9))  # from policy 2 nothing leads away
+    rng = np.random.default_rng(0)
+    payoffs = rng.normal(size=(2, 3, 2, 3, 2))  # moves of car 0 and car 1 in turn
+    tree = solve_exact(GameTree.from_payoffs(payoffs[0]))
+    histories = payoffs.reshape(2, 3, 2, 3, 2).transpose(0, 1, 3, 2, 4).reshape(2, 9, 4)
+    games = root_games(histories, (3, 2), 2)
+    np.testing.assert_allclose(games[0].reshape(-1), tree.node_values[1], atol=1e-12)
+    best_reply = root_games(histories[:, :, :1], (3, 1), 2)
+    np.testing.assert_array_equal(best_reply[:, :, 0], payoffs[:, :, 0, :, 0].max(axis=2))
 
 
 @pytest.mark.parametrize("car", [0, 1])
@@ -60,7 +68,7 @@ def test_what_is_looked_ahead_is_the_game_itself(game, car):
         np.testing.assert_array_equal(payoffs[:, own[0] * 5 + own[1], other[0] * 5 + other[1]], end.race.lead)
 
 
-def test_a_look_at_the_next_step_ends_there(game):
+def test_a_look_at_the_next_step_is_the_best_reply_to_a_static_opponent(game, setting):
     state = some_games(game)
     guess = guess_games(game, game, state, 0, state.race.seed)
     moves = np.arange(5), np.array([STAY])
@@ -68,21 +76,7 @@ def test_a_look_at_the_next_step_ends_there(game):
     for move in range(5):
         after = game.step(guess, np.tile([move, STAY], (6, 1)))
         np.testing.assert_array_equal(payoffs[:, move, 0], after.race.lead)
-
-
-def test_small_games_are_solved_as_trees_are():
-    rng = np.random.default_rng(0)
-    payoffs = rng.normal(size=(2, 3, 2, 3, 2))  # moves of car 0 and car 1 in turn
-    tree = solve_exact(GameTree.from_payoffs(payoffs[0]))
-    histories = payoffs.reshape(2, 3, 2, 3, 2).transpose(0, 1, 3, 2, 4).reshape(2, 9, 4)
-    games = root_games(histories, (3, 2), 2)
-    np.testing.assert_allclose(games[0].reshape(-1), tree.node_values[1], atol=1e-12)
-    best_reply = root_games(histories[:, :, :1], (3, 1), 2)
-    np.testing.assert_array_equal(best_reply[:, :, 0], payoffs[:, :, 0, :, 0].max(axis=2))
-
-
-def test_the_best_reply_to_a_static_opponent(game, setting):
-    """With the last move at hand, the move that is made pays most of all in the game as it is guessed."""
+    # With the last move at hand, the move that is made pays most of all in the game as it is guessed.
     agent = receding_horizon(setting)
     state = some_games(game, games=12, moves=3)
     games, _ = agent.root_games(game, state, 1)
@@ -168,7 +162,7 @@ def test_noise_is_averaged_over(noisy, game, archive, setting):
     np.testing.assert_array_equal(once, twice)
 
 
-def test_of_races_won_alike_the_clearer_one(game, archive):
+def test_of_races_won_alike_the_clearer_one_and_never_a_move_that_is_not_offered(game, archive):
     """Where only winning counts, the lead decides between equals, and never more."""
     winning = replace(game, config=replace(game.config, utility="win"))
     agent = receding_horizon(make_setting(archive, winning.config))
@@ -183,10 +177,7 @@ def test_of_races_won_alike_the_clearer_one(game, archive):
     for row in np.flatnonzero(~winning.done(state)):
         assert won[row, selected[row]] == won[row].max()
         assert lead[row, selected[row]] >= lead[row, won[row] == won[row].max()].max() - 1e-5
-
-
-def test_without_the_move_stay(game, archive):
-    """Played where the rules do not offer it, it makes the moves that there are."""
+    # Played where the rules do not offer it, it makes the moves that there are.
     strict = replace(game, config=replace(game.config, stay=False))
     agent = receding_horizon(make_setting(archive, strict.config))
     state = some_games(strict)
@@ -205,33 +196,25 @@ def test_by_name(setting):
         assert competitor_hash(replace(same, **other)) != competitor_hash(same), other
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_impossible_options(setting):
+    for options, message in [
         ({"depth": 0}, "the depth of agent 'receding-horizon' is 0"),
         ({"seed": -1}, "the seed of agent 'receding-horizon' is -1"),
         ({"leaf": "lead"}, "'lead'; it must be one of rollout, now, network"),
         ({"opponent": ["static"]}, "it must be one of static, equilibrium"),
         ({"depth": 4, "opponent": "equilibrium"}, "make its depth 4 or its noises 1 smaller"),
         ({"network": "out/net"}, "only leaf 'network' asks one"),
-    ],
-)
-def test_impossible_options(setting, options, message):
-    with pytest.raises(InputError, match=r"^[^\n]+$") as error:
-        receding_horizon(setting, **options)
-    assert message in str(error.value)
+    ]:
+        refused(message, receding_horizon, setting, **options)
 
 
-def test_networks_that_say_nothing_of_worth(setting, archive):
+def test_networks_and_games_that_do_not_fit_are_refused(setting, archive, game):
     with pytest.raises(InputError, match=r"has target 'regret', .* must be 'static-q'"):
         receding_horizon(setting, leaf="network", network=untrained(setting, "regret"))
     with pytest.raises(UnknownNameError, match=r"network, .*'toy-paper-static-q'"):
         build("receding-horizon", setting, leaf="network")
     faster = make_setting(archive, replace(setting.config, moves=9, step_seconds=0.4))
     refused("sees 31", receding_horizon, faster, leaf="network", network=untrained(setting, "static-q"))
-
-
-def test_games_that_it_is_not_made_for(game, setting):
     agent = receding_horizon(setting)
     longer = replace(game, config=replace(game.config, moves=5))
     refused("games of 4 moves", agent.decide, longer, longer.reset(games=1), 0)

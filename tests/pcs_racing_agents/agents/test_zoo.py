@@ -52,7 +52,7 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
             assert created.facts["source"] == entries()[name].source
 
 
-def test_made_by_name_for_a_shipped_archive():
+def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_another(game, setting, oval):
     agent = pcs_racing_agents.make("random-moves", race="contest", seed=1)
     assert isinstance(agent, Agent)
     assert agent.setting.race == "contest"
@@ -63,26 +63,15 @@ def test_made_by_name_for_a_shipped_archive():
     assert len(explored.policies) == len(agent.setting.archive.explored_parameters)
     with pytest.raises(AttributeError, match="has no attribute 'mak'"):
         pcs_racing_agents.mak  # noqa: B018
+    from pcs_racing_agents.tournament.games import game_between
+
+    other = make("never-switch")
+    refused(r"agent 'never-switch' was made for archive 'default' \(.*\)", game_between, game, other, other)
+    agent, wider = random_moves(setting), make_game(oval, setting.archive, setting.config, epsilon=0.7)
+    refused(r"epsilon 0\.5; .*0\.7", game_between, wider, agent, agent)
 
 
-@pytest.mark.parametrize(
-    ("name", "given", "message"),
-    [
-        ("cfr-armax", {}, "did you mean 'cfr-argmax'?"),
-        ("always-jump", {}, "'jump' is no move"),
-        ("never-switch", {"speed": 3}, r"'never-switch' .*'speed'"),
-        ("best-fixed", {"goal": 3}, "has no option 'goal'"),
-        ("always-restraint+", {"x": 1}, "has no option 'x'"),
-        (7, {}, "agent 7"),
-        ("lattice:pace=7", {}, "must lie in"),
-    ],
-)
-def test_bad_names_and_options(setting, name, given, message):
-    refused(message, build, name, setting, **given)
-    refused("unknown archive 'nowhere'", make, "never-switch", archive="nowhere", error=UnknownNameError)
-
-
-def test_agents_as_text(setting):
+def test_agents_as_text_and_bad_names_and_options(setting):
     assert parse_agent("best-fixed:target=3", setting).name == "best-fixed:target=3"
     assert parse_agent("always-restraint +", setting).name == "always-restraint+"
     assert len(parse_agent("lane-switcher", setting).policies) == 20
@@ -94,6 +83,17 @@ def test_agents_as_text(setting):
     assert (adaptive.facts["keeps to"], adaptive.facts["margin"]) == ("never-switch", "0.5")
     for text in ("best-fixed:3", "best-fixed:target=3,target=4", "best-fixed:name=x", "best-fixed:target=[1"):
         refused("agent 'best-fixed", parse_agent, text, setting)
+    for name, given, message in [
+        ("cfr-armax", {}, "did you mean 'cfr-argmax'?"),
+        ("always-jump", {}, "'jump' is no move"),
+        ("never-switch", {"speed": 3}, r"'never-switch' .*'speed'"),
+        ("best-fixed", {"goal": 3}, "has no option 'goal'"),
+        ("always-restraint+", {"x": 1}, "has no option 'x'"),
+        (7, {}, "agent 7"),
+        ("lattice:pace=7", {}, "must lie in"),
+    ]:
+        refused(message, build, name, setting, **given)
+    refused("unknown archive 'nowhere'", make, "never-switch", archive="nowhere", error=UnknownNameError)
 
 
 class Zero:
@@ -130,15 +130,6 @@ def test_agents_of_other_people(setting, empty_registry, monkeypatch):
     assert {"far", "broken"} <= set(names(setting.archive, setting.config))
     assert build("far", setting, bold=True).name == "far"
     refused(r"agent 'broken' can't be loaded from no\.such:thing", build, "broken", setting)
-
-
-def test_an_agent_of_another_archive_is_refused(game, setting, oval):
-    from pcs_racing_agents.tournament.games import game_between
-
-    other = make("never-switch")
-    refused(r"agent 'never-switch' was made for archive 'default' \(.*\)", game_between, game, other, other)
-    agent, wider = random_moves(setting), make_game(oval, setting.archive, setting.config, epsilon=0.7)
-    refused(r"epsilon 0\.5; .*0\.7", game_between, wider, agent, agent)
 
 
 def test_a_shipped_agent_is_a_file_and_a_line(setting, monkeypatch, tmp_path):

@@ -12,32 +12,17 @@ from zoo_games import toy_archive
 
 from pcs_racing import save_archive
 from pcs_racing_agents.agents import make
-from pcs_racing_agents.benchmark.card import (
-    Card,
-    board_page,
-    board_rows,
-    read_card,
-    read_cards,
-    write_card,
-)
+from pcs_racing_agents.benchmark.card import Card, board_page, board_rows, read_card, read_cards, write_card
 from pcs_racing_agents.benchmark.entrants import load_entrant
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
 from pcs_racing_agents.benchmark.scoring import CardScore, decision_cost, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main
 
 SMALL = {
-    "race": "paper",
-    "archive": "default",
-    "seen": ("Pipkin",),
-    "unseen": ("Larkmoor",),
-    "keeps": ("never-switch",),
-    "switches": ("random-moves",),
-    "planners": ("pure-pursuit",),
-    "agents": ("always-restraint+",),
-    "blind": ("never-switch",),
-    "egos": 2,
-    "variants": 2,
-}
+    "race": "paper", "archive": "default", "seen": ("Pipkin",), "unseen": ("Larkmoor",),
+    "keeps": ("never-switch",), "switches": ("random-moves",), "planners": ("pure-pursuit",),
+    "agents": ("always-restraint+",), "blind": ("never-switch",), "egos": 2, "variants": 2,
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +46,7 @@ def test_every_opponent_is_met_on_every_circuit_by_every_arm(protocol, results):
         np.testing.assert_array_equal(own.races.variants, blind.races.variants)
 
 
-def test_scores_are_means_over_the_races(results):
+def test_scores_and_gains_are_means_over_the_same_races(results):
     own = results["random-moves"]
     scores = {(score.part, score.circuits): score for score in summarise(own)}
     every = np.concatenate([one.races.score for one in own])
@@ -71,9 +56,6 @@ def test_scores_are_means_over_the_races(results):
     assert scores["all", "all"].own_crash + scores["all", "all"].other_crash == pytest.approx(crashed.mean())
     one = own[0]
     assert scores[one.cell.opponent, one.cell.circuit].score == pytest.approx(one.races.score.mean())
-
-
-def test_the_gain_is_over_the_best_blind_strategy_on_the_same_races(results):
     found = gain(results, "random-moves")
     means = {name: np.concatenate([one.races.score for one in cells]).mean() for name, cells in results.items()}
     assert found["over"] == "never-switch"
@@ -95,11 +77,13 @@ def test_a_rating_explains_the_score(protocol, results, monkeypatch):
     assert rating(protocol, own) is None
 
 
-def test_a_protocol_of_another_installation_is_refused(protocol):
+def test_a_protocol_of_another_installation_is_refused_also_on_the_leaderboard(protocol):
     kept = ProtocolConfig(**SMALL, hashes=protocol.hashes)
     assert load_protocol(kept).content_hash == protocol.content_hash
     changed = ProtocolConfig(**SMALL, hashes=(protocol.hashes[0][:-1] + "x", *protocol.hashes[1:]))
     refused("archive default", load_protocol, changed)
+    cards = read_cards([REPOSITORY / "benchmarks" / "bench_v1"])
+    assert {card.protocol_sha256 for card in cards} == {load_protocol().content_hash}
 
 
 def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_driver_nothing(protocol):
@@ -113,9 +97,6 @@ def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_driver_nothing(pr
     assert decision_cost(protocol, agent, repeats=3) > 0.0
     assert agent.asked == 3
     assert decision_cost(protocol, make("lattice:pace=0.4")) is None
-
-
-# Entrants
 
 
 def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
@@ -148,7 +129,7 @@ def card(name="mine", score=0.5, **changes):
     return Card(**{**values, "scores": scores, **changes})
 
 
-def test_a_card_comes_back_as_it_was_written(tmp_path):
+def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_path):
     written = card("<b>mine</b>", rating=12.0, cost_us=3.5)
     assert {path.name for path in write_card(written, tmp_path)} == {"card.json", "card.md", "card.html"}
     assert read_card(tmp_path) == written
@@ -157,15 +138,12 @@ def test_a_card_comes_back_as_it_was_written(tmp_path):
     page = (tmp_path / "card.html").read_text()
     assert "<b>mine" not in page
     assert "&lt;b&gt;mine" in page
+    for text in ["", "[]", "{}", '{"format": "pcs-racing card 1"}', '{"format": "other"}']:
+        (tmp_path / "card.json").write_text(text)
+        refused(r"card\.json", read_card, tmp_path)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "pcs-racing card 1"}', '{"format": "other"}'])
-def test_a_damaged_card_is_refused(tmp_path, text):
-    (tmp_path / "card.json").write_text(text)
-    refused(r"card\.json", read_card, tmp_path)
-
-
-def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
+def test_the_leaderboard_ranks_cards_of_one_protocol_and_tells_what_was_not_measured(tmp_path):
     def folder(name, value):
         (tmp_path / name).mkdir()
         write_card(value, tmp_path / name)
@@ -181,9 +159,6 @@ def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
         ("twice", card("a")),
     ):
         refused(name, read_cards, [*good, folder(name, value)])
-
-
-def test_the_leaderboard_says_what_was_lost_to_a_best_reply_and_what_was_not_measured():
     reply = {"loss": 0.123, "low": 0.1, "high": 0.15, "starts": 8, "rounds": 1, "races": 40}
     head, measured, other = board_rows([card("a", best_reply=reply), card("b")])
     column = head.index("best reply")
@@ -236,8 +211,3 @@ def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_
     for wrong in (both[:1] * 2, [*both, "--name", "mine"], ["nobody"]):
         assert benchmark(*wrong, out="none") == 2
     assert not (tmp_path / "none" / "card.json").exists()
-
-
-def test_the_cards_of_the_leaderboard_are_of_the_present_protocol():
-    cards = read_cards([REPOSITORY / "benchmarks" / "bench_v1"])
-    assert {card.protocol_sha256 for card in cards} == {load_protocol().content_hash}

@@ -5,18 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 from zoo_games import untrained
 
 from pcs_racing import InputError, make_game
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.moves import move_names, move_table
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.explain.explain import Unit, explain_game, value_unit
-from pcs_racing_agents.explain.pcs_picture import in_units
+from pcs_racing_agents.explain.pcs_picture import archive_picture, in_units
 from pcs_racing_agents.explain.pictures import explanation_picture
 from pcs_racing_agents.explain.words import lead_words, opponent_words, story, why
-from pcs_racing_agents.pictures.style import CARS, picture_bytes
+from pcs_racing_agents.pictures.style import CARS, picture_bytes, save_picture
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +48,7 @@ def race(contest, setting):
     return explained(contest, ego, build("random-moves", setting))
 
 
-def test_the_facts_are_those_of_the_game(contest, setting, race):
+def test_the_facts_are_those_of_the_game_and_moves_are_events_of_the_replay(contest, setting, race):
     """The game is played again, move by move."""
     start = draw_starts(contest.track, contest.setup.config, 8, 3).take([0])
     state = contest.reset(race_seeds(5, 8)[:1], policies=[[4, 6]], starts=start)
@@ -62,6 +64,8 @@ def test_the_facts_are_those_of_the_game(contest, setting, race):
         state = contest.step(state, np.array([[step.move, step.opponent_move]]))
     assert contest.done(state).all()
     assert race.played.lead == state.race.lead
+    events = [(event.time, event.text) for event in race.replay.events if event.kind == "move" and event.car == 0]
+    assert events == [(pytest.approx(step.time), race.moves[step.move]) for step in race.steps]
 
 
 def test_the_other_car_sees_the_other_side(contest, setting):
@@ -74,23 +78,18 @@ def test_the_other_car_sees_the_other_side(contest, setting):
     assert story(second).startswith("random-moves (car 1) against random-moves (car 0)")
 
 
-def test_moves_are_events_of_the_replay(race):
-    events = [(event.time, event.text) for event in race.replay.events if event.kind == "move" and event.car == 0]
-    assert events == [(pytest.approx(step.time), race.moves[step.move]) for step in race.steps]
-
-
-# Words
-
-
-def test_the_story_tells_every_step(race):
+def test_the_story_tells_every_step_and_a_race_that_ends_at_once(race):
     text = story(race)
     assert text.startswith("cfr-argmax (car 0) against random-moves on oval, contest rules: ")
     assert text.count("saw:") == text.count("did:") == text.count("then:") == text.count("why:") == len(race.steps) > 0
     for step in race.steps:
         assert f"did: {race.moves[step.move]}, " in text
+    empty = replace(race, steps=())
+    assert story(empty).endswith("over before the first move.")
+    assert picture_bytes(explanation_picture(empty)).startswith(b"<?xml")
 
 
-def test_the_opponent_is_described_in_relation_to_the_archive(race):
+def test_the_opponent_is_described_in_relation_to_the_archive_and_leads_in_words(race):
     middle = race.middle
     step = race.steps[0]._replace(opponent=middle + np.array([-0.2, 0.05]))
     assert opponent_words(race, step) == (
@@ -99,14 +98,11 @@ def test_the_opponent_is_described_in_relation_to_the_archive(race):
     step = step._replace(opponent=middle + np.array([0.31, -0.4]))
     assert opponent_words(race, step).startswith("opponent aggressive and daring (aggressiveness 0.31 above")
     assert opponent_words(race, step._replace(opponent=middle)).startswith("opponent in the middle of the archive")
+    for lead, words in [(3.14, "ahead by 3.1 m"), (-3.14, "behind by 3.1 m"), (0.1, "level")]:
+        assert lead_words(lead) == words
 
 
-@pytest.mark.parametrize(("lead", "words"), [(3.14, "ahead by 3.1 m"), (-3.14, "behind by 3.1 m"), (0.1, "level")])
-def test_leads_are_put_into_words(lead, words):
-    assert lead_words(lead) == words
-
-
-def test_a_move_is_compared_with_staying_and_with_the_next_best(race):
+def test_a_move_is_compared_with_staying_and_counted_in_what_values_mean(race, setting):
     step = race.steps[0]._replace(move=0, values=np.array([0.3, 0.1, 0.22, -0.1, 0.2]))
     assert why(race, step) == "worth 0.100 of a win more than staying, 0.080 of a win more than restraint +"
     assert why(race, step._replace(move=4)) == "worth 0.100 of a win less than aggressiveness +"
@@ -114,9 +110,6 @@ def test_a_move_is_compared_with_staying_and_with_the_next_best(race):
     assert why(race, drawn) == "worth 0.080 of a win less than aggressiveness +"
     assert why(race, drawn._replace(move=4)) == "its network has no value for stay"
     assert why(race, step._replace(values=None)) == ""
-
-
-def test_values_are_counted_in_what_they_mean(setting):
     assert value_unit(network_of(setting, worth="win"), "lead") == Unit(1.0, "of a win")
     assert value_unit(network_of(setting), "win") == Unit(0.5, "of a win")
     assert value_unit(network_of(setting), "lead") == Unit(1.0, "m of lead")
@@ -143,15 +136,16 @@ def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, s
         assert f"worth {gain:.3f} of a win more than stay, what never-switch would do" in why(bold, step)
 
 
-def test_blind_agents_are_called_blind(contest, setting):
+def test_blind_agents_drivers_and_whoever_answers_predict(contest, setting):
     race = explained(contest, build("always-aggressiveness+", setting), build("lane-switcher", setting))
     assert "never looks at the opponent" in story(race)
     assert "why:" not in story(race)
     race = explained(contest, build("lane-switcher", setting), build("random-moves", setting), car=1)
     assert re.search(r"drawn with a chance of 2[05]%", story(race))
+    with pytest.raises(InputError, match="'lane-switcher' in car 0 makes no moves"):
+        explained(contest, build("lane-switcher", setting), build("never-switch", setting))
+    refused("car is 2", explained, contest, build("never-switch", setting), build("never-switch", setting), car=2)
 
-
-def test_whoever_answers_predict_can_be_explained(contest, setting):
     class Model:
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             return np.zeros(len(observation), np.int64), None
@@ -160,22 +154,6 @@ def test_whoever_answers_predict_can_be_explained(contest, setting):
     assert all(step.values is None and step.probabilities is None for step in race.steps)
     assert story(race).startswith("Model (car 0)")
     assert picture_bytes(explanation_picture(race)).startswith(b"<?xml")
-
-
-def test_drivers_have_nothing_to_explain(contest, setting):
-    with pytest.raises(InputError, match="'lane-switcher' in car 0 makes no moves"):
-        explained(contest, build("lane-switcher", setting), build("never-switch", setting))
-    with pytest.raises(InputError, match="car is 2"):
-        explained(contest, build("never-switch", setting), build("never-switch", setting), car=2)
-
-
-def test_a_race_that_ends_at_once_is_told(race):
-    empty = replace(race, steps=())
-    assert story(empty).endswith("over before the first move.")
-    assert picture_bytes(explanation_picture(empty)).startswith(b"<?xml")
-
-
-# Pictures
 
 
 def test_the_pictures_show_what_was_seen_and_done(race):
@@ -197,10 +175,13 @@ def test_the_pictures_show_what_was_seen_and_done(race):
     assert len(track.lines) >= 2
 
 
-def test_a_move_that_the_network_does_not_know_is_marked(race):
+def test_a_move_that_the_network_does_not_know_is_marked_and_chances_stand_in_for_values(race, contest, setting):
     steps = [step._replace(values=step.values[: step.move]) for step in race.steps]
     panels = explanation_picture(replace(race, steps=steps)).axes[2:-1]
     assert [[text.get_text() for text in axes.texts] for axes in panels[: len(steps)]] == [["made"]] * len(steps)
+    race = explained(contest, build("random-moves", setting), build("never-switch", setting))
+    panels = [axes for axes in explanation_picture(race).axes[2:-1] if axes.get_visible()]
+    assert sum(patch.get_width() for patch in panels[0].patches) == pytest.approx(1.0)
 
 
 def rgba(colour):
@@ -209,7 +190,12 @@ def rgba(colour):
     return to_rgba(colour)
 
 
-def test_chances_stand_in_for_values(contest, setting):
-    race = explained(contest, build("random-moves", setting), build("never-switch", setting))
-    panels = [axes for axes in explanation_picture(race).axes[2:-1] if axes.get_visible()]
-    assert sum(patch.get_width() for patch in panels[0].patches) == pytest.approx(1.0)
+def test_the_archive_shows_where_moves_lead(archive, tmp_path):
+    figure = archive_picture(archive, epsilon=0.5, policy=3)
+    texts = " ".join(text.get_text() for text in figure.axes[0].texts)
+    names, leads_to = move_names(archive, 0.5), move_table(archive, 0.5)[3]
+    assert all(name in texts for name in names)
+    arrows = [text for text in figure.axes[0].texts if text.get_text() == "" and text.arrow_patch is not None]
+    assert len(arrows) == len(set(leads_to.tolist()) - {3})
+    assert save_picture(figure, tmp_path / "archive.png").read_bytes().startswith(b"\x89PNG")
+    refused("policy is 12", archive_picture, archive, policy=12)

@@ -13,9 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from long_jobs import TREES, commands, files
+from refusal import refused
 from warm_start import kill, start_python
 
-from pcs_racing import InputError
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs import executors
 from pcs_racing_agents.jobs.executors import make_executor, sent_once, tasks_in_flight, worker_identity
@@ -85,9 +85,6 @@ def wait_for(condition: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-# Results
-
-
 @pytest.fixture(scope="module")
 def long_commands(tmp_path_factory) -> dict[str, list[str]]:
     """Every long command; those that train learn from a few trees."""
@@ -146,9 +143,6 @@ def test_a_large_function_travels_once_and_not_with_every_task(tmp_path, kind, r
             assert kind == "threads" or 0 < len(repr(sent)) < 1000
     assert [float(result["sum"]) for result in found] == heavy.load[:40].tolist()
     assert not [warning for warning in recwarn if "large" in str(warning.message)]
-
-
-# Faults
 
 
 def slow(task: tuple[int, str]) -> dict[str, object]:
@@ -238,13 +232,16 @@ def out_of_memory(task: int) -> dict[str, int]:
     raise KilledWorker("out_of_memory-12", SimpleNamespace(address="tcp://there:1"), 3)
 
 
-def test_a_task_that_kills_its_workers_is_told_in_a_line(tmp_path):
+def test_a_task_that_kills_its_workers_and_a_scheduler_without_any_are_told_in_a_line(tmp_path, monkeypatch):
     with (
         open_job(tmp_path, "k", {}) as job,
         pytest.raises(JobError, match=r"^deadly .*worker died.*out_of_memory-12"),
         make_executor("threads", 1) as executor,
     ):
         job.run("deadly", out_of_memory, range(2), executor=executor)
+    monkeypatch.setattr(executors, "WORKER_SECONDS", 0.5)
+    with started(tmp_path, 0) as lonely:
+        refused(f"{lonely.address} has no workers", make_executor("dask", address=lonely.address).__enter__)
 
 
 @pytest.mark.parametrize("error", [BrokenExecutor("a process died"), CancelledError("scheduler-connection-lost")])
@@ -256,14 +253,8 @@ def test_workers_lost_outside_of_jobs_are_told_in_a_line(monkeypatch, capsys, er
 
     monkeypatch.setattr("pcs_racing_agents.tournament.plan_tournament", fail)
     assert main(["tournament", "--track", "Pipkin"]) == 2
-    told = capsys.readouterr().err
-    assert (
-        told
-        == f"pcs-racing: error: a worker died or the cluster is gone ({error}); mend that and start the same again\n"
-    )
-
-
-# Addresses and versions
+    told = f"pcs-racing: error: a worker died or the cluster is gone ({error}); mend that and start the same again\n"
+    assert capsys.readouterr().err == told
 
 
 @pytest.mark.parametrize(
@@ -276,26 +267,6 @@ def test_a_wrong_address_is_one_clear_error(address, monkeypatch, capfd):
     error = capfd.readouterr().err
     assert error.startswith(f"pcs-racing: error: no dask scheduler answers at {address}: ")
     assert error.count("\n") == 1
-
-
-def test_a_scheduler_without_workers_is_an_error(tmp_path, monkeypatch):
-    monkeypatch.setattr(executors, "WORKER_SECONDS", 0.5)
-    with (
-        started(tmp_path, 0) as lonely,
-        pytest.raises(InputError, match=f"{lonely.address} has no workers"),
-        make_executor("dask", address=lonely.address),
-    ):
-        pass
-
-
-def test_workers_of_other_versions_are_refused(cluster, monkeypatch):
-    theirs = worker_identity()["pcs-racing"]
-    monkeypatch.setattr(executors, "package_version", lambda: "99.0")
-    with (
-        pytest.raises(InputError, match=rf"tcp://127\S+ has pcs-racing {theirs}, not 99\.0"),
-        make_executor("dask", address=cluster.address),
-    ):
-        pass
 
 
 def test_a_machine_that_is_too_busy_for_dasks_own_thread_is_asked_again(monkeypatch):
@@ -314,14 +285,14 @@ def test_a_machine_that_is_too_busy_for_dasks_own_thread_is_asked_again(monkeypa
         executors._client(busy, "tcp://there:1")
 
 
-def test_torch_is_compared_where_there_is_one():
+def test_workers_of_other_versions_torches_and_processors_are_told(caplog, cluster, monkeypatch):
     theirs = {**worker_identity(), "torch": "0.1"}
     executors._check_workers({"tcp://there:1": {**theirs, "torch": ""}})  # a tournament needs none
     if worker_identity()["torch"]:
-        with pytest.raises(InputError, match=r"tcp://there:1 has torch 0\.1, not \d"):
-            executors._check_workers({"tcp://there:1": theirs})
-
-
-def test_processors_of_another_kind_are_told(caplog):
+        refused(r"tcp://there:1 has torch 0\.1, not \d", executors._check_workers, {"tcp://there:1": theirs})
     executors._check_workers({"tcp://there:1": {**worker_identity(), "processor": "z80"}})
     assert "the worker at tcp://there:1 has a processor of another kind (z80, here " in caplog.text
+    theirs = worker_identity()["pcs-racing"]
+    monkeypatch.setattr(executors, "package_version", lambda: "99.0")
+    other = make_executor("dask", address=cluster.address)
+    refused(rf"tcp://127\S+ has pcs-racing {theirs}, not 99\.0", other.__enter__)

@@ -10,6 +10,7 @@ import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
+from refusal import refused
 from repository import REPOSITORY
 from warm_start import kill, start_python
 
@@ -22,17 +23,13 @@ from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 
 CHECKOUT = os.pathsep.join([str(REPOSITORY), str(REPOSITORY / "tests")])
-SETTINGS = {"seed": 3, "race": {"duration": 16.0, "tracks": ["Pipkin", "Saltmere"]}}
+RACE = {"duration": 16.0, "tracks": ["Pipkin", "Saltmere"]}
+SETTINGS = {"seed": 3, "race": RACE}
 
 
 def square(task: float) -> dict[str, object]:
     """A task: an array, a whole number and a text."""
     return {"values": np.arange(task) ** 2.0, "count": int(task), "name": np.array(f"task {task}")}
-
-
-def slow_square(task: float) -> dict[str, object]:
-    time.sleep(0.05)
-    return square(task)
 
 
 def same(results, others):
@@ -49,16 +46,18 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
 
 
-# Results
-
-
-def test_results_come_in_the_order_of_the_tasks(tmp_path):
+def test_results_come_in_the_order_of_the_tasks_and_progress_counts_what_was_there(tmp_path):
     with open_job(tmp_path, "squares", SETTINGS) as job:
         results = job.run("square", square, [3, 0, 5])
         assert [int(result["count"]) for result in results] == [3, 0, 5]
         np.testing.assert_array_equal(results[2]["values"], [0.0, 1.0, 4.0, 9.0, 16.0])
         same([job.read("square", k) for k in range(3)], results)
     same([read_chunk(chunk_file(tmp_path, "square", k)) for k in range(3)], results)
+    told = []
+    with open_job(tmp_path, "squares", SETTINGS) as job:
+        job.run("square", square, [1, 2])
+        job.run("square", square, [1, 2, 3, 4], progress=lambda *news: told.append(news))
+    assert told == [(2, 4, "square"), (3, 4, "square"), (4, 4, "square")]
 
 
 @pytest.mark.parametrize("kind", ["serial", "threads", "processes"])
@@ -71,24 +70,13 @@ def test_files_are_the_same_whatever_the_executor(tmp_path, kind, executor):
     assert contents(tmp_path / "a") == contents(tmp_path / "b")
 
 
-def test_progress_counts_what_was_done_before(tmp_path):
-    told = []
-    with open_job(tmp_path, "squares", SETTINGS) as job:
-        job.run("square", square, [1, 2])
-        job.run("square", square, [1, 2, 3, 4], progress=lambda *news: told.append(news))
-    assert told == [(2, 4, "square"), (3, 4, "square"), (4, 4, "square")]
-
-
-@pytest.mark.parametrize("value", [[1, 2], {"object": object()}, {"ragged": [None, {}]}, 3])
-def test_results_must_be_arrays(tmp_path, value):
-    with (
-        open_job(tmp_path, "squares", SETTINGS) as job,
-        pytest.raises(InputError, match="task 0 of odd"),
-    ):
-        job.run("odd", lambda _: value, [0])
-
-
-# Resuming
+def test_names_and_results_that_can_not_be_are_refused(tmp_path):
+    for value in [[1, 2], {"object": object()}, {"ragged": [None, {}]}, 3]:
+        with open_job(tmp_path, "squares", SETTINGS) as job, pytest.raises(InputError, match="task 0 of odd"):
+            job.run("odd", lambda _, value=value: value, [0])
+    for name in ["", "../up", "A", "a b", "x" * 81]:
+        with open_job(tmp_path, "squares", SETTINGS) as job, pytest.raises(InputError, match="small letters"):
+            job.run(name, square, [1])
 
 
 def test_a_job_goes_on_where_it_failed(tmp_path):
@@ -118,12 +106,9 @@ def test_a_damaged_chunk_is_named_and_made_again(tmp_path, damage, caplog):
         if damage == "bit":
             content[len(content) // 2] ^= 4
         replaced = {
-            "cut": content[: len(content) // 2],
-            "bit": content,
-            "empty": b"",
-            "other": b"PK" * 400,
+            "cut": content[: len(content) // 2], "bit": content, "empty": b"", "other": b"PK" * 400,
             "swapped": job.file("square", 3).read_bytes(),
-        }
+        }  # fmt: skip
         file.write_bytes(replaced[damage])
         same(job.run("square", square, range(4)), expected)
         assert [record.getMessage().split(" ")[0] for record in caplog.records] == [str(file)]
@@ -139,8 +124,7 @@ def test_no_changed_byte_goes_unnoticed(data, tmp_path_factory):
     at = data.draw(st.integers(0, len(content) - 1))
     content[at] ^= data.draw(st.integers(1, 255))
     file.write_bytes(content)
-    with pytest.raises(InputError, match=r"damaged|another task"):
-        read_chunk(file, "0" * 64)
+    refused(r"damaged|another task", read_chunk, file, "0" * 64)
 
 
 def test_a_chunk_made_for_another_task_is_not_used(tmp_path, caplog):
@@ -150,39 +134,6 @@ def test_a_chunk_made_for_another_task_is_not_used(tmp_path, caplog):
     assert int(results[1]["count"]) == 4
     assert "square-00001.npz belongs to another task" in caplog.text
     assert len(caplog.records) == 1
-
-
-SCRIPT = """
-import sys, time
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.jobs.executors import make_executor
-from tests.pcs_racing_agents.jobs.test_jobs import SETTINGS, slow_square
-
-if __name__ == "__main__":
-    with open_job(sys.argv[1], "squares", SETTINGS) as job, make_executor(sys.argv[2], 2) as executor:
-        job.run("square", slow_square, range(30), executor=executor)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="kill -9 is spoken of here")
-@pytest.mark.parametrize("kind", ["serial", "processes"])
-def test_killed_and_started_again_the_files_are_the_same(tmp_path, kind):
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT)
-    folder = tmp_path / "job"
-    process = start_python(script, folder, kind, env={**os.environ, "PYTHONPATH": CHECKOUT})
-    while len(list(folder.glob("chunks/*.npz"))) < 4:
-        assert process.is_alive()
-        time.sleep(0.01)
-    with pytest.raises(JobError, match=f"process {process.pid};"), open_job(folder, "squares", SETTINGS):
-        pass
-    kill(process)
-    assert 4 <= len(list(folder.glob("chunks/*.npz"))) < 30
-    with open_job(folder, "squares", SETTINGS) as job:  # the lock died with the process
-        job.run("square", square, range(30))
-    with open_job(tmp_path / "undisturbed", "squares", SETTINGS) as job:
-        job.run("square", square, range(30))
-    assert contents(folder) == contents(tmp_path / "undisturbed")
 
 
 def kill_yourself(task: int) -> dict[str, int]:
@@ -270,9 +221,6 @@ def test_an_interruption_drops_what_has_not_begun(tmp_path, kind):
         assert len(job.run("square", count, range(10))) == 10
 
 
-# Folders
-
-
 @pytest.mark.parametrize(
     ("kind", "settings", "message"),
     [
@@ -281,16 +229,8 @@ def test_an_interruption_drops_what_has_not_begun(tmp_path, kind):
         ("squares", {**SETTINGS, "seed": True}, "its seed is 3, not True"),
         ("squares", {"seed": 3}, "its race is"),
         ("squares", {**SETTINGS, "moves": 4}, "it has no moves, which is 4"),
-        (
-            "squares",
-            {"seed": 3, "race": {**SETTINGS["race"], "duration": 8.0}},
-            r"its race\.duration is 16\.0, not 8\.0",
-        ),
-        (
-            "squares",
-            {"seed": 3, "race": {**SETTINGS["race"], "tracks": ("Pipkin",)}},
-            r"its race\.tracks is .*Saltmere",
-        ),
+        ("squares", {"seed": 3, "race": {**RACE, "duration": 8.0}}, r"its race\.duration is 16\.0, not 8\.0"),
+        ("squares", {"seed": 3, "race": {**RACE, "tracks": ("Pipkin",)}}, r"its race\.tracks is .*Saltmere"),
     ],
 )
 def test_a_folder_of_another_run_is_refused_and_left_alone(tmp_path, kind, settings, message):
@@ -298,61 +238,39 @@ def test_a_folder_of_another_run_is_refused_and_left_alone(tmp_path, kind, setti
         job.run("square", square, [3])
     before = contents(tmp_path)
     stamps = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*")}
-    with pytest.raises(InputError, match=f"holds another run: {message}"), open_job(tmp_path, kind, settings):
-        pass
+    refused(f"holds another run: {message}", open_job(tmp_path, kind, settings).__enter__)
     assert contents(tmp_path) == before
     assert {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*")} == stamps
 
 
 def test_another_version_of_the_package_is_another_run(tmp_path, monkeypatch):
     with open_job(tmp_path, "squares", SETTINGS):
-        pass
-    monkeypatch.setattr("pcs_racing_agents.jobs.folders.package_version", lambda: "99.0")
-    with (
-        pytest.raises(InputError, match=r"package version is '.*', not '99\.0'"),
-        open_job(tmp_path, "squares", SETTINGS),
-    ):
-        pass
+        monkeypatch.setattr("pcs_racing_agents.jobs.folders.package_version", lambda: "99.0")
+    refused(r"package version is '.*', not '99\.0'", open_job(tmp_path, "squares", SETTINGS).__enter__)
 
 
 def test_settings_may_be_arrays_tuples_and_dataclasses(tmp_path):
-    settings = {
-        "epsilon": (0.1, np.float64(0.2)),
-        "race": load_race_config("paper"),
-        "bounds": np.eye(2),
-        "tiny": 1e-30,
-    }
+    epsilon, race = (0.1, np.float64(0.2)), load_race_config("paper")
+    settings = {"epsilon": epsilon, "race": race, "bounds": np.eye(2), "tiny": 1e-30}
     for _ in range(2):
         with open_job(tmp_path, "squares", settings) as job:
             assert job.settings["epsilon"] == [0.1, 0.2]
             assert job.settings["race"]["duration"] == 40.0
             assert job.settings["tiny"] == 1e-30
     assert yaml.safe_load((tmp_path / "job.yaml").read_text())["settings"]["bounds"] == [[1.0, 0.0], [0.0, 1.0]]
-    with pytest.raises(InputError, match=r"settings.f is <function"), open_job(tmp_path / "f", "k", {"f": square}):
-        pass
+    refused("settings.f is <function", open_job(tmp_path / "f", "k", {"f": square}).__enter__)
 
 
-def test_a_folder_with_other_things_is_refused(tmp_path):
+def test_folders_of_other_things_or_manifests_are_refused(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match=r"thesis\.tex .*job\.yaml"), open_job(tmp_path, "k", {}):
-        pass
+    refused(r"thesis\.tex .*job\.yaml", open_job(tmp_path, "k", {}).__enter__)
     assert contents(tmp_path) == {"thesis.tex": b"years of work"}
-
-
-@pytest.mark.parametrize("text", ["", "[1, 2", "format: something\n", "- 1\n", "\x00"])
-def test_a_manifest_that_is_none_is_refused(tmp_path, text):
-    (tmp_path / "job.yaml").write_text(text)
-    with pytest.raises(InputError, match=r"job\.yaml is no manifest"), open_job(tmp_path, "k", {}):
-        pass
-
-
-def test_a_folder_that_cant_be_made(tmp_path):
     (tmp_path / "file").write_text("")
-    with (
-        pytest.raises(JobError, match=r"can't work in the folder .*File exists"),
-        open_job(tmp_path / "file", "k", {}),
-    ):
-        pass
+    place = open_job(tmp_path / "file", "k", {})
+    refused("can't work in the folder .*File exists", place.__enter__, error=JobError)
+    for text in ["", "[1, 2", "format: something\n", "- 1\n", "\x00"]:
+        (tmp_path / "job.yaml").write_text(text)
+        refused(r"job\.yaml is no manifest", open_job(tmp_path, "k", {}).__enter__)
 
 
 def test_a_full_disk_is_told_in_a_line_and_loses_nothing(tmp_path, monkeypatch):
@@ -375,38 +293,22 @@ def test_a_full_disk_is_told_in_a_line_and_loses_nothing(tmp_path, monkeypatch):
         assert len(job.run("square", square, range(5))) == 5
 
 
-@pytest.mark.parametrize("name", ["", "../up", "A", "a b", "x" * 81])
-def test_impossible_names(tmp_path, name):
-    with open_job(tmp_path, "k", {}) as job, pytest.raises(InputError, match="small letters"):
-        job.run(name, square, [1])
-
-
-# Executors and fingerprints
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_impossible_executors_are_refused_and_processes_keep_linear_algebra_to_one_thread(tmp_path, monkeypatch):
+    for arguments, message in [
         (("fibres",), "executor is 'fibres'"),
         (("threads", 0), "workers is 0"),
         (("threads", True), "workers is True"),
         (("threads", 2, "tcp://localhost:8786"), "executor dask"),
-    ],
-)
-def test_impossible_executors(arguments, message):
-    with pytest.raises(InputError, match=message), make_executor(*arguments):
-        pass
-
-
-def blas_threads(task: int) -> dict[str, str]:
-    return {"threads": os.environ.get("OPENBLAS_NUM_THREADS", "")}
-
-
-def test_processes_keep_linear_algebra_to_one_thread(tmp_path, monkeypatch):
+    ]:
+        refused(message, make_executor(*arguments).__enter__)
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     with open_job(tmp_path, "k", {}) as job, make_executor("processes", 1) as executor:
         assert job.run("threads", blas_threads, [0], executor=executor)[0]["threads"] == "1"
     assert "OPENBLAS_NUM_THREADS" not in os.environ
+
+
+def blas_threads(task: int) -> dict[str, str]:
+    return {"threads": os.environ.get("OPENBLAS_NUM_THREADS", "")}
 
 
 def test_fingerprints_tell_values_apart():

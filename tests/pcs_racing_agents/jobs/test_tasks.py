@@ -15,15 +15,16 @@ def double(task: int) -> dict[str, int]:
     return {"value": 2 * task}
 
 
-# Tasks
-
-
-@pytest.mark.parametrize("kind", ["serial", "threads"])
-def test_results_come_with_their_keys(kind):
-    with make_executor(kind, 2) as executor:
-        found = dict(run_tasks(numbered_tasks(double, range(20)), executor))
-        assert run_task(double, 21, executor) == {"value": 42}
-    assert found == {i: {"value": 2 * i} for i in range(20)}
+def test_results_come_with_their_keys_and_only_threads_are_here():
+    for kind in ["serial", "threads"]:
+        with make_executor(kind, 2) as executor:
+            found = dict(run_tasks(numbered_tasks(double, range(20)), executor))
+            assert run_task(double, 21, executor) == {"value": 42}
+        assert found == {i: {"value": 2 * i} for i in range(20)}
+    with make_executor("threads", 1) as threads, make_executor("processes", 1) as processes:
+        assert in_other_processes(threads) is None
+        assert in_other_processes(processes) is processes
+    assert in_other_processes(None) is None
 
 
 @pytest.mark.parametrize("workers", [None, 2])
@@ -40,16 +41,6 @@ def test_tasks_are_made_when_they_are_asked_for(workers):
         for done, _ in enumerate(run_tasks(numbered_tasks(double, arguments()), executor), start=1):
             assert len(made) <= done + tasks_in_flight(executor)
     assert len(made) == 100
-
-
-def test_only_threads_are_here():
-    with make_executor("threads", 1) as threads, make_executor("processes", 1) as processes:
-        assert in_other_processes(threads) is None
-        assert in_other_processes(processes) is processes
-    assert in_other_processes(None) is None
-
-
-# Groups
 
 
 def test_groups_of_several_jobs_are_done_side_by_side(tmp_path):
@@ -72,13 +63,7 @@ def test_groups_of_several_jobs_are_done_side_by_side(tmp_path):
         assert run_groups(groups, keep=False) == [[], []]  # nothing is done again: nobody waits at the barrier
     assert (tmp_path / "a" / "chunks" / "first-00000.npz").is_file()
     assert (tmp_path / "b" / "chunks" / "second-00000.npz").is_file()
-
-
-def test_no_groups_are_no_work():
     assert run_groups([]) == []
-
-
-# torch
 
 
 def test_torch_belongs_to_one_thread_at_a_time():

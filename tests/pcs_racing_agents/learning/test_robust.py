@@ -3,18 +3,13 @@
 import numpy as np
 import pytest
 from long_jobs import files
+from refusal import refused
 
-from pcs_racing.base.errors import InputError
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.responses import learn_response, load_response_settings
-from pcs_racing_agents.learning.robust import (
-    learn_psro,
-    learn_robust,
-    load_psro_settings,
-    load_robust_settings,
-)
+from pcs_racing_agents.learning.robust import learn_psro, learn_robust, load_psro_settings, load_robust_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 
 TINY = "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n"
@@ -40,12 +35,9 @@ def test_the_opponents_are_those_of_the_method(lesson, learner, tmp_path, monkey
     kept, slow = (opponent.name for opponent in lesson[1])
     names = [opponents for opponents, _, _ in asked]
     assert names == [
-        [kept, slow],
-        ["robust-response-0"],
-        [kept, slow, "robust-adversary-1"],
-        ["robust-response-0", "robust-response-1"],
-        [kept, slow, "robust-adversary-1", "robust-adversary-2"],
-    ]
+        [kept, slow], ["robust-response-0"], [kept, slow, "robust-adversary-1"],
+        ["robust-response-0", "robust-response-1"], [kept, slow, "robust-adversary-1", "robust-adversary-2"],
+    ]  # fmt: skip
     shares = [np.array(own) for _, own, _ in asked]
     np.testing.assert_allclose(shares[2], [0.3, 0.3, 0.4])
     np.testing.assert_allclose(shares[3], [0.0, 1.0])
@@ -55,16 +47,13 @@ def test_the_opponents_are_those_of_the_method(lesson, learner, tmp_path, monkey
     build("robust", lesson[2], networks=networks).check_fits(lesson[0][0])
 
 
-def test_with_the_pool_alone_it_is_the_response(lesson, learner, tmp_path):
+def test_psro_adds_responses_and_with_the_pool_alone_robust_is_the_response(lesson, learner, tmp_path):
     settings = load_robust_settings(pool_share=1.0, learner=learner)
     with open_job(tmp_path / "robust", "robust", {}) as job:
         (network,) = learn_robust(*lesson, settings, job).networks
     with open_job(tmp_path / "response", "response", {}) as job:
         response = learn_response(*lesson, settings.response(0), job, shares=[1, 1])
     np.testing.assert_array_equal(network.layers.weights[0], response.layers.weights[0])
-
-
-def test_psro_adds_responses_to_the_equilibrium(lesson, learner, tmp_path):
     settings = load_psro_settings(rounds=3, races=20, learner=learner)
     with open_job(tmp_path / "one", "psro", {}) as job:
         networks = learn_psro(*lesson, settings, job)
@@ -80,8 +69,7 @@ def test_shares_divide_the_games(lesson, learner, tmp_path):
         # At each of two steps; races that were over before give no row.
         assert settings.starts < network.training["rows"] <= 2 * settings.starts
         for shares in ([1.0], [0, 0], [1, -1], [1, np.nan]):
-            with pytest.raises(InputError, match="shares"):
-                learn_response(*lesson, settings, job, shares=shares)
+            refused("shares", learn_response, *lesson, settings, job, shares=shares)
 
 
 GAME = ["--track", "Tarnfjord", "--duration", "2.5"]
@@ -112,9 +100,8 @@ def test_the_command_learns_an_agent_that_races_and_again_after_a_stop(method, s
     assert files(out) == learned
 
 
-@pytest.mark.parametrize(
-    ("load", "change", "message"),
-    [
+def test_impossible_settings_are_refused():
+    for load, change, message in [
         (load_response_settings, {"worth": "fame"}, "worth is 'fame'"),
         (load_response_settings, {"members": 0}, "members is 0"),
         (load_robust_settings, {"pool_share": 1.1}, "pool_share is 1.1"),
@@ -122,8 +109,5 @@ def test_the_command_learns_an_agent_that_races_and_again_after_a_stop(method, s
         (load_psro_settings, {"rounds": 1}, "rounds is 1"),
         (load_self_play_settings, {"iterations": 0}, "iterations is 0"),
         (load_self_play_settings, {"weights": "square"}, "weights is 'square'"),
-    ],
-)
-def test_impossible_settings_are_refused(load, change, message):
-    with pytest.raises(InputError, match=message):
-        load(**change)
+    ]:
+        refused(message, load, **change)

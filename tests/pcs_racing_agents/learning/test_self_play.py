@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusal import refused
 from tree_arena import TreeArena
 
 from pcs_racing import load_race_config, make_game
-from pcs_racing.base.errors import InputError
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.self_play import ExploringStrategy, RaceArena, learn_self_play, load_self_play_settings
@@ -54,7 +54,6 @@ def test_in_kuhn_poker_the_average_strategy_becomes_unexploitable(poker):
     assert lost[0] < uniform
     assert lost[1] < 0.3 * lost[0]
     assert lost[1] < 0.06
-    arena, networks = poker
     found = exploitability(arena.tree, arena.average(networks))
     assert found.value == pytest.approx(-1.0 / 18.0, abs=0.03)
 
@@ -72,43 +71,32 @@ def test_the_last_iteration_alone_is_no_equilibrium(tmp_path):
     assert exploitability(PENNIES, arena.average(networks)).exploitability < 0.35
 
 
-# Races
-
-
 @pytest.fixture(scope="module")
 def race(oval, archive):
     rules = load_race_config("contest", speed_range=(1.2, 1.7))  # fast enough for moves to matter in 3.2 s
     return make_game(oval, archive, rules, stay=False, moves=2, step_seconds=1.6, threads=1)
 
 
-def test_the_weights_are_those_of_linear_cfr_and_stay_is_a_move_where_it_is_offered(race, oval, archive, tmp_path):
+def test_the_weights_are_those_of_linear_cfr_and_arenas_of_different_games_are_refused(race, oval, archive, tmp_path):
     offered = make_game(oval, archive, race.config, stay=True, threads=1)
     networks = learned([RaceArena(offered, make_setting(archive, offered.config))], SHORT, tmp_path / "one")
     assert networks.identity.moves[-1] == "stay"
     assert (networks.decision, len(networks.networks)) == ("regret-matching", 2)
     np.testing.assert_allclose(networks.weights, [0.4, 0.6])
+    longer = make_game(race.track, archive, race.config, moves=3)
+    arenas = [RaceArena(one, make_setting(archive, one.config)) for one in (race, longer)]
+    with open_job(tmp_path / "x", "self-play", {}) as job:
+        refused("arena 1", learn_self_play, arenas, SHORT, job)
+        refused("at least one", learn_self_play, [], SHORT, job)
 
 
-def test_the_advantages_of_random_play_sum_up_to_nothing(race, archive):
+def test_exploration_leaves_moves_a_chance_and_random_play_has_no_advantages(race, archive, setting, network, seen):
     arena = RaceArena(race, make_setting(archive, race.config))
     keys = np.arange(1, 9, dtype=np.uint64)
     rows = arena.traverse(None, 0.1, 1, keys)
     np.testing.assert_allclose(rows["advantages"].sum(axis=1), 0.0, atol=1e-12)
     parts = [arena.traverse(None, 0.1, 1, keys[k : k + 4]) for k in (0, 4)]
     np.testing.assert_array_equal(rows["advantages"], np.concatenate([part["advantages"] for part in parts]))
-
-
-def test_exploration_leaves_every_offered_move_a_chance(setting, network, seen):
     chances = ExploringStrategy(network, 0.1, len(setting.moves))(seen[0])
     assert chances.min() >= 0.1 / len(network.moves) - 1e-12
     np.testing.assert_allclose(chances.sum(axis=1), 1.0)
-
-
-def test_arenas_of_different_games_are_refused(race, archive, tmp_path):
-    longer = make_game(race.track, archive, race.config, moves=3)
-    arenas = [RaceArena(one, make_setting(archive, one.config)) for one in (race, longer)]
-    with open_job(tmp_path / "x", "self-play", {}) as job:
-        with pytest.raises(InputError, match="arena 1"):
-            learn_self_play(arenas, SHORT, job)
-        with pytest.raises(InputError, match="at least one"):
-            learn_self_play([], SHORT, job)

@@ -10,12 +10,9 @@ from pcs_racing_agents.networks import TARGETS
 PAGE = read_page("approximator.md")
 
 
-def test_the_table_of_targets_is_the_targets():
+def test_the_page_has_the_table_of_targets_and_its_code_runs(tmp_path):
     rows = re.findall(r"^\| `([\w-]+)` \| ([^|]+?) \|$", PAGE, flags=re.MULTILINE)
     assert dict(rows) == {name: target.meaning for name, target in TARGETS.items()}
-
-
-def test_the_pages_code_runs(tmp_path):
     pytest.importorskip("torch")
     blocks = python_blocks(PAGE)
     assert len(blocks) == 2

@@ -4,16 +4,7 @@ from toy_networks import identity, random_network
 from toy_trees import ToyTree, random_tree
 
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing_agents.networks import Rows
-from pcs_racing_agents.networks.metrics import (
-    constant_plays,
-    follow,
-    play_profile,
-    score_rows,
-    score_table,
-    score_tree,
-    score_trees,
-)
+from pcs_racing_agents.networks import Rows, metrics
 from pcs_racing_agents.solvers import exploitability, solve_exact, uniform_profile
 
 MOVES = ("a", "b", "c")
@@ -31,7 +22,7 @@ def linear(race_tree, seed=0):
     )
 
 
-def test_choices_are_compared_with_targets_step_by_step():
+def test_choices_are_compared_with_targets_step_by_step_and_clipped_with_clipped():
     network = random_network(
         inputs=3, hidden=(), layers=DenseLayers((np.eye(4, 3),), (np.zeros(4),)), mean=np.zeros(3), scale=np.ones(3)
     )
@@ -43,7 +34,7 @@ def test_choices_are_compared_with_targets_step_by_step():
         step=np.array([0, 0, 1, 2]),
         mask=np.array([[True] * 4, [True] * 4, [True] * 4, [True, True, True, False]]),
     )
-    everything, first, second, third = score_rows(network, rows)
+    everything, first, second, third = metrics.score_rows(network, rows)
     assert (everything.step, everything.rows) == (-1, 4)
     assert everything.agreement == pytest.approx(5 / 8)
     assert first.agreement == pytest.approx(1 / 3)
@@ -53,33 +44,27 @@ def test_choices_are_compared_with_targets_step_by_step():
     assert (second.agreement, second.shortfall, third.agreement, third.shortfall) == (0.0, 7.0, 1.0, 0.0)
     assert third.chance == pytest.approx(1 / 3)
     assert third.error == pytest.approx((0.0 + 0.0 + 1.0) / 3)
-
-
-def test_a_clipped_network_is_judged_by_clipped_targets():
     network = random_network(inputs=1, hidden=(), clipped=True, mean=[0.0], scale=[1.0],
                              layers=DenseLayers((np.zeros((4, 1)),), ([-2.0, -1.0, -3.0, -4.0],)))  # fmt: skip
     rows = Rows(np.zeros((1, 1)), np.array([[-8.0, -5.0, -9.0, -9.0]]), np.ones(1), np.zeros(1, int), np.zeros(1, int))
-    score = score_rows(network, rows)[0]
+    score = metrics.score_rows(network, rows)[0]
     assert (score.error, score.agreement, score.shortfall) == (0.0, 1.0, 0.0)
 
 
-def test_a_strategy_is_followed_in_both_roles():
+def test_a_strategy_is_followed_in_both_roles_and_one_of_probabilities_drawn_from():
     race_tree = random_tree(moves=2, seeds=2, sees_seed=True)
     network = linear(race_tree)
-    profile = play_profile(follow(network), race_tree)
+    profile = metrics.play_profile(metrics.follow(network), race_tree)
     seen = race_tree.observations(1)
     for player in (0, 1):
         assert profile[1][player].shape == (2 * 9, 3)
         assert profile[1][player][9 + 4].argmax() == network.choose(seen[1, 4, player])
         np.testing.assert_array_equal(profile[1][player].sum(axis=1), 1.0)
-
-
-def test_a_network_of_probabilities_is_drawn_from():
     network = random_network(
         inputs=2, hidden=(), target="nash", mean=np.zeros(2), scale=np.ones(2),
         layers=DenseLayers(([[3.0, -2.0], [1.0, -1.0], [-1.0, -3.0], [0.0, -4.0]],), (np.zeros(4),)),
     )  # fmt: skip
-    np.testing.assert_allclose(follow(network)(np.eye(2)), [[0.75, 0.25, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
+    np.testing.assert_allclose(metrics.follow(network)(np.eye(2)), [[0.75, 0.25, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
 
 
 @pytest.mark.parametrize("moves", [1, 2])
@@ -88,8 +73,8 @@ def test_on_one_seed_the_loss_is_half_the_nash_conv(moves):
     tree = race_tree.game_tree()
     exact = solve_exact(tree)
     for seed in range(5):
-        profile = play_profile(follow(linear(race_tree, seed)), race_tree)
-        score = score_tree(profile, race_tree)
+        profile = metrics.play_profile(metrics.follow(linear(race_tree, seed)), race_tree)
+        score = metrics.score_tree(profile, race_tree)
         assert score.lost_to_best_response == pytest.approx(exploitability(tree, profile).exploitability)
         assert score.lost_to_best_response >= score.lost_to_equilibrium - 1e-9 >= -2e-9
         assert score.off_in_self_play == pytest.approx(abs(exploitability(tree, profile).value - exact.value))
@@ -97,35 +82,34 @@ def test_on_one_seed_the_loss_is_half_the_nash_conv(moves):
 
 def test_the_equilibrium_loses_nothing_and_a_constant_move_in_pennies_everything():
     race_tree = ToyTree(np.array([[3.0, -3.0, -3.0, 3.0]]), moves=1, options=2)
-    scores = score_trees(constant_plays(("heads", "tails")), [race_tree])
+    scores = metrics.score_trees(metrics.constant_plays(("heads", "tails")), [race_tree])
     np.testing.assert_allclose(scores["equilibrium"], [[0.0, 0.0, 0.0, 0.0]], atol=1e-9)
     np.testing.assert_allclose(scores["random moves"], [[0.0, 0.0, 0.0, 0.0]], atol=1e-9)
     np.testing.assert_allclose(scores["always heads"], [[3.0, 0.0, 3.0, 0.0]], atol=1e-9)
     np.testing.assert_allclose(scores["always tails"], [[3.0, 0.0, 3.0, 0.0]], atol=1e-9)
 
 
-def test_who_sees_the_seed_may_do_better_than_the_game_is_worth():
+def test_who_sees_the_seed_may_do_better_and_seeds_that_nobody_sees_are_their_mean():
     """Two seeds of opposite sign: a car that sees which gets 1 from any opponent that does not."""
     race_tree = ToyTree(np.array([[1.0, 1.0, -1.0, -1.0], [-1.0, -1.0, 1.0, 1.0]]), 1, 2, sees_seed=True)
     first = np.eye(2)[[0, 1]]
-    score = score_tree([(first, np.full((2, 2), 0.5))], race_tree)
+    score = metrics.score_tree([(first, np.full((2, 2), 0.5))], race_tree)
     assert score.lost_to_best_response == pytest.approx(-0.5)  # 1 won as car 0, nothing lost as car 1
     assert score.off_in_self_play == pytest.approx(1.0)
     assert score.against_random == pytest.approx(0.5)
-
-
-def test_several_seeds_that_nobody_sees_are_as_good_as_their_mean():
     race_tree = random_tree(seeds=3)
     mean = ToyTree(race_tree.payoffs.mean(axis=0, keepdims=True))
     network = linear(race_tree)
-    scores = [score_tree(play_profile(follow(network), tree), tree) for tree in (race_tree, mean)]
+    scores = [
+        metrics.score_tree(metrics.play_profile(metrics.follow(network), tree), tree) for tree in (race_tree, mean)
+    ]
     np.testing.assert_allclose(*scores, atol=1e-9)
 
 
 def test_scores_on_several_trees_are_a_table():
     race_trees = [random_tree(seed=seed) for seed in range(4)]
     network = linear(race_trees[0])
-    scores = score_trees({"network": follow(network), **constant_plays(MOVES)}, race_trees)
+    scores = metrics.score_trees({"network": metrics.follow(network), **metrics.constant_plays(MOVES)}, race_trees)
     assert list(scores) == ["network", "always a", "always b", "always c", "equilibrium", "random moves"]
     assert all(array.shape == (4, 4) for array in scores.values())
     np.testing.assert_allclose(scores["equilibrium"][:, :3], 0.0, atol=1e-8)
@@ -135,7 +119,7 @@ def test_scores_on_several_trees_are_a_table():
         exploitability(race_trees[2].game_tree(), uniform).exploitability
     )
     rows = Rows(race_trees[0].observations(0)[0, 0], np.eye(3)[:2], np.ones(2), np.zeros(2, int), np.zeros(2, int))
-    lines = score_table(score_rows(network, rows), scores).splitlines()
+    lines = metrics.score_table(metrics.score_rows(network, rows), scores).splitlines()
     assert lines[0] == "choices on held-out rows:"
     assert lines[2].split()[:2] == ["all", "2"]
     assert lines[3].split()[:2] == ["1", "2"]  # the first move
@@ -143,4 +127,4 @@ def test_scores_on_several_trees_are_a_table():
     assert lines[7].startswith("  network ")
     assert f"{scores['network'][:, 0].mean():.3f}" in lines[7]
     assert len(lines) == 7 + 6
-    assert "nan" in score_table(score_rows(network, rows), score_trees({}, race_trees[:1]))
+    assert "nan" in metrics.score_table(metrics.score_rows(network, rows), metrics.score_trees({}, race_trees[:1]))

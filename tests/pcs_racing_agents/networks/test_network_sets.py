@@ -16,7 +16,7 @@ def known(setting) -> NetworkSet:
     return NetworkSet("two", networks, np.array([3.0, 1.0]), "argmax", {"rounds": 2})
 
 
-def test_a_set_comes_back_as_it_was(known, tmp_path):
+def test_a_set_comes_back_as_it_was_and_others_are_refused(known, tmp_path):
     folder = save_network_set(known, tmp_path / "set")
     back = load_network_set(folder)
     assert (back.name, back.decision, back.training) == ("two", "argmax", {"rounds": 2})
@@ -25,36 +25,27 @@ def test_a_set_comes_back_as_it_was(known, tmp_path):
         np.testing.assert_array_equal(own.layers.weights[0], other.layers.weights[0])
     assert load_network_set(back) is back
     assert "set" not in list_networks()
+    refused("0 networks", NetworkSet, "none", (), np.zeros(0), "argmax")
+    refused("weights", NetworkSet, "odd", known.networks, np.array([1.0, -1.0]), "argmax")
+    refused("'nowhere'", load_network_set, "nowhere", error=UnknownNameError)
 
 
-def test_a_set_replaces_another_whole_and_an_exchanged_network_is_noticed(known, setting, tmp_path):
+def test_sets_that_can_not_be_and_files_that_are_none_are_refused(known, setting, tmp_path):
     save_network_set(known, tmp_path / "set")
     one = NetworkSet("one", (untrained(setting, "advantage", 5),), np.ones(1), "argmax")
     assert len(load_network_set(save_network_set(one, tmp_path / "set")).networks) == 1
     folder = save_network_set(known, tmp_path / "set")
     save_network(untrained(setting, "advantage", 9), folder / "01")
     refused("01", load_network_set, folder)
-
-
-@pytest.mark.parametrize(
-    ("change", "value"),
-    [
+    for change, value in [
         ({"weights": [1.0]}, "1 weights for 2"),
         ({"weights": ["a", "b"]}, "weights"),
         ({"networks": ["00", "../01"]}, "../01"),
         ({"decision": 3}, "3"),
         ({"training": []}, r"\[\]"),
         ({"weights": [0.0, 0.0]}, "not all of them 0"),
-    ],
-)
-def test_files_that_are_no_set_are_refused(known, tmp_path, change, value):
-    folder = save_network_set(known, tmp_path / "set")
-    file = folder / "set.yaml"
-    file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **change}))
-    refused(value, load_network_set, folder)
-
-
-def test_sets_that_can_not_be_are_refused(known):
-    refused("0 networks", NetworkSet, "none", (), np.zeros(0), "argmax")
-    refused("weights", NetworkSet, "odd", known.networks, np.array([1.0, -1.0]), "argmax")
-    refused("'nowhere'", load_network_set, "nowhere", error=UnknownNameError)
+    ]:
+        folder = save_network_set(known, tmp_path / "set")
+        file = folder / "set.yaml"
+        file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **change}))
+        refused(value, load_network_set, folder)

@@ -30,7 +30,7 @@ def test_regrets_of_matching_pennies_by_hand():
     np.testing.assert_allclose([a0[0], a1[0]], np.zeros((2, 2)), atol=1e-9)  # mixed: no move is better
 
 
-def test_regrets_fade_with_the_opponents_reach_and_normalised_ones_do_not():
+def test_regrets_fade_with_the_opponents_reach_and_are_unknown_where_cfr_never_was():
     """Car 1 has to choose first; its second move leads to a lower game for car 0, so car 1 keeps to it."""
     payoffs = np.zeros((1, 2, 2, 1))  # car 0 has one move, then car 0 chooses between 0 and what follows
     payoffs[0, 0, :, 0] = [10.0, 13.0]  # car 1 avoids this one ...
@@ -42,9 +42,6 @@ def test_regrets_fade_with_the_opponents_reach_and_normalised_ones_do_not():
     assert raw[1].min() < 50.0 * raw[0].min() < 0.0
     np.testing.assert_allclose(normalised, raw / np.abs(raw).max(axis=1, keepdims=True))
     np.testing.assert_allclose(normalised[:, 0], -1.0)
-
-
-def test_rows_that_cfr_never_saw_are_not_known():
     tree = GameTree.from_payoffs(np.arange(16.0).reshape(2, 2, 2, 2))
     solution = solve_for(tree, "normalised", iterations=3)
     solution.opponent_reach[1][0][2] = 0.0
@@ -68,45 +65,38 @@ def test_every_target_treats_both_roles_alike(seed):
             np.testing.assert_allclose(here[k][1], there[k][0][order], rtol=1e-6, atol=1e-6)
 
 
-def test_advantages_are_never_above_zero_and_zero_for_what_is_played():
+def test_advantages_are_zero_for_what_is_played_and_nash_targets_the_equilibrium():
     tree = random_tree().game_tree()
     exact = solve_for(tree, "advantage")
     for pair, played in zip(node_targets(tree, exact, "advantage"), exact.profile, strict=True):
         for values, strategy in zip(pair, played, strict=True):
             assert values.max() < 1e-9
             np.testing.assert_allclose(values[strategy > 1e-9], 0.0, atol=1e-9)
-
-
-def test_nash_targets_are_the_equilibrium():
     payoffs = np.array([[3.0, -1.0], [-1.0, 1.0]])
     ((first, second),) = targets_of(payoffs, "nash")
     np.testing.assert_allclose([first[0], second[0]], [[1 / 3, 2 / 3]] * 2)
 
 
-def test_a_static_opponent_draws_its_sequence_of_moves_beforehand():
+def test_a_static_opponent_draws_its_moves_beforehand_and_rounding_is_forgiven():
     rng = np.random.default_rng(0)
     payoffs = rng.normal(size=(3, 3, 3, 3))
     (first, _), (second, other) = targets_of(payoffs, "static-q")
     np.testing.assert_allclose(first[0], payoffs.mean(axis=3).max(axis=2).mean(axis=1))
     np.testing.assert_allclose(second, payoffs.mean(axis=3).reshape(9, 3))
     np.testing.assert_allclose(other, -payoffs.mean(axis=2).reshape(9, 3))
-
-
-def test_best_moves_forgive_rounding_and_know_the_mask():
     targets = np.array([[1.0, 1.0 + 1e-8, 0.5], [-1e4, -1e4 - 1e-3, -2e4], [0.0, 0.0, -1e-3]])
     np.testing.assert_array_equal(best_moves(targets), [[1, 1, 0], [1, 1, 0], [1, 1, 0]])
     mask = np.array([[False, False, True], [True] * 3, [False, True, True]])
     np.testing.assert_array_equal(best_moves(targets, mask), [[0, 0, 1], [1, 1, 0], [0, 1, 0]])
 
 
-def test_impossible_targets_are_one_clear_error():
+def test_impossible_targets_and_trees_without_rows_are_one_clear_error():
     tree = random_tree().game_tree()
     refused("unknown target 'joy'", get_target, "joy", error=UnknownNameError)
     refused("target 'regret' needs a CFRResult", node_targets, tree, solve_exact(tree), "regret")
     refused("target 'advantage' needs a ExactResult", node_targets, tree, cfr(tree, 1), "advantage")
-
-
-# Rows
+    race_tree = random_tree(ended={0: np.ones((1, 1), bool), 1: np.ones((1, 9), bool)})
+    refused(r"policies \[0, 1\] has no node", rows_of, race_tree)
 
 
 def rows_of(race_tree, target="advantage", **options):
@@ -175,8 +165,3 @@ def test_some_nodes_can_stand_for_all():
     assert not np.array_equal(some.observations, other.observations)
     known = {row.tobytes() for row in np.column_stack([everything.observations, everything.targets])}
     assert {row.tobytes() for row in np.column_stack([some.observations, some.targets])} <= known
-
-
-def test_a_tree_that_is_over_at_once_gives_no_rows():
-    race_tree = random_tree(ended={0: np.ones((1, 1), bool), 1: np.ones((1, 9), bool)})
-    refused(r"policies \[0, 1\] has no node", rows_of, race_tree)

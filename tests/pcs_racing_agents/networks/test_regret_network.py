@@ -5,8 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
 from refusal import refused
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
@@ -48,30 +46,20 @@ def test_values_are_those_of_the_formula(hidden, clipped):
     assert (values >= 0.0).all() == clipped
 
 
-@given(st.integers(1, 40), st.integers(0, 2**32 - 1))
-def test_a_decision_does_not_depend_on_the_batch(rows, seed):
-    network = random_network()
-    x = observations(rows, seed=seed)
-    together = network.unclipped(x)
-    alone = np.stack([network.unclipped(row) for row in x])
-    np.testing.assert_array_equal(together, alone)  # to the bit
-    np.testing.assert_array_equal(network.choose(x), np.argmax(alone, axis=1))
-
-
 def values_network(*rows: list[float], clipped: bool) -> RegretNetwork:
     """A network that answers the i-th unit vector with the i-th row."""
     matrix = np.array(rows).T
     return random_network(
-        inputs=len(rows),
-        hidden=(),
-        clipped=clipped,
-        layers=DenseLayers((matrix,), (np.zeros(4),)),
-        mean=np.zeros(len(rows)),
-        scale=np.ones(len(rows)),
-    )
+        inputs=len(rows), hidden=(), clipped=clipped, layers=DenseLayers((matrix,), (np.zeros(4),)),
+        mean=np.zeros(len(rows)), scale=np.ones(len(rows)),
+    )  # fmt: skip
 
 
-def test_the_highest_value_is_chosen_and_below_zero_the_highest_before_clipping():
+def test_bad_observations_are_refused_and_of_others_the_highest_value_before_clipping_chosen(network):
+    refused(r"\(2, 6\); network 'toy' .*\(\.\.\., 7\)", network, np.zeros((2, 6)))
+    refused(r"shape \(\)", network, 1.0)
+    refused("NaN or infinity", network, [0.0, 0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
+    assert network(np.zeros((0, 7))).shape == (0, 4)
     network = values_network([1.0, 3.0, 2.0, -5.0], [-3.0, -4.0, -1.0, -2.0], [0.0, 0.0, 0.0, 0.0], clipped=True)
     np.testing.assert_array_equal(network(np.eye(3)), [[1.0, 3.0, 2.0, 0.0], [0.0] * 4, [0.0] * 4])
     np.testing.assert_array_equal(network.choose(np.eye(3)), [1, 2, 0])
@@ -81,16 +69,8 @@ def test_the_highest_value_is_chosen_and_below_zero_the_highest_before_clipping(
     refused(r"mask has shape \(4,\)", network.choose, np.eye(3), np.ones(4, bool))
 
 
-def test_bad_observations_are_one_clear_error(network):
-    refused(r"\(2, 6\); network 'toy' .*\(\.\.\., 7\)", network, np.zeros((2, 6)))
-    refused(r"shape \(\)", network, 1.0)
-    refused("NaN or infinity", network, [0.0, 0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
-    assert network(np.zeros((0, 7))).shape == (0, 4)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_an_impossible_network_is_one_clear_error():
+    for changes, message in [
         ({"name": ""}, "name is ''"),
         ({"identity": identity(8)}, "has 7 inputs"),
         ({"identity": identity(7, MOVES[:3])}, "puts out 4 values"),
@@ -99,13 +79,11 @@ def test_bad_observations_are_one_clear_error(network):
         ({"mean": np.full(7, np.inf)}, "mean is .*"),
         ({"mean": np.zeros(6)}, "mean is .*"),
         ({"training": {"loss": [1]}}, r"training holds 'loss': \[1\]"),
-    ],
-)
-def test_an_impossible_network_is_one_clear_error(changes, message):
-    refused(message, random_network, **changes)
+    ]:
+        refused(message, random_network, **changes)
 
 
-def test_a_network_never_changes(network):
+def test_a_network_never_changes_and_shipped_ones_are_sound(network):
     for array in (*network.layers.weights, *network.layers.biases, network.mean, network.scale):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0.0
@@ -114,9 +92,12 @@ def test_a_network_never_changes(network):
     for other in (pickle.loads(pickle.dumps(network)), copy.deepcopy(network)):
         np.testing.assert_array_equal(other(np.ones(7)), network(np.ones(7)))
     assert repr(network) == "<RegretNetwork 'toy': 7-16-16-4, advantage, archive 'toy', preset 'paper'>"
-
-
-# Files
+    assert list_networks() == sorted(path.parent.name for path in NETWORK_FORMAT.shipped.glob("*/manifest.yaml"))
+    for name in list_networks():
+        network = load_network(name)
+        assert network.name == name
+        assert network.training
+        assert np.isfinite(network(np.zeros(len(network.elements)))).all()
 
 
 @pytest.mark.parametrize("clipped", [False, True])
@@ -131,15 +112,6 @@ def test_a_network_reads_back_exactly(tmp_path, clipped):
     assert set(before) == {"weights.safetensors", "manifest.yaml"}
     save_network(again, tmp_path / "copy")
     assert {file.name: file.read_bytes() for file in (tmp_path / "copy").iterdir()} == before
-
-
-def test_shipped_networks_are_sound():
-    assert list_networks() == sorted(path.parent.name for path in NETWORK_FORMAT.shipped.glob("*/manifest.yaml"))
-    for name in list_networks():
-        network = load_network(name)
-        assert network.name == name
-        assert network.training
-        assert np.isfinite(network(np.zeros(len(network.elements)))).all()
 
 
 def edit(folder: Path, **changes) -> None:
@@ -178,9 +150,6 @@ def test_a_damaged_network_is_one_clear_error(tmp_path, network, harm, message):
     assert "\n" not in str(caught.value) or "YAML" in message
 
 
-# Does it fit the game?
-
-
 @pytest.fixture(scope="module")
 def game():
     return make_game("Pipkin", epsilon=0.35)
@@ -205,9 +174,8 @@ def test_a_network_of_the_game_fits(game):
     assert made_for(game).choose(game.observation(state)).shape == (2, 2)
 
 
-@pytest.mark.parametrize(
-    ("made", "played", "message"),
-    [
+def test_a_network_of_another_game_is_one_clear_error(game):
+    for made, played, message in [
         ({}, {"moves": 3}, "games of 4 moves"),
         ({}, {"characteristics": ("restraint", "aggressiveness")}, "'own_aggressiveness_0' at place 0"),
         ({}, {"epsilon": 0.7}, r"epsilon 0.35"),
@@ -215,8 +183,6 @@ def test_a_network_of_the_game_fits(game):
         ({"archive": "x", "archive_sha256": "abc"}, {}, r"made for archive 'x' \(sha256 abc\)"),
         # A network that makes a move more than the game offers does not fit, only the other way round.
         ({"moves": (*MOVES, "stay")}, {}, "values moves 5"),
-    ],
-)
-def test_a_network_of_another_game_is_one_clear_error(game, made, played, message):
-    made_for(game, archive="renamed").check_fits(game)
-    refused(message, made_for(game, **made).check_fits, make_game("Pipkin", **({"epsilon": 0.35} | played)))
+    ]:
+        made_for(game, archive="renamed").check_fits(game)
+        refused(message, made_for(game, **made).check_fits, make_game("Pipkin", **({"epsilon": 0.35} | played)))

@@ -29,7 +29,7 @@ def rows_of(x, values, pair, step, **changes) -> Rows:
     )
 
 
-def test_a_network_learns_what_can_be_learned():
+def test_a_network_learns_what_can_be_learned_and_knows_how_it_was_made():
     network, result = train_network(rows_of(*situations()), identity(), QUICK, name="net", target="toy")
     fresh = rows_of(*situations(seed=1))
     everything, *steps = score_rows(network, fresh)
@@ -46,9 +46,6 @@ def test_a_network_learns_what_can_be_learned():
     again = score_rows(network, rows_of(*situations()).take(held_out))[0]
     assert again.agreement == pytest.approx(best.validation_agreement, abs=1e-3)
     assert again.shortfall == pytest.approx(best.validation_shortfall, rel=1e-2, abs=1e-4)
-
-
-def test_the_network_knows_how_it_was_made():
     network, result = train_network(rows_of(*situations(200)), identity(), QUICK, name="net")
     assert (network.name, network.target, network.moves, network.clipped) == ("net", "regret", MOVES, False)
     assert network.hidden == (32, 32)
@@ -161,7 +158,7 @@ def test_differences_are_learned_apart_from_the_level():
     assert found[0] > 0.8 > 0.6 > found[1]
 
 
-def test_a_floor_raises_what_is_far_below_the_best():
+def test_a_floor_raises_what_is_far_below_the_best_and_constants_are_no_trouble():
     """Random moves lose about 20; with a floor of 0.5 nothing is learned to be more than 10 below the best."""
     x, values, pair, step = situations(4000)
     lost = np.mean(values.max(axis=1, keepdims=True) - values)
@@ -173,9 +170,6 @@ def test_a_floor_raises_what_is_far_below_the_best():
     assert 0.45 * lost < np.quantile(below, 0.99) < 0.7 * lost
     assert np.quantile(values.max(axis=1, keepdims=True) - values, 0.99) > 2.0 * lost
     assert score_rows(network, rows_of(*situations(seed=1)))[0].agreement > 0.9
-
-
-def test_constant_inputs_and_targets_are_no_trouble():
     x, _, pair, step = situations(100)
     result = train_layers(
         rows_of(np.ones_like(x), np.full((100, 4), 3.0), pair, step), load_train_settings(QUICK, epochs=2)

@@ -4,16 +4,19 @@ import re
 import numpy as np
 import pytest
 import yaml
+from refusal import refused
 from toy_trees import random_tree
 
-from pcs_racing import InputError, make_game
+from pcs_racing import make_game
+from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.networks import load_network, load_train_settings
+from pcs_racing_agents.networks import TrainSettings, load_network, load_train_settings
 from pcs_racing_agents.networks.from_ego import score_ego, train_on_ego
 from pcs_racing_agents.networks.from_trees import train_on_trees
 from pcs_racing_agents.networks.metrics import TreeScore
 from pcs_racing_agents.networks.rows import pair_number
+from pcs_racing_agents.networks.settings import settings_for_trees
 from pcs_racing_agents.networks.training import Epoch
 from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees
 
@@ -71,27 +74,21 @@ def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, ca
     assert f"network: {out}" in text
 
 
-def test_the_same_command_gives_the_same_bytes(folder, tmp_path):
+def test_one_command_has_one_result_and_folders_must_be_of_one_game(folder, tmp_path, capsys):
     for name in ("one", "two"):
         arguments = ["--epochs", 2, "--no-tensorboard", "--no-picture", "--name", "same", "--out", tmp_path / name]
         assert train(folder, *arguments) == 0
     one, two = ({file.name: file.read_bytes() for file in (tmp_path / name).iterdir()} for name in ("one", "two"))
     assert one == two
     assert set(one) == {"weights.safetensors", "manifest.yaml", "learning_curves.csv", "scores.csv"}
-
-
-def test_trees_of_different_games_are_refused(folder, tmp_path, capsys):
-    build_trees(make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2), tmp_path / "other", pairs=2)
-    assert train(folder, tmp_path / "other", "--out", tmp_path / "out") == 2
-    assert "hold trees of different games: epsilon is 0.2 in one and" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_several_folders_of_one_game_are_learned_from_together(folder, tmp_path):
     build_trees(make_game("Pipkin", moves=2, step_seconds=1.0), tmp_path / "more", pairs=3, seed=1)
     out = tmp_path / "out"
     assert train(folder, tmp_path / "more", "--epochs", 1, "--no-tensorboard", "--no-picture", "--out", out) == 0
     assert yaml.safe_load((out / "manifest.yaml").read_text())["training"]["trees"] == 11
+    build_trees(make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2), tmp_path / "other", pairs=2)
+    assert train(folder, tmp_path / "other", "--out", tmp_path / "none") == 2
+    assert "hold trees of different games: epsilon is 0.2 in one and" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
 
 
 @pytest.fixture(scope="module")
@@ -158,9 +155,6 @@ def test_bad_options_are_one_line(folder, ego_folder, tmp_path, capsys, folders,
     assert not (tmp_path / "out").exists()
 
 
-# What the command calls
-
-
 def toy_trees(count=6):
     return [random_tree(seed=i, policies=(i, i + 1)) for i in range(count)]
 
@@ -187,7 +181,7 @@ def test_no_starting_pair_is_learned_from_and_judged_by():
         }
 
 
-def test_without_held_out_trees_the_validation_rows_judge_and_trees_that_are_over_are_passed_over():
+def test_without_held_out_trees_the_validation_rows_judge_and_too_few_pairs_are_refused():
     trained = train_toys(toy_trees(3), load_train_settings(QUICK, test_share=0.0))
     assert trained.scores == {}
     assert trained.rows[0].rows == 20  # one tree
@@ -197,10 +191,37 @@ def test_without_held_out_trees_the_validation_rows_judge_and_trees_that_are_ove
     trained = train_toys([over, *toy_trees(3), over], load_train_settings(QUICK, test_share=0.0))
     assert trained.network.training["rows"] == 60
     assert trained.network.training["trees"] == 5
+    refused("2 starting pairs", train_toys, toy_trees(2))
+    refused("1 starting pairs", train_toys, toy_trees(1), load_train_settings(QUICK, test_share=0.0))
 
 
-def test_too_few_starting_pairs_are_one_clear_error():
-    with pytest.raises(InputError, match="2 starting pairs"):
-        train_toys(toy_trees(2))
-    with pytest.raises(InputError, match="1 starting pairs"):
-        train_toys(toy_trees(1), load_train_settings(QUICK, test_share=0.0))
+def test_settings_come_from_yaml_and_open_choices_fit_the_target(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("target: advantage\nhidden: [8, 4]\nlearning_rate: 1.0e-3\n")
+    settings = load_train_settings(file, epochs=7)
+    assert settings == TrainSettings(target="advantage", hidden=(8, 4), learning_rate=1e-3, epochs=7)
+    assert load_train_settings(settings, seed=2) == load_train_settings(file, epochs=7, seed=2)
+    assert load_train_settings() == TrainSettings()
+    refused("settings 'nowhere' are unknown", load_train_settings, "nowhere", error=UnknownNameError)
+
+    def chosen(target, **given):
+        made = settings_for_trees(load_train_settings(target=target, **given))
+        return made.row_weights, made.floor, made.differences
+
+    assert chosen("regret") == ("uniform", 0.25, True)
+    assert chosen("advantage") == ("random", 0.25, True)
+    assert chosen("nash") == ("random", 0.0, False)
+    assert chosen("advantage", row_weights="uniform", floor=0.0, differences=False) == ("uniform", 0.0, False)
+
+
+def test_impossible_settings_are_one_clear_error(tmp_path):
+    for text, message in [
+        ("target: joy", "target is 'joy'"),
+        ("row_weights: x", "row_weights is 'x'"),
+        ("differences: 1", "differences is 1"),
+        ("{validation_share: 0.5, test_share: 0.5}", "together"),
+        ("hidden: [1, 1, 1, 1, 1, 1, 1, 1, 1]", "at most 8"),
+    ]:
+        file = tmp_path / "mine.yaml"
+        file.write_text(text)
+        refused(message, load_train_settings, file, error=ConfigError)

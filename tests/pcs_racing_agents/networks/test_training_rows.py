@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from refusal import refused
@@ -20,7 +19,7 @@ def rows(count=12, pairs=4, seed=0, **changes) -> Rows:
     return Rows(**{**values, **changes})
 
 
-def test_rows_are_compact_and_know_all_targets_unless_told_otherwise():
+def test_rows_are_compact_and_impossible_ones_one_clear_error():
     made = rows()
     assert (made.observations.dtype, made.targets.dtype, made.weights.dtype) == (np.float32, np.float32, np.float64)
     assert made.mask.all()
@@ -30,11 +29,7 @@ def test_rows_are_compact_and_know_all_targets_unless_told_otherwise():
     mask[:, 2] = False
     masked = rows(mask=mask, targets=np.full((12, 3), 7.0))
     np.testing.assert_array_equal(masked.targets[0], [7.0, 7.0, 0.0])  # what is not known is no number
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+    for changes, message in [
         ({"targets": np.zeros((0, 3))}, r"targets have shape \(0, 3\)"),
         ({"targets": np.zeros(12)}, r"targets have shape \(12,\)"),
         ({"observations": np.zeros((11, 5))}, r"observations have shape \(11, 5\)"),
@@ -46,13 +41,11 @@ def test_rows_are_compact_and_know_all_targets_unless_told_otherwise():
         ({"pair": np.zeros(12)}, "type float64"),
         ({"mask": np.ones((12, 3))}, "mask have shape"),
         ({"mask": np.arange(36).reshape(12, 3) >= 6}, "row 0 has no target"),
-    ],
-)
-def test_impossible_rows_are_one_clear_error(changes, message):
-    refused(message, rows, **changes)
+    ]:
+        refused(message, rows, **changes)
 
 
-def test_rows_can_be_taken_and_joined():
+def test_rows_can_be_taken_joined_and_split_by_pair():
     made = rows()
     part = made.take([3, 1])
     np.testing.assert_array_equal(part.targets, made.targets[[3, 1]])
@@ -61,6 +54,8 @@ def test_rows_can_be_taken_and_joined():
         np.testing.assert_array_equal(getattr(again, key), getattr(made, key))
     refused(r"source 1 .*2 numbers, source 0 of 3", join_rows, [made, rows(targets=np.ones((12, 2)))])
     refused("no rows to join", join_rows, [])
+    refused("one starting pair", split_by_pair, rows(pairs=1), 0.2, 0)
+    refused("weights of 0", split_by_pair, rows(pairs=2, weights=np.arange(12) % 2 + 0.0), 0.5, 0)
 
 
 @given(st.integers(0, 200), st.integers(0, 200), st.integers(0, 200), st.integers(0, 200))
@@ -79,8 +74,3 @@ def test_no_pair_is_on_both_sides_of_the_split(pairs, share, seed):
     assert 1 <= len(chosen) <= pairs - 1
     assert abs(len(chosen) - share * pairs) <= 1.0
     np.testing.assert_array_equal(split_by_pair(made, share, seed)[0], held_out)
-
-
-def test_the_split_needs_two_pairs():
-    refused("one starting pair", split_by_pair, rows(pairs=1), 0.2, 0)
-    refused("weights of 0", split_by_pair, rows(pairs=2, weights=np.arange(12) % 2 + 0.0), 0.5, 0)

@@ -1,10 +1,8 @@
 """Small networks and trees that no race stands behind."""
 
-from itertools import pairwise
-
 import numpy as np
+from random_layers import random_layers
 
-from pcs_racing.base.dense import DenseLayers
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.networks import RegretNetwork
 
@@ -25,17 +23,12 @@ def identity(inputs=7, moves=MOVES, **changes) -> GameIdentity:
 
 def random_network(inputs=7, hidden=(16, 16), seed=0, clipped=False, **changes) -> RegretNetwork:
     rng = np.random.default_rng(seed)
-    sizes = [inputs, *hidden, len(MOVES)]
-    pairs = list(pairwise(sizes))
     values = {
         "name": "toy",
         "identity": identity(inputs),
         "target": "regret" if clipped else "advantage",
         "clipped": clipped,
-        "layers": DenseLayers(
-            tuple(rng.normal(0.0, below**-0.5, (above, below)) for below, above in pairs),
-            tuple(rng.normal(0.0, 0.3, above) for _, above in pairs),
-        ),
+        "layers": random_layers(inputs, *hidden, len(MOVES), seed=seed),
         "mean": rng.normal(0.0, 1.0, inputs),
         "scale": rng.uniform(0.2, 2.0, inputs),
         "training": {"rows": 10, "validation_loss": 0.5, "setting_target": "advantage"},

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from refusal import refused
 
-from pcs_racing import InputError
 from pcs_racing_agents.payoffs.choosing import choose_pool, denoised, pool_headroom
 
 POLICIES, FOLDS = 24, 8
@@ -29,13 +29,10 @@ def played(truth: np.ndarray, seed: int, races: int) -> np.ndarray:
 GROUPS = np.array_split(np.arange(POLICIES), 4)
 
 
-def test_without_noise_most_errors_are_gone():
+def test_without_noise_most_errors_are_gone_and_ratings_are_left():
     truth = speeds_and_strengths(0)
     raw = played(truth, 1, 2)
     assert np.square(denoised(raw) - truth).mean() < 0.4 * np.square(raw.mean(axis=0) - truth).mean()
-
-
-def test_of_policies_that_only_differ_in_strength_only_the_ratings_are_left():
     strength = np.linspace(-0.2, 0.2, POLICIES)
     matrices = [denoised(played(strength[:, None] - strength[None], seed, 2)) for seed in range(10)]
     cyclic = [matrix - matrix.mean(axis=1)[:, None] + matrix.mean(axis=1)[None] for matrix in matrices]
@@ -55,7 +52,7 @@ def test_the_pool_that_is_chosen_in_noise_really_has_headroom():
     assert chosen > from_noise
 
 
-def test_no_exchange_of_one_policy_improves_the_pool():
+def test_no_exchange_improves_the_pool_whose_headroom_is_what_its_payoffs_say():
     truth = speeds_and_strengths(3)[None]
     pool = choose_pool(truth, GROUPS, 8)
     best = pool_headroom(truth, pool[None])[0, 0]
@@ -64,6 +61,11 @@ def test_no_exchange_of_one_policy_improves_the_pool():
             exchanged = pool.copy()
             exchanged[k] = other
             assert pool_headroom(truth, exchanged[None])[0, 0] <= best + 1e-12
+    truth = speeds_and_strengths(0)
+    part = truth[np.ix_([0, 8, 16], [0, 8, 16])]
+    expected = part.max(axis=0).mean() - part.mean(axis=1).max()
+    np.testing.assert_allclose(pool_headroom(truth[None], np.array([[0, 8, 16]])), [[expected]])
+    refused("group 1 holds 1 policies", choose_pool, np.zeros((1, 6, 6)), [np.arange(5), np.array([5])], 4)
 
 
 @pytest.mark.parametrize(("count", "taken"), [(8, [2, 2, 2, 2]), (6, [2, 1, 2, 1]), (12, [3, 3, 3, 3])])
@@ -71,15 +73,3 @@ def test_every_group_gives_its_share(count, taken):
     pool = choose_pool(speeds_and_strengths(0)[None], GROUPS, count, starts=1)
     assert [np.isin(group, pool).sum() for group in GROUPS] == taken
     assert len(set(pool.tolist())) == count
-
-
-def test_headroom_of_a_pool_is_what_its_payoffs_say():
-    truth = speeds_and_strengths(0)
-    part = truth[np.ix_([0, 8, 16], [0, 8, 16])]
-    expected = part.max(axis=0).mean() - part.mean(axis=1).max()
-    np.testing.assert_allclose(pool_headroom(truth[None], np.array([[0, 8, 16]])), [[expected]])
-
-
-def test_a_group_that_is_too_small_is_refused():
-    with pytest.raises(InputError):
-        choose_pool(np.zeros((1, 6, 6)), [np.arange(5), np.array([5])], 4)

@@ -63,15 +63,12 @@ def test_empty_lines_are_left_out_and_counted(tmp_path):
     refused(r"line 3 .*2 values, .*21", read_results, path)
 
 
-def test_details_may_be_missing(tmp_path, rows):
+def test_details_may_be_missing_and_seeds_larger_than_any_number_of_the_machine(tmp_path, rows):
     races = read_results(as_file([{name: row[name] for name in NEEDED} for row in rows], tmp_path / "results.csv"))
     assert np.isnan(races.duration).all()
     assert not races.overtakes.any()
     assert races[0][:12] == RaceRow("", "a", "b", "Oval", 0, 0.0, 0, 3, 0.0, "ego")[:12]
     assert races[0].ego_moves == races[0].opponent_path == ()
-
-
-def test_seeds_may_be_larger_than_any_number_of_the_machine(tmp_path, rows):
     rows[3]["seed"], rows[4]["seed"] = str(2**80), f"00{2**80}"
     races = read_results(as_file(rows, tmp_path / "results.csv"))
     assert races[3].seed == races[4].seed == 2**80

@@ -55,7 +55,7 @@ def test_a_pair_is_a_track_two_agents_and_a_seed():
     assert table.with_seeds([]).pairs == {}
 
 
-def test_worth_switches_and_places_of_races():
+def test_worth_switches_places_and_missing_words_of_races():
     table = race_table([RaceRow(winner="ego"), RaceRow(winner="opponent"), RaceRow(), RaceRow(crash="car")])
     assert table.score.tolist() == [1.0, 0.0, 0.5, 0.0]
     assert table.tie.tolist() == [False, False, True, False]
@@ -66,9 +66,6 @@ def test_worth_switches_and_places_of_races():
     close = table.take([0, 0, 1, 2])
     close.start_s[1] += 4e-5
     assert close.places.tolist() == [0, 0, 2, 1]  # in the order of the labels "t 10.0000", "t 9.0000", "u 10.0000"
-
-
-def test_a_missing_word_stays_missing():
     one, other = Categorical(("x",), np.array([0, -1])), Categorical(("y", "x"), np.array([-1, 0]))
     joined = Categorical.concatenate([one, other])
     assert (joined.words, joined.codes.tolist()) == (("x", "y"), [0, -1, -1, 1])

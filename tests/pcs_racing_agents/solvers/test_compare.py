@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from refusal import refused
 from small_games import PENNIES, random_profile, random_tree
 
 from pcs_racing import UnknownNameError
@@ -44,13 +45,10 @@ def test_agreement_is_the_share_of_decisions_with_a_best_move(seed, on_path):
     assert agreement(tree, exact, exact.profile, on_path=on_path) == pytest.approx(1.0)
 
 
-def test_where_nothing_matters_everybody_agrees():
+def test_everybody_agrees_where_nothing_matters_and_whatever_the_unit():
     tree = GameTree.from_payoffs(np.full((2, 2), 7.0))
     assert agreement(tree, solve_exact(tree), [(np.array([[0.0, 1.0]]), np.array([[1.0, 0.0]]))]) == 1.0
     assert agreement(PENNIES, solve_exact(PENNIES), random_profile(PENNIES)) == 1.0  # all moves are best ones
-
-
-def test_the_unit_of_the_payoffs_plays_no_role():
     tree = random_tree(5, 3, 3, 2, 2)
     profile = random_profile(tree, 1)
     expected = agreement(tree, solve_exact(tree), profile)
@@ -81,7 +79,7 @@ def test_the_table_is_what_each_method_gives_by_itself():
     assert [row.method for row in compare_methods(tree, 5, ["linear", "exact"])] == ["linear", "exact"]
 
 
-def test_the_papers_rule_takes_the_move_of_largest_regret():
+def test_the_papers_rule_takes_the_largest_regret_and_unknown_methods_are_named():
     tree = random_tree(4, 2, 3, 3, 2)
     regrets = cfr(tree, 15, "vanilla").regrets
     for pure, pair in zip(regret_argmax(tree, 15), regrets, strict=True):
@@ -89,8 +87,4 @@ def test_the_papers_rule_takes_the_move_of_largest_regret():
             assert (strategy.sum(axis=1) == 1.0).all()
             np.testing.assert_array_equal(strategy.argmax(axis=1), regret.argmax(axis=1))
             assert set(np.unique(strategy)) == {0.0, 1.0}
-
-
-def test_an_unknown_method_is_named_before_anything_is_solved():
-    with pytest.raises(UnknownNameError, match="method 'guess' is unknown"):
-        compare_methods(PENNIES, 1, ["exact", "guess"])
+    refused("method 'guess' is unknown", compare_methods, PENNIES, 1, ["exact", "guess"], error=UnknownNameError)

@@ -4,38 +4,40 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusal import refused
 from small_games import PENNIES, random_profile, random_tree
 
-from pcs_racing.base.errors import InputError
-from pcs_racing_agents.solvers import (
-    GameTree,
-    advantages,
-    best_response,
-    check_profile,
-    exploitability,
-    play_value,
-    q_values,
-    reach_probabilities,
-    uniform_profile,
-)
+from pcs_racing_agents import solvers
 
 
-def test_matching_pennies_by_hand():
-    fair = uniform_profile(PENNIES)
-    assert play_value(PENNIES, fair) == 0.0
-    assert exploitability(PENNIES, fair).nash_conv == 0.0
+def test_network_strategies_and_impossible_profiles():
+    fair = solvers.uniform_profile(PENNIES)
+    assert solvers.play_value(PENNIES, fair) == 0.0
+    assert solvers.exploitability(PENNIES, fair).nash_conv == 0.0
     biased = [(np.array([[0.75, 0.25]]), np.array([[0.5, 0.5]]))]
-    result = exploitability(PENNIES, biased)
+    result = solvers.exploitability(PENNIES, biased)
     assert result.value == 0.0
     assert result.gains.tolist() == [0.0, 0.5]  # the other one shows the side that car 0 shows less
     assert result.nash_conv == 0.5
     assert result.exploitability == 0.25
-    assert best_response(PENNIES, biased, 1).strategy[0].tolist() == [[0.0, 1.0]]
-    assert q_values(PENNIES, biased)[0][1].tolist() == [[-0.5, 0.5]]
-    assert advantages(PENNIES, biased)[0][0].tolist() == [[0.0, 0.0]]
+    assert solvers.best_response(PENNIES, biased, 1).strategy[0].tolist() == [[0.0, 1.0]]
+    assert solvers.q_values(PENNIES, biased)[0][1].tolist() == [[-0.5, 0.5]]
+    assert solvers.advantages(PENNIES, biased)[0][0].tolist() == [[0.0, 0.0]]
+    tree = random_tree(0, 3, 3)
+    third = np.full((1, 3), 1.0 / 3.0, dtype=np.float32)
+    assert np.array_equal(solvers.check_profile(tree, [(third, third)])[0][0].sum(axis=1), [1.0])
+    for profile, message in [
+        ([], "has 1 pairs"),
+        ([([[0.5, 0.5]], [[1.0]])], r"level 0, car 1: a strategy has shape \(1, 1\)"),
+        ([([[0.5, 0.6]], [[0.5, 0.5]])], "car 0, row 0: .* is no distribution"),
+        ([([[1.5, -0.5]], [[0.5, 0.5]])], "is no distribution"),
+        ([([[0.5, 0.5]], [[np.nan, 0.5]])], "car 1, row 0"),
+    ]:
+        refused(message, solvers.play_value, PENNIES, profile)
+    refused("player is 2", solvers.best_response, PENNIES, solvers.uniform_profile(PENNIES), 2)
 
 
-def pure_strategies(tree: GameTree, player: int):
+def pure_strategies(tree: solvers.GameTree, player: int):
     """Every plan of a player: a move for each of its infosets."""
     rows = [tree.rows(k, player) for k in range(tree.depth)]
     choices = [range(tree.moves[k][player]) for k in range(tree.depth) for _ in range(rows[k])]
@@ -56,11 +58,11 @@ def test_a_best_response_is_the_best_of_all_plans(seed, blur, sharp):
         values = []
         for plan in pure_strategies(tree, player):
             tried = [(own, pair[1]) if player == 0 else (pair[0], own) for own, pair in zip(plan, profile, strict=True)]
-            values.append((1, -1)[player] * play_value(tree, tried))
-        best = best_response(tree, profile, player)
+            values.append((1, -1)[player] * solvers.play_value(tree, tried))
+        best = solvers.best_response(tree, profile, player)
         assert best.value == pytest.approx(max(values), abs=1e-12)
         answer = [(a, p[1]) if player == 0 else (p[0], a) for a, p in zip(best.strategy, profile, strict=True)]
-        assert (1, -1)[player] * play_value(tree, answer) == pytest.approx(best.value, abs=1e-12)
+        assert (1, -1)[player] * solvers.play_value(tree, answer) == pytest.approx(best.value, abs=1e-12)
 
 
 @given(seed=st.integers(0, 10**6), chance=st.sampled_from([0, 3]), blur=st.integers(0, 2))
@@ -74,30 +76,7 @@ def test_q_values_are_what_one_other_move_is_worth(seed, chance, blur):
     changed = [[own.copy() for own in pair] for pair in profile]
     changed[k][player][row] = np.eye(tree.moves[k][player])[move]
     nodes = tree.infosets[k][player] == row
-    reach = reach_probabilities(tree, profile)[k]
+    reach = solvers.reach_probabilities(tree, profile)[k]
     visits = (reach[0] * reach[1] * np.repeat(tree.chance, tree.nodes(k) // tree.roots))[nodes].sum()
-    gain = (1, -1)[player] * (play_value(tree, changed) - play_value(tree, profile))
-    assert gain == pytest.approx(visits * advantages(tree, profile)[k][player][row, move], abs=1e-12)
-
-
-def test_what_network_strategies_may_look_like():
-    tree = random_tree(0, 3, 3)
-    third = np.full((1, 3), 1.0 / 3.0, dtype=np.float32)
-    assert np.array_equal(check_profile(tree, [(third, third)])[0][0].sum(axis=1), [1.0])
-
-
-@pytest.mark.parametrize(
-    ("profile", "message"),
-    [
-        ([], "has 1 pairs"),
-        ([([[0.5, 0.5]], [[1.0]])], r"level 0, car 1: a strategy has shape \(1, 1\)"),
-        ([([[0.5, 0.6]], [[0.5, 0.5]])], "car 0, row 0: .* is no distribution"),
-        ([([[1.5, -0.5]], [[0.5, 0.5]])], "is no distribution"),
-        ([([[0.5, 0.5]], [[np.nan, 0.5]])], "car 1, row 0"),
-    ],
-)
-def test_impossible_profiles(profile, message):
-    with pytest.raises(InputError, match=message):
-        play_value(PENNIES, profile)
-    with pytest.raises(InputError, match="player is 2"):
-        best_response(PENNIES, uniform_profile(PENNIES), 2)
+    gain = (1, -1)[player] * (solvers.play_value(tree, changed) - solvers.play_value(tree, profile))
+    assert gain == pytest.approx(visits * solvers.advantages(tree, profile)[k][player][row, move], abs=1e-12)

@@ -3,17 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from refusal import refused
 from small_games import kuhn_poker, random_tree
 
-from pcs_racing.base.errors import InputError
-from pcs_racing_agents.solvers import (
-    GameTree,
-    advantages,
-    exploitability,
-    q_values,
-    solve_exact,
-    solve_sequence_form,
-)
+from pcs_racing_agents.solvers import GameTree, advantages, exploitability, q_values, solve_exact, solve_sequence_form
 
 SMALL = st.sampled_from([(2, 2), (3, 2), (1, 3), (2, 2, 2, 2), (3, 2, 2, 1), (2, 3, 1, 2, 2, 2)])
 PAYOFFS = SMALL.flatmap(
@@ -54,7 +47,7 @@ def test_moves_are_rated_against_the_equilibrium():
             assert mine[solution.profile[k][player] > 1e-12] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_seeds_that_nobody_sees_and_seeds_that_both_see():
+def test_seeds_that_nobody_sees_and_moves_that_need_another_solver():
     payoffs = np.random.default_rng(2).normal(size=(3, 2, 2, 2, 2))
     weights = [0.5, 0.25, 0.25]
     hidden = GameTree.from_payoffs(payoffs, weights)
@@ -64,14 +57,7 @@ def test_seeds_that_nobody_sees_and_seeds_that_both_see():
     apart = [solve_exact(GameTree.from_payoffs(table)).value for table in payoffs]
     assert solve_exact(seen).value == pytest.approx(np.dot(weights, apart))
     assert abs(exploitability(seen, solve_exact(seen).profile).nash_conv) < 1e-13
-
-
-def test_hidden_moves_need_another_solver():
-    with pytest.raises(InputError, match="use solve_sequence_form or cfr"):
-        solve_exact(kuhn_poker())
-
-
-# The sequence form
+    refused("use solve_sequence_form or cfr", solve_exact, kuhn_poker())
 
 
 def test_kuhn_poker():

@@ -2,13 +2,13 @@ import copy
 
 import numpy as np
 import pytest
+from refusal import refused
 from small_games import random_profile
 
-from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers import GameTree, play_value
 
 
-def test_nodes_stand_in_the_order_of_their_history():
+def test_nodes_stand_in_the_order_of_their_history_in_a_tree_that_is_a_value():
     payoffs = np.arange(2 * 3 * 4 * 2, dtype=float).reshape(2, 3, 4, 2)
     tree = GameTree.from_payoffs(payoffs)
     assert tree.depth == 2
@@ -20,6 +20,13 @@ def test_nodes_stand_in_the_order_of_their_history():
     second[0][:, 0] = second[1][:, 1] = 1.0
     second[0][node], second[1][node] = [0, 0, 0, 1], [1, 0]
     assert play_value(tree, [(np.array([[0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]])), second]) == payoffs[1, 2, 3, 0]
+    given = np.zeros((2, 2))
+    tree = GameTree.from_payoffs(given)
+    given[0, 0] = 5.0
+    assert tree.payoffs[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        tree.payoffs[0, 0] = 1.0
+    assert copy.deepcopy(tree) is tree
 
 
 def test_hidden_chance_is_averaged_out():
@@ -32,7 +39,7 @@ def test_hidden_chance_is_averaged_out():
     assert play_value(tree, profile) == pytest.approx(weights @ each)
 
 
-def test_infosets_are_numbered_as_they_come():
+def test_infosets_are_numbered_as_they_come_and_observations_add_to_them():
     tree = GameTree.from_payoffs(np.zeros((2, 2, 2, 2)))
     seen = tree.with_infosets([([7], [7]), ([9, 9, 4, 4], [8, 3, 8, 3])])
     assert seen.infosets[1][0].tolist() == [0, 0, 1, 1]
@@ -42,9 +49,6 @@ def test_infosets_are_numbered_as_they_come():
     same = tree.with_infosets([([0], [0]), ([5, 2, 9, 1], [3, 2, 1, 0])])
     assert same.perfect
     assert same.infosets[1][0].tolist() == [0, 1, 2, 3]
-
-
-def test_observations_add_to_what_is_remembered():
     tree = GameTree.from_payoffs(np.zeros((2, 2, 2, 2, 2, 2)))
     nothing = [(np.zeros(tree.nodes(k)), np.zeros(tree.nodes(k))) for k in range(3)]
     blind = tree.with_observations(nothing)
@@ -59,19 +63,8 @@ def test_observations_add_to_what_is_remembered():
     assert [tree.with_observations(pairs).rows(k, 1) for k in range(3)] == [1, 4, 16]
 
 
-def test_a_tree_is_a_value():
-    given = np.zeros((2, 2))
-    tree = GameTree.from_payoffs(given)
-    given[0, 0] = 5.0
-    assert tree.payoffs[0, 0] == 0.0
-    with pytest.raises(ValueError, match="read-only"):
-        tree.payoffs[0, 0] = 1.0
-    assert copy.deepcopy(tree) is tree
-
-
-@pytest.mark.parametrize(
-    ("payoffs", "chance", "message"),
-    [
+def test_impossible_trees_and_what_no_player_can_see():
+    for payoffs, chance, message in [
         (np.zeros(4), None, r"payoffs have shape \(4,\)"),
         (np.zeros((2, 2, 2)), None, "an axis for each move"),
         (np.zeros((2, 0)), None, "none may be empty"),
@@ -86,19 +79,9 @@ def test_a_tree_is_a_value():
         (np.zeros((2, 2, 2)), [1.5, -0.5], "at least 0"),
         (np.zeros((2, 2, 2)), [np.nan, 1.0], "at least 0"),
         (np.full((2, 1, 1), np.inf), [0.5, 0.5], r"payoff \(0, 0, 0\) is inf"),
-    ],
-)
-def test_impossible_trees(payoffs, chance, message):
-    with pytest.raises(InputError, match=message):
-        GameTree.from_payoffs(payoffs, chance)
-
-
-TWO_STEPS, ONE_STEP = GameTree.from_payoffs(np.zeros((2, 2, 2, 2))), GameTree.from_payoffs(np.zeros((2, 2)))
-
-
-@pytest.mark.parametrize(
-    ("see", "labels", "message"),
-    [
+    ]:
+        refused(message, GameTree.from_payoffs, payoffs, chance)
+    for see, labels, message in [
         (TWO_STEPS.with_infosets, [([0], [0])], "must be 2 pairs"),
         (TWO_STEPS.with_infosets, [([0], [0]), ([0, 0, 1], [0] * 4)], "must be 4 whole numbers"),
         (TWO_STEPS.with_infosets, [([0], [0]), ([0.0] * 4, [0] * 4)], "type float64"),
@@ -108,8 +91,8 @@ TWO_STEPS, ONE_STEP = GameTree.from_payoffs(np.zeros((2, 2, 2, 2))), GameTree.fr
         (ONE_STEP.with_observations, [(np.zeros(1), np.zeros(2))], "level 0, car 1"),
         (ONE_STEP.with_observations, [(np.zeros(1), np.zeros((1, 1, 1)))], "level 0, car 1"),
         (ONE_STEP.with_observations, [(np.zeros(1), [np.nan])], "level 0, car 1"),
-    ],
-)
-def test_what_no_player_can_see(see, labels, message):
-    with pytest.raises(InputError, match=message):
-        see(labels)
+    ]:
+        refused(message, see, labels)
+
+
+TWO_STEPS, ONE_STEP = GameTree.from_payoffs(np.zeros((2, 2, 2, 2))), GameTree.from_payoffs(np.zeros((2, 2)))

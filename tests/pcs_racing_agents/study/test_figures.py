@@ -2,9 +2,9 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from refusal import refused
 from toy_races import toy_races
 
-from pcs_racing import InputError
 from pcs_racing_agents.pictures.curves import Curve, curves_picture
 from pcs_racing_agents.pictures.style import picture_bytes
 from pcs_racing_agents.study import figures
@@ -63,7 +63,7 @@ def points_of(axes):
     return [tuple(line.get_xydata()[0]) for line in axes.lines if len(line.get_xdata()) == 1]
 
 
-def test_scores_stand_where_the_table_says(table):
+def test_scores_stand_where_the_table_says_and_differences_that_may_be_nothing_are_hollow(table):
     panels = [axes for axes in figures.scores_picture(table).axes if axes.get_visible()]
     assert len(panels) == len(table.rows)
     assert [label.get_text() for label in panels[0].get_yticklabels()] == list(table.arms)
@@ -74,9 +74,6 @@ def test_scores_stand_where_the_table_says(table):
         if row.paper is not None:
             assert (row.paper.non_gt, 0) in marks
             assert (row.paper.gt, -2) in marks
-
-
-def test_differences_that_may_be_nothing_are_hollow(table):
     for row, axes in zip(table.rows, figures.differences_picture(table).axes, strict=True):
         marks = {tuple(line.get_xydata()[0]): line for line in axes.lines if line.get_marker() == "o"}
         for i, one in enumerate(row.differences):
@@ -84,16 +81,12 @@ def test_differences_that_may_be_nothing_are_hollow(table):
             assert (mark.get_markerfacecolor() == "white") == (one.p_holm >= 0.05)
 
 
-@pytest.mark.parametrize(
-    ("draw", "value"),
-    [
+def test_what_can_not_be_drawn_is_named():
+    for draw, value in [
         (lambda: figures.adaptivity_picture(make_table(toy_races(egos=3, variants=3))), "adaptivity gains"),
         (lambda: curves_picture({}), "curves"),
         (lambda: curves_picture({"regret": []}), "curves"),
         (lambda: figures.exploitability_picture([]), "score"),
         (lambda: payoffs_picture(["a", "b", "c"], PAYOFFS), r"\(2, 2\)"),
-    ],
-)
-def test_what_can_not_be_drawn_is_named(draw, value):
-    with pytest.raises(InputError, match=value):
-        draw()
+    ]:
+        refused(value, draw)

@@ -7,9 +7,10 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from refusal import refused
 from toy_races import toy_races
 
-from pcs_racing import InputError, make_game
+from pcs_racing import make_game
 from pcs_racing.race.replay_files import read_replay
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
@@ -17,19 +18,8 @@ from pcs_racing_agents.explain.situations import Situations
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
+from pcs_racing_agents.study import report_inputs as inputs
 from pcs_racing_agents.study.report import ReportContent, TitledTable, report_page, write_page
-from pcs_racing_agents.study.report_inputs import (
-    ExplainedRace,
-    ReplyLoss,
-    mean_scores,
-    read_curves,
-    read_losses,
-    scores_and_losses,
-    select_highlights,
-    software,
-    total_losses,
-    watch_race,
-)
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import overview_rows
 from pcs_racing_agents.tournament import cross_pairing, play_pairings
@@ -50,10 +40,10 @@ def raced(oval, archive):
 
 
 @pytest.fixture(scope="module")
-def watched(raced) -> ExplainedRace:
+def watched(raced) -> inputs.ExplainedRace:
     pairing, ours, baseline = raced
-    title, race = next(iter(select_highlights(ours, baseline).values()))
-    return watch_race(pairing, race, title)
+    title, race = next(iter(inputs.select_highlights(ours, baseline).values()))
+    return inputs.watch_race(pairing, race, title)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +54,7 @@ def content(archive, watched) -> ReportContent:
         blind="best-fixed",
         seen={"Tarnfjord"},
     )
-    losses = [ReplyLoss("our-best", "Tarnfjord", 0.2, 0.1, 0.3, 400, 0.7, 0.3, 0.05)]
+    losses = [inputs.ReplyLoss("our-best", "Tarnfjord", 0.2, 0.1, 0.3, 400, 0.7, 0.3, 0.05)]
     return ReportContent(
         title=f"A study {NASTY}",
         about=f"{NASTY}\n\nSecond paragraph.",
@@ -85,7 +75,7 @@ def content(archive, watched) -> ReportContent:
         sheets=[TitledTable("Sheet", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
         races=[watched, watched._replace(title=NASTY, text=NASTY)],
         settings={"race": NASTY, "tracks": ["a", "b"]},
-        versions=software(),
+        versions=inputs.software(),
         seeds={"root": 0},
         seconds={"archive": 61.0, "races": 2.0},
     )
@@ -160,16 +150,6 @@ def test_every_section_is_there_with_its_numbers_and_pictures(parsed, content):
     assert all(image["alt"] for image in parsed.images)
 
 
-def test_races_can_be_read_back(tmp_path, parsed, watched):
-    file = tmp_path / "race.html"
-    file.write_text(parsed.frames[0]["srcdoc"])
-    back = read_replay(file)
-    assert back.outcome == watched.replay.outcome
-    assert np.abs(back.progress - watched.replay.progress).max() < 0.001
-    assert any(event.kind == "move" for event in back.events)
-    assert {"sandbox", "srcdoc", "title"} == set(parsed.frames[0])
-
-
 def test_strong_and_safe_stand_beside_each_other(content, parsed):
     """The table of losses to best replies tells the score in races, too."""
     judged = replace(content.table, rows=content.table.rows[:1])
@@ -179,15 +159,12 @@ def test_strong_and_safe_stand_beside_each_other(content, parsed):
     assert "<td>+0.200</td><td>[+0.100, +0.300]</td><td>400</td>" in page
 
 
-def test_without_rows_of_the_paper_nothing_is_said_of_it(content):
+def test_what_is_not_there_is_not_told(content):
     table = replace(content.table, rows=tuple(replace(row, paper=None) for row in content.table.rows))
     page = report_page(ReportContent("", table=table))
     assert "paper" not in re.sub(r"base64,[^\"]*|the paper&#39;s test|<style>.*?</style>", "", page, flags=re.DOTALL)
     assert "paper" not in overview_rows(table)[0]
     assert len({len(row) for row in overview_rows(table)}) == 1
-
-
-def test_sections_without_content_are_left_out():
     page = report_page(ReportContent("Nothing yet"))
     assert "<section" not in page
     assert "<nav></nav>" in page
@@ -202,16 +179,20 @@ def test_without_matplotlib_the_page_says_so(monkeypatch, content):
     assert "<img" not in page
 
 
-def test_the_page_is_written(tmp_path, content, page):
+def test_the_page_is_written_races_read_back_and_every_field_told(tmp_path, content, page, parsed, watched):
     assert write_page(content, tmp_path / "report.html").read_text() == page
-
-
-def test_every_field_is_told(content):
-    """What is given changes the page."""
+    # What is given changes the page.
     for name in ReportContent.__dataclass_fields__:
         empty = ReportContent("")
         if name not in ("epsilon", "loss_unit", "judged", "curves", "reward_curves", "title"):
             assert report_page(replace(empty, **{name: getattr(content, name)})) != report_page(empty), name
+    file = tmp_path / "race.html"
+    file.write_text(parsed.frames[0]["srcdoc"])
+    back = read_replay(file)
+    assert back.outcome == watched.replay.outcome
+    assert np.abs(back.progress - watched.replay.progress).max() < 0.001
+    assert any(event.kind == "move" for event in back.events)
+    assert {"sandbox", "srcdoc", "title"} == set(parsed.frames[0])
 
 
 TELL = """<script>console.log("a race of " + race.car_names + ", " + duration + " s");</script></body>"""
@@ -233,12 +214,9 @@ def test_the_page_works_in_a_browser(tmp_path, content, browser):
     assert browser.complaints == []
 
 
-# What the report is made of
-
-
-def test_highlights_are_what_they_are_called(raced):
+def test_highlights_are_what_they_are_called_and_show_the_race(raced, watched):
     _, ours, baseline = raced
-    result = select_highlights(ours, baseline)
+    result = inputs.select_highlights(ours, baseline)
     assert len(result) >= 2
     for kind, (title, race) in result.items():
         assert title.startswith(f"A {kind}")
@@ -253,55 +231,44 @@ def test_highlights_are_what_they_are_called(raced):
             assert not ours.crash[race]
         if "starts alike" in title:
             assert baseline.winner[race] == 1 - ours.winner[race]
-
-
-def test_a_race_to_watch_is_the_race(raced, watched):
-    _, ours, baseline = raced
-    race = dict(select_highlights(ours, baseline).values())[watched.title]
+    race = dict(result.values())[watched.title]
     assert watched.replay.lead[-1] == ours.lead[race]
     assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")
 
 
-def test_losses_to_best_replies_are_read_and_stand_beside_the_score(tmp_path):
+def test_curves_and_losses_are_read_and_losses_stand_beside_the_score(tmp_path):
     path = tmp_path / "best_replies.csv"
-    head = ",".join(("agent", "track", *ReplyLoss._fields[2:])) + "\n"
+    head = ",".join(("agent", "track", *inputs.ReplyLoss._fields[2:])) + "\n"
     lines = ("a,Oval,0.1,0,0.2,400,0.6,0.4,0.05", "a,Hut,0.3,0.2,0.4,400,0.8,0.2,0", "a,all,0.2,0.1,0.3,800,0.7,0.3,0")
     path.write_text(head + "\n".join(lines) + "\nb,Oval,-0.1,-0.2,0,40,0.4,0.6,0\n")
-    losses = read_losses(path)
-    assert losses[0] == ReplyLoss("a", "Oval", 0.1, 0.0, 0.2, 400, 0.6, 0.4, 0.05)
-    totals = total_losses(losses)
+    losses = inputs.read_losses(path)
+    assert losses[0] == inputs.ReplyLoss("a", "Oval", 0.1, 0.0, 0.2, 400, 0.6, 0.4, 0.05)
+    totals = inputs.total_losses(losses)
     assert {name: (total.track, total.loss) for name, total in totals.items()} == {
         "a": ("all", 0.2),
         "b": ("Oval", -0.1),
     }
     table = make_table(toy_races(strengths={"a": 0.0, "c": 0.1}, egos=3, variants=3))
-    (place,) = scores_and_losses(table, losses)
+    (place,) = inputs.scores_and_losses(table, losses)
     assert (place.name, place.loss, place.low, place.high) == ("a", 0.2, 0.1, 0.3)
     assert place.score == pytest.approx(np.mean([row.arms[0].score for row in table.rows]))
-    assert scores_and_losses(None, losses) == []
-    assert mean_scores(table)["c"] == pytest.approx(np.mean([row.arms[1].score for row in table.rows]))
-    assert mean_scores(
+    assert inputs.scores_and_losses(None, losses) == []
+    assert inputs.mean_scores(table)["c"] == pytest.approx(np.mean([row.arms[1].score for row in table.rows]))
+    assert inputs.mean_scores(
         replace(table, rows=(*table.rows, replace(table.rows[0], arms=table.rows[0].arms[:1])))
     ).keys() == {"a"}
-
-
-@pytest.mark.parametrize(
-    ("agent", "loss", "value"),
-    [("name", "0.1", "'agent'"), ("agent", "much", "'much'"), ("agent", "", "'a'"), ("agent", "inf", "'inf'")],
-)
-def test_files_without_losses_are_refused(tmp_path, agent, loss, value):
-    path = tmp_path / "best_replies.csv"
-    head = ",".join((agent, "track", *ReplyLoss._fields[2:]))
-    path.write_text(f"{head}\na,Oval,{loss},0,0.2,400,0.6,0.4,0.05\n")
-    with pytest.raises(InputError, match=value):
-        read_losses(path)
-
-
-def test_curves_come_from_the_files_beside_networks(tmp_path):
     path = tmp_path / "learning_curves.csv"
     path.write_text("epoch,training_loss,validation_loss\n1,0.5,\n2,0.25,0.3\n")
-    training, validation = read_curves(path)
+    training, validation = inputs.read_curves(path)
     assert (training.label, training.y.tolist(), training.x.tolist()) == ("training", [0.5, 0.25], [1.0, 2.0])
     assert np.isnan(validation.y[0])
-    with pytest.raises(InputError, match="can't read"):
-        read_curves(tmp_path / "nothing.csv")
+    refused("can't read", inputs.read_curves, tmp_path / "nothing.csv")
+
+
+def test_files_without_losses_are_refused(tmp_path):
+    numbers = [("agent", "much", "'much'"), ("agent", "", "'a'"), ("agent", "inf", "'inf'")]
+    for agent, loss, value in [("name", "0.1", "'agent'"), *numbers]:
+        path = tmp_path / "best_replies.csv"
+        head = ",".join((agent, "track", *inputs.ReplyLoss._fields[2:]))
+        path.write_text(f"{head}\na,Oval,{loss},0,0.2,400,0.6,0.4,0.05\n")
+        refused(value, inputs.read_losses, path)

@@ -39,34 +39,15 @@ LEARNER = settings_file("learner", "starts: 16\nrounds: 1\nmembers: 1\nhidden: [
 SELF_PLAY = settings_file("self_play", "iterations: 2\nstarts: 16\nhidden: [8]\nepochs: 3\n")
 
 TINY = load_study_config(
-    "quick",
-    moves=2,
-    step_seconds=2.0,
-    circuits=("Pipkin",),
-    tracks=("Pipkin",),
-    pairs=3,
-    targets=("advantage",),
-    robust=settings_file("robust", f"rounds: 1\nlearner: {LEARNER}\n"),
-    psro=settings_file("psro", f"rounds: 2\nraces: 4\nlearner: {LEARNER}\n"),
-    self_play=SELF_PLAY,
-    sampled_cfr=SELF_PLAY,
-    fitting_games=2,
-    fixed_targets=2,
-    opponents=("never-switch", "lane-switcher"),
-    arms=("never-switch", *BEST_BLIND, "cfr-argmax", "quick"),
-    egos=2,
-    variants=2,
-    lines=1,
-    further_lines=1,
-    further_opponents=("random-moves",),
-    further_arms=("ppo", "robust", "psro", "self-play"),
-    replies=("cfr-argmax", "self-play"),
-    reply=LEARNER,
-    reply_races=40,
-    ppo=str(HERE / "ppo_tiny.yaml"),
+    "quick", moves=2, step_seconds=2.0, circuits=("Pipkin",), tracks=("Pipkin",), pairs=3, targets=("advantage",),
+    robust=settings_file("robust", f"rounds: 1\nlearner: {LEARNER}\n"), self_play=SELF_PLAY, sampled_cfr=SELF_PLAY,
+    psro=settings_file("psro", f"rounds: 2\nraces: 4\nlearner: {LEARNER}\n"), fitting_games=2, fixed_targets=2,
+    opponents=("never-switch", "lane-switcher"), arms=("never-switch", *BEST_BLIND, "cfr-argmax", "quick"),
+    egos=2, variants=2, lines=1, further_lines=1, further_opponents=("random-moves",),
+    further_arms=("ppo", "robust", "psro", "self-play"), replies=("cfr-argmax", "self-play"), reply=LEARNER,
+    reply_races=40, ppo=str(HERE / "ppo_tiny.yaml"), rating_races=2,
     rated=("never-switch", "cfr-argmax", "ppo", "lane-switcher"),
-    rating_races=2,
-)
+)  # fmt: skip
 
 NAMES = [stage.name for stage in STAGES]
 
@@ -87,7 +68,7 @@ def page(finished) -> str:
     return (finished.folder / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_study_leaves_its_results(finished, page):
+def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished, page):
     main, further = 2 * 6 * 8, 3 * 10 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
     assert len(rows_of(finished.folder / "results.csv")) == main + further
     assert "best-fixed" in (finished.folder / "table.txt").read_text(encoding="utf-8")
@@ -95,6 +76,11 @@ def test_a_study_leaves_its_results(finished, page):
     assert "https://" not in page.replace("http://www.w3.org", "")
     assert list(stage_seconds(finished)) == NAMES
     assert not list(finished.folder.rglob("seconds.txt"))
+    results = (finished.folder / "results.csv").read_bytes()
+    chunks = {file: file.stat().st_mtime_ns for file in finished.folder.rglob("*.npz")}
+    again = run_study(TINY, finished.folder, quiet=True)
+    assert (again.folder / "results.csv").read_bytes() == results
+    assert {file: file.stat().st_mtime_ns for file in finished.folder.rglob("*.npz")} == chunks
 
 
 def test_the_report_tells_losses_gains_and_moves(finished, page):
@@ -117,21 +103,21 @@ def test_the_report_tells_losses_gains_and_moves(finished, page):
     assert f"quick - {compared}" in (finished.folder / "table.txt").read_text(encoding="utf-8")
 
 
-def test_the_agents_that_learned_by_playing_are_those_of_the_study(finished):
+def test_the_agents_learned_by_playing_the_game_that_is_studied(finished):
     for name in ("robust", "psro", "self-play"):
         networks = load_network_set(finished.network(name))
         assert finished.agent(name).facts["networks"].startswith(f"{networks.name}: {len(networks.networks)}")
     regrets = load_network(finished.network("regret"))
     assert (regrets.target, regrets.training["sampled"]) == ("regret", True)
     assert "sampled True" in finished.agent("cfr-argmax").facts["trained on"]
-
-
-def test_a_second_run_repeats_nothing_and_writes_the_same_bytes(finished):
-    results = (finished.folder / "results.csv").read_bytes()
-    chunks = {file: file.stat().st_mtime_ns for file in finished.folder.rglob("*.npz")}
-    again = run_study(TINY, finished.folder, quiet=True)
-    assert (again.folder / "results.csv").read_bytes() == results
-    assert {file: file.stat().st_mtime_ns for file in finished.folder.rglob("*.npz")} == chunks
+    network = load_network(finished.network("ppo"))
+    assert network.training["setting_tracks"] == "Pipkin"
+    assert network.training["setting_opponents"] == "1 never-switch, 1 lane-switcher:1"
+    network.check_fits(finished.game("Pipkin"))  # two moves, not the four of the settings
+    assert len(read_evaluations(finished.network("ppo") / "curve.csv")[0].steps) == 3
+    ppo = finished.agent("ppo")
+    seen = np.random.default_rng(1).random((50, len(network.identity.elements)), np.float32)
+    np.testing.assert_array_equal(ppo.predict(seen)[0], network.choose(seen))
 
 
 def without_times(folder: Path) -> dict[str, bytes]:
@@ -153,17 +139,6 @@ def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
     one, two = without_times(finished.folder), without_times(other)
     assert {"results.csv", "table.csv", "best_replies.csv", "ratings.csv", "networks/ppo/curve.csv"} < set(one)
     assert [name for name in sorted({*one, *two}) if one.get(name) != two.get(name)] == []
-
-
-def test_ppo_learns_the_game_that_is_studied(finished):
-    network = load_network(finished.network("ppo"))
-    assert network.training["setting_tracks"] == "Pipkin"
-    assert network.training["setting_opponents"] == "1 never-switch, 1 lane-switcher:1"
-    network.check_fits(finished.game("Pipkin"))  # two moves, not the four of the settings
-    assert len(read_evaluations(finished.network("ppo") / "curve.csv")[0].steps) == 3
-    ppo = finished.agent("ppo")
-    seen = np.random.default_rng(1).random((50, len(network.identity.elements)), np.float32)
-    np.testing.assert_array_equal(ppo.predict(seen)[0], network.choose(seen))
 
 
 def test_an_archive_that_was_made_is_the_one_that_ppo_learns_with(tmp_path):
@@ -200,13 +175,24 @@ def test_the_command_goes_on_in_the_folder_and_says_where_the_results_are(finish
     assert "seed" in capsys.readouterr().err
 
 
-def test_stages_come_in_order(tmp_path):
+def test_stages_come_in_order_and_time_before_a_stop_is_counted(tmp_path):
     with pytest.raises(UnknownNameError, match="stage 'lunch' is unknown"):
         run_study(TINY, tmp_path / "x", only=["lunch"], quiet=True)
     with pytest.raises(InputError, match="stage 'races' needs stage 'networks', which is not done"):
         run_study(TINY, tmp_path / "x", only=["races"], quiet=True)
     for number, stage in enumerate(STAGES):
         assert set(stage.needs) <= set(NAMES[:number]), stage.name
+    file = tmp_path / "seconds.txt"
+    with pytest.raises(KeyboardInterrupt), seconds_counted(file):
+        raise KeyboardInterrupt
+    file.write_text(f"{float(file.read_text()) + 100.0}\n")
+    with seconds_counted(file) as spent:
+        assert 100.0 <= spent() < 200.0
+    assert not file.exists()
+    for nonsense in ("", "soon", "-3", "nan", "1e99"):
+        file.write_text(nonsense)
+        with seconds_counted(file) as spent:
+            assert spent() < 50.0
 
 
 @pytest.mark.parametrize("better", BEST_BLIND)
@@ -221,9 +207,8 @@ def test_the_gain_is_over_the_blind_agent_that_won_more_training_races(finished,
     assert best_blind(replace(other, config=replace(TINY, arms=("never-switch", "quick"), replies=()))) is None
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_impossible_studies_are_refused():
+    for changes, message in [
         ({"arms": ("never-switch", "best-fixed", "quick")}, "not 'best-schedule'"),
         ({"arms": ("never-switch",), "best": "response"}, "best is 'response'"),
         ({"egos": 1}, "egos is 1"),
@@ -238,17 +223,15 @@ def test_the_gain_is_over_the_blind_agent_that_won_more_training_races(finished,
         ({"replies": ("lane-switcher",)}, "replies hold 'lane-switcher'"),
         ({"replies": ("cfr-argmax",), "reply_races": 40, "circuits": ("Tarnfjord", "Pipkin")}, "reply_races is 40"),
         ({"lunch": 1}, "unknown study setting 'lunch'"),
-    ],
-)
-def test_impossible_studies_are_refused(changes, message):
-    with pytest.raises((ConfigError, UnknownNameError), match=message):
-        load_study_config("quick", **changes)
+    ]:
+        with pytest.raises((ConfigError, UnknownNameError), match=message):
+            load_study_config("quick", **changes)
 
 
-@pytest.mark.parametrize("name", ["quick", "paper", "contest", "contest-table", "contest-wide"])
-def test_shipped_studies_load_and_have_the_blind_agents_in_their_main_table(name):
-    config = load_study_config(name)
-    assert {config.best, *BEST_BLIND} <= set(config.arms)
+def test_shipped_studies_load_and_have_the_blind_agents_in_their_main_table():
+    for name in ["quick", "paper", "contest", "contest-table", "contest-wide"]:
+        config = load_study_config(name)
+        assert {config.best, *BEST_BLIND} <= set(config.arms)
 
 
 @pytest.mark.parametrize(
@@ -267,17 +250,3 @@ def test_a_library_is_asked_for_only_by_stages_that_are_still_to_run(monkeypatch
     assert [stage.name for stage in stages_to_run(TINY, finished.folder)] == ["report"]
     left = stages_to_run(TINY, finished.folder / "new", ["trees", "archive"])
     assert [stage.name for stage in left] == ["archive", "trees"]
-
-
-def test_the_time_before_a_stop_is_counted(tmp_path):
-    file = tmp_path / "seconds.txt"
-    with pytest.raises(KeyboardInterrupt), seconds_counted(file):
-        raise KeyboardInterrupt
-    file.write_text(f"{float(file.read_text()) + 100.0}\n")
-    with seconds_counted(file) as spent:
-        assert 100.0 <= spent() < 200.0
-    assert not file.exists()
-    for nonsense in ("", "soon", "-3", "nan", "1e99"):
-        file.write_text(nonsense)
-        with seconds_counted(file) as spent:
-            assert spent() < 50.0

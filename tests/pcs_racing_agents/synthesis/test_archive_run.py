@@ -21,25 +21,10 @@ pytest.importorskip("cma")
 pytest.importorskip("moocore")
 
 TINY = ArchiveConfig(
-    name="tiny",
-    tracks=("Pipkin", "Tarnfjord"),
-    duration=4.0,
-    final_duration=8.0,
-    segment_seconds=2.0,
-    generations=3,
-    population=6,
-    scouts=12,
-    opponents=2,
-    starts=1,
-    crash_limit=0.4,
-    candidates=16,
-    choice_opponents=2,
-    choice_starts=1,
-    final_opponents=3,
-    final_starts=1,
-    fewest=2,
-    seed=6,
-)
+    name="tiny", tracks=("Pipkin", "Tarnfjord"), duration=4.0, final_duration=8.0, segment_seconds=2.0,
+    generations=3, population=6, scouts=12, opponents=2, starts=1, crash_limit=0.4, candidates=16,
+    choice_opponents=2, choice_starts=1, final_opponents=3, final_starts=1, fewest=2, seed=6,
+)  # fmt: skip
 
 
 def with_(**changes) -> ArchiveConfig:
@@ -73,7 +58,7 @@ def test_an_archive_is_made_and_can_be_loaded_and_raced(made):
     assert loaded.preset == "paper"
 
 
-def test_the_manifest_says_how_it_was_made(made):
+def test_the_manifest_and_the_curve_say_how_it_was_made(made):
     settings = made[0].settings
     assert settings["tracks"] == "Pipkin, Tarnfjord"
     assert "Tarnfjord " in settings["track_hashes"]
@@ -87,6 +72,18 @@ def test_the_manifest_says_how_it_was_made(made):
     assert settings["hypervolume_error"] > 0.0
     together = np.corrcoef(made[0].coordinates.T)[0, 1]
     assert settings["correlation_aggressiveness_restraint"] == pytest.approx(together, abs=1e-5)
+    _, folder, news = made
+    assert [n.generation for n in news if n.stage == "search"] == [0, 1, 2, 3]
+    assert [n.stage for n in news if n.stage != "search"] == sorted(n.stage for n in news if n.stage != "search")
+    assert [n.done for n in news] == sorted(n.done for n in news)
+    assert news[-1].done == 1.0
+    volumes = [n.hypervolume for n in news]
+    assert volumes == sorted(volumes)  # the same races for all: the front only grows
+    assert news[-1].front == len(made[0])
+    with open(folder / "hypervolume.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(row["evaluations"]) for row in rows] == [12, 18, 24, 30]
+    assert [float(row["hypervolume"]) for row in rows] == pytest.approx(volumes[:4], abs=1e-6)
 
 
 def test_the_coordinates_come_from_races_that_chose_nobody(made):
@@ -122,33 +119,26 @@ def test_fixed_parameters_keep_their_defaults_and_are_left_out(tmp_path):
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
 
 
-def test_the_course_of_the_search_is_told_and_written(made):
-    _, folder, news = made
-    assert [n.generation for n in news if n.stage == "search"] == [0, 1, 2, 3]
-    assert [n.stage for n in news if n.stage != "search"] == sorted(n.stage for n in news if n.stage != "search")
-    assert [n.done for n in news] == sorted(n.done for n in news)
-    assert news[-1].done == 1.0
-    volumes = [n.hypervolume for n in news]
-    assert volumes == sorted(volumes)  # the same races for all: the front only grows
-    assert news[-1].front == len(made[0])
-    with open(folder / "hypervolume.csv", newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    assert [int(row["evaluations"]) for row in rows] == [12, 18, 24, 30]
-    assert [float(row["hypervolume"]) for row in rows] == pytest.approx(volumes[:4], abs=1e-6)
-
-
 @pytest.mark.parametrize("kind", ["threads", "processes"])
 def test_the_executor_has_no_influence(made, tmp_path, kind, executor):
     make_archive(TINY, tmp_path / "again", executor=executor)
     assert results(tmp_path / "again") == results(made[1])
 
 
-def test_a_finished_run_started_again_races_nothing(made, monkeypatch, tmp_path):
+def test_a_finished_run_races_nothing_again_and_other_folders_are_left_alone(made, monkeypatch, tmp_path):
     folder = Path(shutil.copytree(made[1], tmp_path / "copy"))
     monkeypatch.setattr("pcs_racing_agents.synthesis.evaluate.advance", None)
     again = make_archive(TINY, folder)
     np.testing.assert_array_equal(again.coordinates, made[0].coordinates)
     assert results(folder) == results(made[1])
+    shipped = Path(shutil.copytree(made[1], tmp_path / "shipped", ignore=shutil.ignore_patterns("job")))
+    before = results(shipped)
+    refused(r"archive\.npz but no run", make_archive, TINY, shipped)
+    assert results(shipped) == before
+    assert len(list(shipped.iterdir())) == len(before)
+    before = results(made[1])
+    refused("generations is 3, not 4", make_archive, with_(generations=4), made[1])
+    assert results(made[1]) == before
 
 
 def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
@@ -160,11 +150,8 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     assert config.axes == ("speed", "restraint")
     archive = make_archive(config, tmp_path / "archive")
     assert (archive.own_crash <= 0.3).all()
-    assert (
-        archive.settings["search_over_crash_limit"]
-        == np.sum(archive.explored.own_crash > config.search_crash_limit)
-        > 0
-    )
+    over = np.sum(archive.explored.own_crash > config.search_crash_limit)
+    assert archive.settings["search_over_crash_limit"] == over > 0
     assert archive.settings["search_hypervolume"] < archive.settings["search_hypervolume_without_crash_limit"]
     assert archive.preset == "wild"
     wild.write_text("preset: contest\nname: wild\nspeed_range: [2.0, 3.0]\n")
@@ -172,36 +159,18 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
         make_archive(with_(preset=str(wild), crash_limit=0.0, tracks=("Tarnfjord",)), tmp_path / "none")
 
 
-def test_policies_below_the_least_coordinates_stay_out(tmp_path, made):
-    archive = make_archive(with_(least=(0.0, 0.0), seed=7), tmp_path)
+def test_policies_below_the_least_coordinates_stay_out_and_too_few_are_told(tmp_path, made, caplog):
+    archive = make_archive(with_(least=(0.0, 0.0), seed=7), tmp_path / "least")
     assert archive.coordinates[:, 0].min() > made[0].coordinates[:, 0].min() + 0.2
     assert (archive.explored.coordinates[:, 0] < 0.0).any()
-
-
-def test_too_few_policies_are_told(tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
-        archive = make_archive(with_(fewest=60), tmp_path)
+        archive = make_archive(with_(fewest=60), tmp_path / "few")
     assert f"the archive holds {len(archive)} policies; 60 were wanted" in caplog.text
     assert archive.settings["enough_policies"] is False
 
 
-# Bad input
-
-
-def test_a_folder_with_something_else_or_another_run_is_left_alone(tmp_path, made):
-    shipped = Path(shutil.copytree(made[1], tmp_path / "shipped", ignore=shutil.ignore_patterns("job")))
-    before = results(shipped)
-    refused(r"archive\.npz but no run", make_archive, TINY, shipped)
-    assert results(shipped) == before
-    assert len(list(shipped.iterdir())) == len(before)
-    before = results(made[1])
-    refused("generations is 3, not 4", make_archive, with_(generations=4), made[1])
-    assert results(made[1]) == before
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
+def test_impossible_settings_are_refused():
+    for changes, message in [
         ({"generations": -1}, "generations is -1"),
         ({"duration": 5.0}, "duration is 5 s"),
         ({"least": (1.0,)}, "least is"),
@@ -212,13 +181,8 @@ def test_a_folder_with_something_else_or_another_run_is_left_alone(tmp_path, mad
         ({"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
         ({"preset": "nothing"}, "race settings 'nothing' are unknown"),
         ({"speed": 3}, "unknown archive setting 'speed'"),
-    ],
-)
-def test_impossible_settings_are_refused(changes, message):
-    refused(message, with_, **changes)
-
-
-# The command
+    ]:
+        refused(message, with_, **changes)
 
 
 def test_the_command(tmp_path, capsys):

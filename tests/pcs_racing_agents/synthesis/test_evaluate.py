@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import InputError, load_race_config
 from pcs_racing.game import characteristics
@@ -10,12 +11,7 @@ from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race.races import RaceSetup, advance
 from pcs_racing.race.state import SUMS
 from pcs_racing_agents.synthesis import evaluate as evaluation
-from pcs_racing_agents.synthesis.evaluate import (
-    evaluate,
-    race_policies,
-    race_segments,
-    summarise,
-)
+from pcs_racing_agents.synthesis.evaluate import evaluate, race_policies, race_segments, summarise
 from pcs_racing_agents.synthesis.scenarios import draw_scenarios
 
 SHORT = load_race_config("contest", duration=4.0)
@@ -37,7 +33,7 @@ def raced(scenarios):
     return race_policies((scenarios, policies(5)))
 
 
-def test_every_start_is_paired_with_every_opponent_from_both_sides(scenarios):
+def test_every_start_is_paired_with_every_opponent_in_races_drawn_from_the_seed(scenarios, oval):
     assert len(scenarios) == 2 * 2 * 3 * 2
     for track in range(2):
         here = scenarios.track == track
@@ -48,9 +44,6 @@ def test_every_start_is_paired_with_every_opponent_from_both_sides(scenarios):
         )
         assert met == {(line, opponent, side) for line in lines for opponent in range(3) for side in range(2)}
     assert len(set(scenarios.seed.tolist())) == len(scenarios)
-
-
-def test_races_are_drawn_from_the_seed(oval, scenarios):
     again, other = (
         draw_scenarios([oval, "Pipkin"], SHORT, policies(3, 1), AXES, segment_seconds=2.0, seed=seed) for seed in (4, 5)
     )
@@ -115,18 +108,16 @@ def test_blocks_and_executors_change_nothing(scenarios, raced, kind, executor):
             np.testing.assert_array_equal(mine, theirs)
 
 
-def test_policies_with_many_races_are_driven_one_by_one(scenarios, raced, monkeypatch):
-    monkeypatch.setattr(evaluation, "RACES_AT_ONCE", 1)
-    for key, values in race_policies((scenarios, policies(5))).items():
-        np.testing.assert_array_equal(values, raced[key])
-
-
-def test_policies_do_not_disturb_each_other(scenarios, raced):
-    with pytest.raises(InputError, match=r"parameters .*\(2, 3\)"):
-        evaluate(scenarios, np.zeros((2, 3)))
+def test_policies_do_not_disturb_each_other_and_are_driven_one_by_one_where_races_are_many(
+    scenarios, raced, monkeypatch
+):
+    refused(r"parameters .*\(2, 3\)", evaluate, scenarios, np.zeros((2, 3)))
     alone = race_policies((scenarios, policies(5)[3:4]))
     for key, values in alone.items():
         np.testing.assert_array_equal(values[0], raced[key][3])
+    monkeypatch.setattr(evaluation, "RACES_AT_ONCE", 1)
+    for key, values in race_policies((scenarios, policies(5))).items():
+        np.testing.assert_array_equal(values, raced[key])
 
 
 def test_the_spread_is_that_of_a_mean_over_races():
@@ -148,9 +139,8 @@ def test_the_spread_is_that_of_a_mean_over_races():
     assert cut.spread.mean() == pytest.approx(cut.coordinates.std(), rel=0.06)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_impossible_races_and_characteristics_that_are_no_number(oval, monkeypatch):
+    for change, message in [
         ({"tracks": []}, "there are no tracks"),
         ({"opponents": np.zeros((0, 17))}, r"there are no opponents"),
         ({"opponents": np.zeros((3, 2))}, r"opponents has shape \(3, 2\)"),
@@ -158,25 +148,13 @@ def test_the_spread_is_that_of_a_mean_over_races():
         ({"segment_seconds": 0.0}, "segment_seconds, 0 s"),
         ({"starts": 0}, "start_lines is 0"),
         ({"characteristics": ("pace", "charm")}, "characteristic 'charm' is unknown"),
-        (
-            {"config": load_race_config("paper", start_spacing=5.0, duration=4.0)},
-            "has no place",
-        ),
-    ],
-)
-def test_impossible_races(oval, change, message):
-    given = {
-        "tracks": [oval],
-        "config": SHORT,
-        "opponents": policies(2),
-        "characteristics": AXES,
-        "segment_seconds": 2.0,
-    }
-    with pytest.raises(InputError, match=message):
-        draw_scenarios(**{**given, **change})
-
-
-def test_a_characteristic_that_is_not_a_number(oval, monkeypatch):
+        ({"config": load_race_config("paper", start_spacing=5.0, duration=4.0)}, "has no place"),
+    ]:
+        given = {
+            "tracks": [oval], "config": SHORT, "opponents": policies(2), "characteristics": AXES,
+            "segment_seconds": 2.0,
+        }  # fmt: skip
+        refused(message, draw_scenarios, **{**given, **change})
     broken = Characteristic("broken", "1", "for a test", lambda segment: segment.progress / 0.0 - np.inf)
     monkeypatch.setattr(characteristics, "_registered", {**characteristics._registered, "broken": broken})
     scenarios = draw_scenarios([oval], SHORT, policies(1), ("pace", "broken"), starts=1, segment_seconds=2.0)

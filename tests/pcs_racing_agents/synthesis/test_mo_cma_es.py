@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 
 from pcs_racing_agents.synthesis.indicators import hypervolume, non_dominated
-from pcs_racing_agents.synthesis.mo_cma_es import (
-    MOCMAES,
-    CubeCMAES,
-    OptimiserOptions,
-    hypervolume_loss,
-    latin_hypercube,
-)
+from pcs_racing_agents.synthesis.mo_cma_es import MOCMAES, CubeCMAES, hypervolume_loss, latin_hypercube
 from pcs_racing_agents.synthesis.pareto_archive import ParetoArchive, Scale
+from pcs_racing_agents.synthesis.search import OptimiserOptions
 
 pytest.importorskip("cma")
 pytest.importorskip("moocore")
@@ -21,18 +16,10 @@ REFERENCE = -0.1
 
 def setting(**changes):
     values = {
-        "dimension": 4,
-        "population": 10,
-        "seed": np.random.SeedSequence(3),
-        "elite_ratio": 0.3,
-        "loss": "uhvi",
-        "mean": "generation",
-        "start": np.full(4, 0.5),
-        "step_size": 0.1,
-        "reference": REFERENCE,
-        "ideal": np.ones(2),
-        "nadir": np.zeros(2),
-    }
+        "dimension": 4, "population": 10, "seed": np.random.SeedSequence(3), "elite_ratio": 0.3, "loss": "uhvi",
+        "mean": "generation", "start": np.full(4, 0.5), "step_size": 0.1, "reference": REFERENCE,
+        "ideal": np.ones(2), "nadir": np.zeros(2),
+    }  # fmt: skip
     return OptimiserOptions(**(values | changes))
 
 
@@ -89,15 +76,12 @@ def test_the_best_of_a_generation_join_the_archive(ratio, population, kept):
     np.testing.assert_array_equal(grown.parameters[3:], points)
 
 
-def test_the_first_generation_has_the_stated_mean_and_step_size():
+def test_the_first_generation_has_the_stated_mean_or_is_a_sample():
     search = MOCMAES(setting(dimension=20, population=400, start=np.full(20, 0.4), step_size=0.05))
     assert search.step_size == pytest.approx(0.05, rel=1e-3)  # pycma makes the axes a bit unequal
     points = search.ask()
     np.testing.assert_allclose(points.mean(axis=0), 0.4, atol=0.012)
     np.testing.assert_allclose(points.std(axis=0), 0.05, rtol=0.2)
-
-
-def test_without_a_start_a_sample_comes_first_and_then_its_best_with_half_the_step_size():
     search = MOCMAES(setting(start=None, population=50, step_size=0.04))
     assert np.isnan(search.step_size)
     points = search.ask()
@@ -129,7 +113,7 @@ def stalled(search, archive, objectives, violation, generations):
     return None, archive
 
 
-def test_after_ten_generations_without_gain_it_starts_again_at_a_point_of_the_front():
+def test_it_starts_again_at_a_point_of_the_front_the_likelier_the_more_it_adds():
     parameters = np.array([[0.1] * 4, [0.9] * 4])
     archive = ParetoArchive.empty(4).joined(parameters, np.array([[0.0, 1.0], [1.0, 0.0]]), np.full(2, -1.0))
     nothing = np.full((10, 2), -1.0)
@@ -141,27 +125,16 @@ def test_after_ten_generations_without_gain_it_starts_again_at_a_point_of_the_fr
         assert search.step_size == pytest.approx(0.01, rel=1e-3)
         starts.append(search.ask().mean())
     assert {round(start, 1) for start in starts} == {0.1, 0.9}
-
-
-def test_a_point_that_adds_more_hypervolume_is_the_likelier_start():
-    parameters = np.array([[0.1] * 4, [0.9] * 4])
     archive = ParetoArchive.empty(4).joined(parameters, np.array([[0.0, 1.0], [1.0, 0.95]]), np.full(2, -1.0))
     starts = []
     for seed in range(12):
         search = MOCMAES(setting(seed=np.random.SeedSequence(seed), step_size=0.02))
-        stalled(search, archive, np.full((10, 2), -1.0), np.full(10, -1.0), 12)
+        stalled(search, archive, nothing, np.full(10, -1.0), 12)
         starts.append(search.ask().mean() > 0.5)
     assert np.mean(starts) > 0.8
 
 
-def test_as_long_as_nothing_is_feasible_it_does_not_stand_still():
-    search = MOCMAES(setting())
-    k, archive = stalled(search, ParetoArchive.empty(4), np.zeros((10, 2)), np.ones(10), 15)
-    assert k is None
-    assert len(archive.front) == 0
-
-
-def test_a_gain_in_between_begins_the_count_anew():
+def test_a_search_that_gains_or_finds_nothing_feasible_does_not_start_again():
     search, archive = MOCMAES(setting()), archive_of(FRONT)
     nothing = np.full((10, 2), -1.0)
     for k in range(18):
@@ -172,25 +145,23 @@ def test_a_gain_in_between_begins_the_count_anew():
         assert search.restarts == 0
     search.tell(search.ask(), nothing, np.full(10, -1.0), archive)
     assert search.restarts == 1
-
-
-# CMA-ES in the unit cube
+    search = MOCMAES(setting())
+    k, archive = stalled(search, ParetoArchive.empty(4), np.zeros((10, 2)), np.ones(10), 15)
+    assert k is None
+    assert len(archive.front) == 0
 
 
 def cube(mean=0.5, step_size=0.1, largest=0.2, population=10, elite=3, dimension=3):
     return CubeCMAES(np.full(dimension, mean), step_size, largest, population, elite, np.random.default_rng(0))
 
 
-def test_the_step_size_stays_below_the_largest():
+def test_the_step_size_stays_below_the_largest_and_the_mean_near_the_cube():
     search = cube(step_size=0.1, largest=0.11)
     for _ in range(15):
         points = search.ask()
         search.tell(np.argsort(np.argsort(-points[:, 0])).astype(float))  # ever further along one axis
         assert search.step_size <= 0.11 * 1.8  # times the largest axis of the covariance
         assert float(search._es.sigma) <= 0.11 + 1e-12
-
-
-def test_the_mean_stays_near_the_cube_and_tiny_steps_are_degenerate():
     search = cube(step_size=0.05)
     for wanted in (5.0, -5.0, 0.5):
         search.move(np.full(3, wanted))

@@ -47,7 +47,7 @@ def test_points_are_added_as_members_unless_stated():
     assert len(one) == 1  # a value
 
 
-def test_the_scale_runs_from_the_worst_to_the_best_of_the_front():
+def test_the_scale_runs_from_the_worst_to_the_best_of_the_front_or_of_all_feasible():
     explored = known(1)
     scale = explored.scale()
     front = explored.objectives[explored.front]
@@ -56,9 +56,6 @@ def test_the_scale_runs_from_the_worst_to_the_best_of_the_front():
     np.testing.assert_allclose([scale(front).min(axis=0), scale(front).max(axis=0)], [[0.0, 0.0], [1.0, 1.0]])
     stated = explored.scale(np.array([4.0, 8.0]), np.array([2.0, 0.0]))
     np.testing.assert_allclose(stated(np.array([3.0, 2.0])), [0.5, 0.25])
-
-
-def test_where_the_front_has_no_extent_all_feasible_points_give_it_or_it_is_1():
     points = np.zeros((3, 3))
     single = ParetoArchive.empty(3).joined(
         points, np.array([[5.0, 2.0], [4.0, 2.0], [9.0, 9.0]]), np.array([0.0, 0.0, 1.0])

@@ -10,11 +10,6 @@ from pcs_racing_agents.synthesis.selection import beaten, difference_errors, fro
 clouds = hnp.arrays(np.float64, st.tuples(st.integers(1, 12), st.integers(1, 3)), elements=st.integers(0, 4).map(float))
 
 
-def test_layers_of_a_front_by_hand():
-    points = np.array([[0.0, 3.0], [3.0, 0.0], [1.0, 1.0], [2.0, 2.0], [0.0, 0.0], [2.0, 2.0]])
-    np.testing.assert_array_equal(front_layers(points), [0, 0, 1, 0, 2, 0])
-
-
 @given(points=clouds)
 def test_the_first_layer_is_what_no_other_point_beats(points):
     def beats(one, other):
@@ -30,7 +25,7 @@ def raced(totals, segments=None):
     return {"totals": totals, "segments": segments, "own_crash": np.zeros(totals.shape[:2], bool), "winner": nobody}
 
 
-def test_errors_of_differences_are_those_of_paired_means():
+def test_errors_of_differences_are_those_of_paired_means_also_of_races_cut_short():
     rng = np.random.default_rng(0)
     common = rng.normal(0.0, 10.0, (1, 40, 2))  # luck of the draw, shared by all
     totals = common + rng.normal(0.0, 1.0, (3, 40, 2))
@@ -40,10 +35,7 @@ def test_errors_of_differences_are_those_of_paired_means():
             paired = (totals[i] - totals[j]) / 2.0
             np.testing.assert_allclose(errors[i, j], paired.std(axis=0, ddof=1) / np.sqrt(40.0), atol=1e-9)
     assert (errors[0, 1] < 0.5 * summarise(raced(totals)).spread[0]).all()
-
-
-def test_errors_of_differences_where_crashes_cut_races_short():
-    """Over many repetitions, the error that is stated is the one that is made."""
+    # Over many repetitions, the error that is stated is the one that is made.
     rng = np.random.default_rng(1)
     differences, stated = [], []
     for _ in range(400):
@@ -57,12 +49,14 @@ def test_errors_of_differences_where_crashes_cut_races_short():
     assert np.mean(stated) == pytest.approx(np.std(differences), rel=0.1)
 
 
-def test_a_policy_within_the_error_bars_stays():
+def test_a_policy_within_the_error_bars_stays_and_layers_follow_by_hand():
     coordinates = np.array([[1.0, 1.0], [1.2, 1.2], [2.0, 1.05], [0.0, 5.0]])
     errors = np.full((4, 4, 2), 0.15)
     np.testing.assert_array_equal(beaten(coordinates, errors, 0.0), [True, False, False, False])
     np.testing.assert_array_equal(beaten(coordinates, errors, 1.0), [True, False, False, False])
     np.testing.assert_array_equal(beaten(coordinates, errors, 2.0), [False, False, False, False])
+    points = np.array([[0.0, 3.0], [3.0, 0.0], [1.0, 1.0], [2.0, 2.0], [0.0, 0.0], [2.0, 2.0]])
+    np.testing.assert_array_equal(front_layers(points), [0, 0, 1, 0, 2, 0])
 
 
 @given(points=clouds)

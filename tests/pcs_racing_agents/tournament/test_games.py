@@ -73,13 +73,16 @@ def test_what_comes_of_a_game_depends_on_the_game_alone(contest, zoo, games_of, 
         assert ((expected[name] < 0).all(axis=(0, 2)) == drivers).all()
 
 
-def test_stay_is_a_move_for_everybody(game, zoo, games_of):
+def test_stay_is_a_move_for_everybody_and_a_model_remembers_its_own_game(game, zoo, games_of):
     """Also where the rules do not offer it; who does not know it is not changed by that."""
     bare = replace(game, config=replace(game.config, stay=False))
     setting = make_setting(game.archive, bare.config)
     races = played(replace(games_of(never_switch(setting), always(setting, "restraint -")), game=bare))
     assert set(races.moves.codes[:, 0].ravel().tolist()) <= {4, -1}
     assert (np.sort(races.path, axis=2)[:, 0, -1] == races.path[:, 0, 0]).all()
+    for moves in played(games_of(Counter(), zoo["never-switch"])).moves.codes[:, 0]:
+        made = moves[moves >= 0].tolist()
+        assert made == list(range(len(made)))
 
 
 class Counter:
@@ -102,15 +105,6 @@ class Leader:
     def decide(self, game, state, car):
         assert not game.done(state).any()
         return np.where((state.race.lead > 0.0) == (car == 0), 1, 3)
-
-
-def test_a_model_remembers_its_own_game(zoo, games_of):
-    for moves in played(games_of(Counter(), zoo["never-switch"])).moves.codes[:, 0]:
-        made = moves[moves >= 0].tolist()
-        assert made == list(range(len(made)))
-
-
-# Several egos
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +138,9 @@ def driven(monkeypatch) -> list[int]:
     return counts
 
 
-def test_what_is_the_same_is_driven_once(contest, zoo, games_of, egos, driven):
+def test_what_is_the_same_is_driven_once_and_two_moves_to_one_policy_are_one_drive(
+    contest, zoo, games_of, egos, driven
+):
     pairing = games_of(zoo["never-switch"], zoo["never-switch"])
     pairing.race([zoo["random-moves"]] * 4)
     assert driven == [GAMES] * 4
@@ -153,21 +149,16 @@ def test_what_is_the_same_is_driven_once(contest, zoo, games_of, egos, driven):
     assert GAMES < driven[0] <= len(contest.competitor_moves) * GAMES < len(egos) * GAMES
     assert driven == sorted(driven)  # games part, and never meet again
     assert driven[0] < driven[-1] <= len(egos) * GAMES
-
-
-def test_two_moves_to_one_policy_are_one_drive(contest, zoo, games_of, driven):
-    """From the edge of the archive some moves lead nowhere, as to stay does."""
+    # From the edge of the archive some moves lead nowhere, as to stay does.
     targets = contest.next_policy(np.zeros(5, int), np.arange(5))
     (nowhere, *_) = [move for move in range(4) if targets[move] == targets[contest.competitor_moves.index("stay")]]
     other = always(make_setting(contest.archive, contest.config), contest.move_names[nowhere])
     pairing = replace(games_of(zoo["never-switch"], zoo["never-switch"]), variants=np.zeros((GAMES, 2), int))
+    driven.clear()
     stays, moves = pairing.race([zoo["never-switch"], other])
     assert driven == [GAMES] * 4
     np.testing.assert_array_equal(stays["lead"], moves["lead"])
     assert (stays["moves"][:, 0] != moves["moves"][:, 0]).any()
-
-
-# Recording
 
 
 @pytest.mark.parametrize(
@@ -188,9 +179,6 @@ def test_a_recorded_game_is_the_game(contest, zoo, games_of, pair):
         assert replay.car_names == names
 
 
-# Refusals
-
-
 class Narrow:
     """A model that was trained on another observation."""
 
@@ -201,33 +189,20 @@ class Narrow:
         raise AssertionError("must not be asked")
 
 
-def test_wrong_moves_are_refused(zoo, games_of):
-    class Wrong:
-        name = "wrong"
-
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):
-            return np.full(len(observation), 5), None
-
-    refused("'wrong': game 0: move 5", played, games_of(Wrong(), zoo["never-switch"]))
-
-
-@pytest.mark.parametrize(
-    ("cars", "change", "value"),
-    [
+def test_what_does_not_fit_is_refused_before_the_first_race(zoo, games_of, monkeypatch):
+    for cars, change, value in [
         ((Narrow(), "never-switch"), {}, r"'Narrow' .*\(7,\)"),
         (("never-switch", "never-switch"), {"policies": np.full((GAMES, 2), 12)}, "game 0: the ego's variant is 12"),
         (("never-switch", "never-switch"), {"policies": np.zeros((3, 2), int)}, r"\(3, 2\)"),
         (("never-switch", "never-switch"), {"policies": np.zeros((GAMES, 2))}, "whole numbers"),
         (("never-switch", "never-switch"), {"seeds": race_seeds(0, 3)}, r"\(3,\)"),
         (("never-switch", "pure-pursuit"), {"policies": np.ones((GAMES, 2), int)}, "opponent's variant is 1"),
-    ],
-)
-def test_what_does_not_fit_is_refused_before_the_first_race(zoo, games_of, monkeypatch, cars, change, value):
-    monkeypatch.setattr(RaceGame, "reset", lambda *_, **__: pytest.fail("a race was driven"))
-    refused(value, played, games_of(*(zoo.get(car, car) for car in cars)), **change)
+    ]:
+        monkeypatch.setattr(RaceGame, "reset", lambda *_, **__: pytest.fail("a race was driven"))
+        refused(value, played, games_of(*(zoo.get(car, car) for car in cars)), **change)
 
 
-def test_impossible_egos_are_refused(contest, zoo, games_of, starts):
+def test_impossible_egos_and_moves_are_refused(contest, zoo, games_of, starts):
     pairing = games_of(zoo["never-switch"], zoo["never-switch"])
     other = build("never-switch", make_setting("default", "paper"))
     for egos, value in [
@@ -240,3 +215,11 @@ def test_impossible_egos_are_refused(contest, zoo, games_of, starts):
         play_games(contest, zoo["never-switch"], "never-switch", policies=pairing.variants, starts=starts, seeds=[1])
     with pytest.raises(InputError, match=r"\(1, 2\)"):
         record_game(contest, *[zoo["never-switch"]] * 2, policies=[[1, 2]], start=starts.take([0]), seed=1)
+
+    class Wrong:
+        name = "wrong"
+
+        def predict(self, observation, state=None, episode_start=None, deterministic=False):
+            return np.full(len(observation), 5), None
+
+    refused("'wrong': game 0: move 5", played, games_of(Wrong(), zoo["never-switch"]))

@@ -2,34 +2,25 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import GameConfig, InputError, load_race_config, parse_policy
+from pcs_racing import GameConfig, load_race_config, parse_policy
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.tournament import (
-    game_rules,
-    plan_tournament,
-    play_plan,
-    play_tournament,
-    record_row,
-    tournament_settings,
-)
+from pcs_racing_agents.tournament import game_rules, plan_tournament, play_plan, play_tournament, tournament_settings
+from pcs_racing_agents.tournament.play import record_row
 
 CONTEST = load_race_config("contest", duration=6.0)
 POLICIES = [parse_policy(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
 MIXED = ["random-moves", "best-fixed:target=3", "lane-switcher", POLICIES[1]]
 
 
-def test_every_pair_meets_on_every_track(tournament):
+def test_every_pair_drives_the_same_races_on_every_track(tournament):
     assert tournament.plan.names == ("lattice:pace=0.0", "lattice:pace=0.5", "lattice:pace=1.0")
     assert [track.name for track in tournament.plan.tracks] == ["oval", "Pipkin"]
     assert len(tournament.races) == 2 * 3 * 6
     met = {(row.track, row.ego, row.opponent) for row in tournament.races}
     assert len(met) == 2 * 3
-
-
-def test_all_pairs_drive_the_same_races(tournament):
-    """Common random numbers: race k has the same line, side and noise for each pair; both sides of each line."""
+    # Common random numbers: race k has the same line, side and noise for each pair; both sides of each line.
     for track in tournament.plan.tracks:
         rows = [row for row in tournament.races if row.track == track.name]
         starts = {row.race: (row.start_s, row.side) for row in rows}
@@ -52,7 +43,7 @@ def test_agents_start_from_policies_that_are_fair_to_both_seats(mixed, archive):
     assert all(row.opponent_path == row.opponent_moves == () for row in drivers)
 
 
-def test_a_row_tells_the_game_again(mixed, archive):
+def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, tournament):
     setting = make_setting(archive, mixed.plan.setting.config)
     for row in mixed.races:
         for variant, path, moves in (
@@ -65,9 +56,6 @@ def test_a_row_tells_the_game_again(mixed, archive):
             for policy, move, there in zip(path, moves, path[1:], strict=False):
                 assert setting.table[policy, setting.move(move)] == there
         assert (row.crash != "none") == (row.duration < 6.0) == (row.fault != "none")
-
-
-def test_a_race_of_a_tournament_can_be_watched(tournament, mixed):
     for played in (tournament, mixed):
         for row in list(played.races)[3:30:9]:
             recording = record_row(played, row, candidates=False)
@@ -76,12 +64,9 @@ def test_a_race_of_a_tournament_can_be_watched(tournament, mixed):
     refused("was not raced here", record_row, tournament, tournament.races[0]._replace(track="Monza"))
 
 
-def test_the_same_rows_whoever_drives_them(mixed):
+def test_the_same_rows_whoever_drives_them_also_after_a_stop(mixed, tmp_path):
     with make_executor("threads", 2) as executor:
         assert list(play_plan(mixed.plan, executor=executor).races) == list(mixed.races)
-
-
-def test_a_tournament_that_was_stopped_goes_on(mixed, tmp_path):
     plan = mixed.plan
     folder = tmp_path / "tournament"
     done = []
@@ -113,8 +98,7 @@ def test_results_of_another_configuration_are_refused(mixed, oval, archive, tmp_
     ]:
         given = {"entrants": MIXED, "race": CONTEST, "races_per_pair": 8, "seed": 1} | change
         settings = tournament_settings(plan_tournament(oval, given.pop("entrants"), archive=archive, **given))
-        with pytest.raises(InputError, match=message), open_job(tmp_path / "a", "tournament", settings):
-            pass
+        refused(message, open_job(tmp_path / "a", "tournament", settings).__enter__)
 
 
 def test_names_for_models(oval, archive):
@@ -138,9 +122,8 @@ def test_a_race_is_cut_into_the_steps_of_a_game():
     refused(r"duration is 3\.7 s", game_rules, load_race_config("paper", duration=3.7))
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_bad_input_is_refused_before_any_race(oval):
+    for change, message in [
         ({"entrants": POLICIES[:1]}, "there is 1 competitor"),
         ({"entrants": [*POLICIES, POLICIES[1]]}, r"lattice:pace=0.5"),
         ({"tracks": []}, "there are 0 tracks"),
@@ -148,10 +131,6 @@ def test_a_race_is_cut_into_the_steps_of_a_game():
         ({"races_per_pair": 0}, "races_per_pair is 0"),
         ({"races_per_pair": 4000}, "races_per_pair is 4000"),
         ({"race": load_race_config("paper", start_spacing=5.0)}, "no place"),
-    ],
-)
-def test_bad_input_is_refused_before_any_race(oval, change, message):
-    arguments = {"tracks": oval, "entrants": POLICIES, "race": CONTEST, "races_per_pair": 2} | change
-    driven = []
-    refused(message, play_tournament, **arguments, progress=lambda *news: driven.append(news))
-    assert not driven
+    ]:
+        arguments = {"tracks": oval, "entrants": POLICIES, "race": CONTEST, "races_per_pair": 2} | change
+        refused(message, play_tournament, **arguments, progress=lambda *_: pytest.fail("a race was driven"))

@@ -36,9 +36,6 @@ def arms(rng, shift=0.0):
     return scores
 
 
-# The interval
-
-
 @pytest.mark.parametrize(
     "effects",
     [{}, {"ego": 0.2}, {"opponent": 0.2}, {"ego": 0.1, "opponent": 0.1}, {"ego": 0.1, "opponent": 0.1, "cell": 0.3}],
@@ -104,7 +101,7 @@ def slow_pool_variance(x, ego, opponent):
     return total / len(x) ** 2
 
 
-def test_each_term_of_the_variance_of_a_pool_has_the_correction_of_its_own_clusters():
+def test_the_variance_of_a_pool_corrects_each_term_by_its_clusters_start_lines_among_them():
     """With few policies and pairs G / (G - 1) matters; races of a policy against itself count, too."""
     rng = np.random.default_rng(18)
     for _ in range(20):
@@ -116,10 +113,7 @@ def test_each_term_of_the_variance_of_a_pool_has_the_correction_of_its_own_clust
         assert clustered_mean(x, ego, opponent, same_pool=True).se ** 2 == pytest.approx(expected, rel=1e-9)
         names = np.char.add("policy ", ego.astype(str)), np.char.add("policy ", opponent.astype(str))
         assert clustered_mean(x, *names, same_pool=True).se ** 2 == pytest.approx(expected, rel=1e-9)
-
-
-def test_start_lines_are_a_third_kind_beside_a_pool():
-    """Against the sum over all pairs of races; the corrections G / (G - 1) are near 1 with hundreds of policies."""
+    # Against the sum over all pairs of races; the corrections G / (G - 1) are near 1 with hundreds of policies.
     rng = np.random.default_rng(17)
     ego, opponent, line = rng.integers(0, 400, 1500), rng.integers(0, 400, 1500), rng.integers(0, 300, 1500)
     policy = rng.normal(size=400)
@@ -131,15 +125,12 @@ def test_start_lines_are_a_third_kind_beside_a_pool():
     assert estimate.se**2 == pytest.approx(e @ shared @ e, rel=0.01)
 
 
-def test_a_negative_variance_estimate_does_not_become_certainty():
+def test_a_negative_variance_is_no_certainty_and_no_difference_no_evidence():
     """On a chess board the sums of rows and columns vanish: the two-way formula alone gives less than nothing."""
     board = 0.01 + np.where((EGO + OPPONENT) % 2 == 0, 0.5, -0.5)
     estimate = clustered_mean(board, EGO, OPPONENT)
     assert estimate.se >= 0.99 * 0.5 / np.sqrt(EGOS * OPPONENTS)
     assert estimate.p > 0.5
-
-
-def test_no_difference_is_no_evidence_and_equal_ones_are_certain():
     scores = arms(np.random.default_rng(0))[0]
     result = compare(scores, scores, EGO, OPPONENT)
     assert (result.difference, result.low, result.high) == (0.0, 0.0, 0.0)
@@ -179,9 +170,6 @@ def test_a_comparison_counts_its_egos_and_its_opponents():
     assert result.opponents == 1
 
 
-# The other tests
-
-
 def test_the_paired_t_test_is_that_of_the_means_of_the_egos():
     """Against scipy's own test (of which the code uses the distribution alone)."""
     rng = np.random.default_rng(6)
@@ -196,14 +184,11 @@ def test_the_paired_t_test_is_that_of_the_means_of_the_egos():
     assert some.p_paired_t == pytest.approx(stats.ttest_1samp(means, 0.0).pvalue)
 
 
-def test_the_interval_and_the_p_value_belong_to_students_t():
+def test_the_interval_and_the_p_values_are_those_of_student_and_holm():
     for t in (0.3, 2.0, 6.0):
         low, high, p = t_interval(t, 1.0, 4)
         assert p == pytest.approx(2.0 * stats.t.sf(t, 4))
         assert (low, high) == pytest.approx(stats.t.interval(0.95, 4, loc=t))
-
-
-def test_holm_is_the_step_down_procedure():
     rng = np.random.default_rng(10)
     for p in (rng.random(6) ** 3 for _ in range(50)):
         for alpha in (0.01, 0.05, 0.2):
@@ -226,15 +211,12 @@ def test_units_are_matched_by_what_they_are():
     refused(r"arm b .*\('x', 1\)", match_units, a, [*b, ("x", 1)])
 
 
-# Bad input
-
 TWO = [0, 0, 1, 1]
 ONES = [1.0, 0.0, 1.0, 1.0]
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
+def test_bad_input():
+    for call, message in [
         (lambda: compare(ONES, ONES[1:], TWO, TWO), "a has 4 scores and b 3"),
         (lambda: compare([1, 0, np.nan, 0], ONES, TWO, TWO), r"a\[2\] is nan"),
         (lambda: compare(ONES, ONES, [0, 0, 0, 0], TWO), "1 ego variant, 0"),
@@ -250,7 +232,5 @@ ONES = [1.0, 0.0, 1.0, 1.0]
         (lambda: holm([0.1, 1.1]), r"p_values\[1\] is 1.1"),
         (lambda: score([True], [True]), "race 0"),
         (lambda: score([True], [True, False]), r"won has shape \(1,\)"),
-    ],
-)
-def test_bad_input(call, message):
-    refused(message, call)
+    ]:
+        refused(message, call)

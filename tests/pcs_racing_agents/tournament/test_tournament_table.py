@@ -2,30 +2,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 
-from pcs_racing import InputError, load_race_config, parse_policy
+from pcs_racing import load_race_config, parse_policy
 from pcs_racing_agents.agents import Driver, make_setting
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import concatenate_races
-from pcs_racing_agents.tournament import (
-    RaceRow,
-    Tournament,
-    game_rules,
-    payoff_matrix,
-    payoff_picture,
-    standings,
-    tournament_text,
-)
+from pcs_racing_agents.tournament import RaceRow, Tournament, game_rules
 from pcs_racing_agents.tournament.play import TournamentPlan
-from pcs_racing_agents.tournament.table import sum_up
+from pcs_racing_agents.tournament.table import payoff_matrix, payoff_picture, standings, sum_up, tournament_text
 
 CONTEST = load_race_config("contest", duration=6.0)
-
-
-def test_who_was_not_entered_is_told(tournament):
-    stranger = replace(tournament, races=race_table([tournament.races[0]._replace(opponent="somebody")]))
-    with pytest.raises(InputError, match="'somebody' raced, but is not one of lattice:"):
-        standings(stranger)
 
 
 def race(ego: str, opponent: str, **result: object) -> RaceRow:
@@ -62,11 +49,19 @@ def test_the_table_counts_every_ending_once():
     np.testing.assert_allclose(matrix, [[np.nan, 2.5 / 8], [4.5 / 8, np.nan]])
 
 
-def test_after_a_crash_that_pays_nobody_nobody_scores():
+def test_a_crash_that_pays_nobody_scores_nothing_and_races_from_one_place_are_one_unit(tournament):
     rows = [race("a", "b", crash="car", fault="both"), race("a", "b", crash="wall", fault="ego")]
     table = standings(played(*rows, config=load_race_config("paper")))
     assert [standing.score for standing in table] == [0.0, 0.0]
     assert {(s.name, s.own_crash, s.other_crash) for s in table} == {("a", 1.0, 0.0), ("b", 0.5, 0.5)}
+    stranger = replace(tournament, races=race_table([tournament.races[0]._replace(opponent="somebody")]))
+    refused("'somebody' raced, but is not one of lattice:", standings, stranger)
+    # Whatever their numbers: twice the races from the same places tell no more than once.
+    doubled = replace(tournament.races, race=tournament.races.race + 6)
+    both = concatenate_races([tournament.races, doubled])
+    once, twice = (sum_up(replace(tournament, races=races)) for races in (tournament.races, both))
+    assert once.noise > 0.0
+    assert twice.noise == pytest.approx(once.noise)
 
 
 def test_best_of_three_counts_as_one_race():
@@ -82,27 +77,15 @@ def test_best_of_three_counts_as_one_race():
     assert (a.score, b.score, b.own_crash) == (1.0, 0.0, 1.0)
 
 
-def test_the_text_holds_table_and_matrix(tournament):
+def test_the_text_and_the_picture_hold_the_table(tournament, mixed, tmp_path):
     text = tournament_text(tournament)
     assert text.startswith("36 races of 6 s, preset contest, on oval, Pipkin; seed 4\n")
     for name in tournament.plan.names:
         assert text.count(name) == 2  # once in the table, once in the matrix
     assert "a crash is won by the car not to blame" in text
-
-
-def test_the_payoff_matrix_as_a_picture(mixed, tmp_path):
     from PIL import Image
 
     path = payoff_picture(mixed, tmp_path / "payoffs.png")
     with Image.open(path) as picture:
         assert min(picture.size) > 300
     assert payoff_picture(mixed, tmp_path / "payoffs.svg").read_text().startswith("<?xml")
-
-
-def test_races_from_one_place_are_one_unit_of_the_ratings(tournament):
-    """Whatever their numbers: twice the races from the same places tell no more than once."""
-    doubled = replace(tournament.races, race=tournament.races.race + 6)
-    both = concatenate_races([tournament.races, doubled])
-    once, twice = (sum_up(replace(tournament, races=races)) for races in (tournament.races, both))
-    assert once.noise > 0.0
-    assert twice.noise == pytest.approx(once.noise)

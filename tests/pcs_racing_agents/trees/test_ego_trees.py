@@ -49,28 +49,22 @@ def test_every_history_is_what_the_game_plays(noisy, opponent):
     assert crashes > 0, "choose other seeds: this test needs crashes"
 
 
-def test_a_root_depends_on_its_number_alone(noisy, trees, monkeypatch):
+def test_a_root_depends_on_its_number_alone_and_drives_every_policy_once(noisy, trees, monkeypatch):
     monkeypatch.setattr(_ego, "BLOCK", 4)
     same(play_ego(replace(noisy, threads=1), 6, seed=1), trees)
     later = play_ego(noisy, 2, seed=1, first=3)
     np.testing.assert_array_equal(later.payoffs, trees.payoffs[3:5])
     np.testing.assert_array_equal(later.observations(1), trees.observations(1)[3:5])
     assert not np.array_equal(play_ego(noisy, 2, seed=2).seeds, trees.seeds[:2])
-
-
-def test_every_policy_on_the_way_is_driven_once(trees):
     for r, driven in enumerate(trees.driven):
         live = [np.repeat(~over[r], trees.options) for over in trees.over]  # histories that go on
         assert driven == 1 + sum(len(np.unique(trees.paths[k][r][live[k - 1]])) for k in (1, 2))
-
-
-def test_moves_and_policies_may_be_given(noisy):
     trees = play_ego(noisy, 2, policies=(2, 6), opponent=np.array([[0, -1], [3, 2]]))
     np.testing.assert_array_equal(trees.policies, [[2, 6], [2, 6]])
     np.testing.assert_array_equal(trees.replies, [[0, -1], [3, 2]])
 
 
-def test_values_go_backwards(trees):
+def test_values_go_backwards_and_a_continuation_sees_the_observations(trees, noisy):
     payoffs = trees.payoffs.reshape(6, 5, 5).astype(np.float64)
     (first, root), (last, middle) = ego_values(trees)
     np.testing.assert_array_equal(last, payoffs)
@@ -80,9 +74,6 @@ def test_values_go_backwards(trees):
     (first, root), _ = ego_values(trees, uniform)
     np.testing.assert_allclose(first[:, 0], payoffs.mean(axis=2))
     np.testing.assert_allclose(root[:, 0], payoffs.mean(axis=(1, 2)))
-
-
-def test_a_continuation_sees_the_observations(noisy, trees):
     seen = []
 
     def last_move(observations):
@@ -95,7 +86,7 @@ def test_a_continuation_sees_the_observations(noisy, trees):
     assert seen[1].shape == (6, len(noisy.observation_elements))
 
 
-def test_rows_hold_each_situation_once(noisy, trees):
+def test_rows_hold_each_situation_with_a_decision_once(noisy, trees):
     rows = ego_rows(trees)
     q = ego_values(trees)[1][0]
     for step in range(2):
@@ -111,9 +102,6 @@ def test_rows_hold_each_situation_once(noisy, trees):
         assert rows.weights[of_step].sum() == pytest.approx(sum(shares))
     root, at = np.argwhere((trees.observations(1) == rows.observations[rows.step == 1][0]).all(axis=-1))[0]
     np.testing.assert_array_equal(rows.targets[rows.step == 1][0], q[root, at].astype(np.float32))
-
-
-def test_trees_without_a_decision_give_no_rows(trees):
     dead = replace(trees, over=tuple(np.ones_like(level) for level in trees.over))
     refused("every race is over", ego_rows, dead)
 
@@ -138,9 +126,8 @@ def test_a_folder_of_ego_trees_resumes_whatever_the_executor(noisy, tmp_path):
     refused(r"ego-00001\.npz .*'own_0'", load_ego_trees, tmp_path / "b")
 
 
-@pytest.mark.parametrize(
-    ("settings", "kind", "message"),
-    [
+def test_impossible_settings_and_continuations_are_refused(noisy, trees):
+    for settings, kind, message in [
         ({"roots": 0}, InputError, "roots is 0"),
         ({"seed": -1}, InputError, "seed is -1"),
         ({"opponent": "lazy"}, UnknownNameError, "opponent 'lazy' is unknown"),
@@ -148,21 +135,13 @@ def test_a_folder_of_ego_trees_resumes_whatever_the_executor(noisy, tmp_path):
         ({"opponent": [0.5, 1.0]}, InputError, r"the opponent's moves has shape \(2,\) and type float64"),
         ({"policies": [[0, 9]] * 2}, InputError, "policies holds 9"),
         ({"policies": [0, 1, 2]}, InputError, r"policies has shape \(3,\)"),
-    ],
-)
-def test_impossible_settings_are_refused(noisy, settings, kind, message):
-    refused(message, play_ego, noisy, error=kind, **{"roots": 2, **settings})
-
-
-@pytest.mark.parametrize(
-    ("continuation", "message"),
-    [
+    ]:
+        refused(message, play_ego, noisy, error=kind, **{"roots": 2, **settings})
+    for continuation, message in [
         ("worst", "continuation is 'worst'"),
         (lambda seen: np.ones((len(seen), 4)) / 4, r"shape \(30, 4\)"),
         (lambda seen: np.full((len(seen), 5), np.nan), "probabilities of 5 moves"),
         (lambda seen: np.ones((len(seen), 5)), "sum up to 1"),
-    ],
-)
-def test_impossible_continuations_are_refused(trees, continuation, message):
-    refused(message, ego_values, trees, continuation)
+    ]:
+        refused(message, ego_values, trees, continuation)
     refused("move 2 ", trees.observations, 2)

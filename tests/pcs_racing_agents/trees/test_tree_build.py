@@ -3,12 +3,15 @@ from itertools import product
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from refusal import refused
 
 from pcs_racing import CONTEST, InputError, PolicyArchive, RaceGame, Starts, make_game
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing_agents.trees import build_tree
 from pcs_racing_agents.trees import driving as _driving
+from pcs_racing_agents.trees.paths import check_size, own_histories, policy_paths
 
 
 def same(tree, other, but: tuple[str, ...] = ()) -> None:
@@ -55,16 +58,20 @@ def test_what_is_seen_on_the_way_is_what_the_game_shows(name, policies, line, si
     assert not np.array_equal(tree.payoffs[0], tree.payoffs[1])
 
 
-def test_putting_far_races_together_changes_no_bit(far):
+def test_putting_far_races_together_changes_no_bit_nor_do_threads(far, noisy, monkeypatch):
     place = (float(far.start_lines[0]), 0)
     tree = build_tree(far, (7, 1), place, [1])
     one_by_one = build_tree(far, (7, 1), place, [1], share=False)
     same(tree, one_by_one, but=("driven",))
     assert 4 * tree.statistics.driven < one_by_one.statistics.driven == tree.statistics.live
     assert 0.0 < tree.statistics.crashed < 1.0
+    place = (float(noisy.start_lines[0]), 0)
+    tree = build_tree(noisy, (2, 6), place, [7])
+    monkeypatch.setattr(_driving, "CHUNK", 13)
+    same(build_tree(replace(noisy, threads=1), (2, 6), place, [7]), tree)
 
 
-def test_cars_that_come_within_sight_are_driven_together(track, archive):
+def test_cars_within_sight_and_drivers_that_promise_none_are_driven_together(track, archive):
     """The car behind is the faster one: what can be put together must end where it comes within sight."""
     rules = {"moves": 2, "step_seconds": 6.0, "utility": "lead", "epsilon": 0.35}
     game = make_game(track, archive, replace(CONTEST, start_gap=30.0, steering_noise=0.0), **rules)
@@ -74,9 +81,6 @@ def test_cars_that_come_within_sight_are_driven_together(track, archive):
     assert np.abs(tree.leads[1]).max() > 20.0
     assert np.abs(tree.payoffs).min() < 11.0
     assert 0.2 * tree.statistics.live < tree.statistics.driven < 0.8 * tree.statistics.live
-
-
-def test_drivers_that_promise_no_sight_are_all_driven(track):
     theta = np.stack([PURE_PURSUIT.sample(np.random.default_rng(i)) for i in range(3)])
     archive = PolicyArchive(
         "pursuers", "pure-pursuit", PURE_PURSUIT.parameter_names, theta, ("pace", "restraint"), [[0, 1], [1, 0], [2, 2]]
@@ -86,20 +90,19 @@ def test_drivers_that_promise_no_sight_are_all_driven(track):
     assert tree.statistics.driven == tree.statistics.live
 
 
-def test_threads_and_chunks_change_nothing(noisy, monkeypatch):
-    place = (float(noisy.start_lines[0]), 0)
-    tree = build_tree(noisy, (2, 6), place, [7])
-    monkeypatch.setattr(_driving, "CHUNK", 13)
-    same(build_tree(replace(noisy, threads=1), (2, 6), place, [7]), tree)
-
-
-def test_a_tree_of_several_seeds_is_the_trees_of_each(noisy):
+def test_a_tree_of_several_seeds_is_the_trees_of_each_and_its_game_their_mean(noisy):
     place = (float(noisy.start_lines[0]), 0)
     both = build_tree(noisy, (2, 6), place, [7, 8])
     for i, seed in enumerate((7, 8)):
         one = build_tree(noisy, (2, 6), place, [seed])
         np.testing.assert_array_equal(one.payoffs[0], both.payoffs[i])
         np.testing.assert_array_equal(one.observations(1)[0], both.observations(1)[i])
+    from pcs_racing_agents.solvers import solve_exact
+
+    tree = build_tree(noisy, (2, 6), (float(noisy.start_lines[0]), 0), [7, 8])
+    game = tree.game_tree()
+    np.testing.assert_allclose(np.ravel(game.payoffs), tree.payoffs.astype(np.float64).mean(axis=0))
+    assert -1.0 <= solve_exact(game).value <= 1.0
 
 
 def test_a_root_that_is_over_has_one_outcome(noisy, played):
@@ -115,7 +118,7 @@ def test_a_root_that_is_over_has_one_outcome(noisy, played):
     np.testing.assert_array_equal(tree.observations(1)[0, 1 * 5 + 2], noisy.observation(state)[0])
 
 
-def test_the_statistics_count_what_they_say(paper):
+def test_the_statistics_count_what_they_say_and_histories_stand_in_row_major_order(paper):
     tree = build_tree(paper, (2, 7), (float(paper.start_lines[1]), 1))
     s = tree.statistics
     assert (s.seeds, s.shared, s.replayed) == (1, 1 + 16 + 256, 3 * 256)
@@ -124,6 +127,11 @@ def test_the_statistics_count_what_they_say(paper):
         assert s.live == sum(a * b for a, b in zip(*counts, strict=True))
     assert s.duplicates == 1.0 - counts[0][2] * counts[1][2] / 256
     assert s.driven <= s.live
+    first, second = own_histories(2, 3)
+    for i, (a0, b0, a1, b1) in enumerate(product(range(3), repeat=4)):
+        assert (first[i], second[i]) == (a0 * 3 + a1, b0 * 3 + b1)
+    check_size(5, 4)
+    refused(r"4 moves with 9 choices .*4\.3e\+07", check_size, 9, 4)
 
 
 def sequences(game: RaceGame, start: int, k: int):
@@ -135,18 +143,8 @@ def sequences(game: RaceGame, start: int, k: int):
         yield policies
 
 
-def test_the_solvers_get_the_mean_over_the_seeds(noisy):
-    from pcs_racing_agents.solvers import solve_exact
-
-    tree = build_tree(noisy, (2, 6), (float(noisy.start_lines[0]), 0), [7, 8])
-    game = tree.game_tree()
-    np.testing.assert_allclose(np.ravel(game.payoffs), tree.payoffs.astype(np.float64).mean(axis=0))
-    assert -1.0 <= solve_exact(game).value <= 1.0
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_impossible_roots_and_games_without_a_tree_are_refused(paper, track):
+    for change, message in [
         ({"policies": (3, 9)}, "game 0, car 1: policy 9"),
         ({"policies": (3, -1)}, r"policies are \(3, -1\)"),
         ({"policies": (3,)}, r"policies are \(3,\)"),
@@ -157,15 +155,33 @@ def test_the_solvers_get_the_mean_over_the_seeds(noisy):
         ({"seeds": [1, 1]}, r"seeds are \[1, 1\]"),
         ({"seeds": []}, r"seeds are \[\]"),
         ({"seeds": [-1]}, r"seeds are .*-1.*"),
-    ],
-)
-def test_impossible_roots_are_refused(paper, change, message):
-    refused(message, build_tree, paper, **{"policies": (2, 7), "start": (20.0, 0), "seeds": [1], **change})
-
-
-def test_games_without_a_tree_are_refused(track, paper):
+    ]:
+        refused(message, build_tree, paper, **{"policies": (2, 7), "start": (20.0, 0), "seeds": [1], **change})
     with pytest.raises(InputError, match="4 moves with 9 choices"):
         build_tree(make_game(track, paper.archive, epsilon=(0.2, 0.4), stay=True), (2, 7), (20.0, 0))
     outside = replace(paper, opponent_planner="pure-pursuit")
     refused(r"car 1 .*'pure-pursuit'", build_tree, outside, (2, 7), (20.0, 0))
     refused("move 2 ", build_tree(paper, (2, 7), (20.0, 0)).observations, 2)
+
+
+@given(
+    table=st.integers(1, 5).flatmap(
+        lambda k: st.lists(st.lists(st.integers(0, k - 1), min_size=3, max_size=3), min_size=k, max_size=k)
+    ),
+    moves=st.integers(0, 3),
+)
+def test_every_history_goes_along_its_policies_and_no_path_comes_twice(table, moves):
+    paths = policy_paths(np.array(table), 0, moves)
+
+    def along(level: int, path: int) -> tuple[int, ...]:
+        policy = int(paths.policy[level][path])
+        return (*along(level - 1, int(paths.parent[level][path])), policy) if level else (policy,)
+
+    for level in range(moves + 1):
+        every = [along(level, path) for path in range(paths.count(level))]
+        assert len(set(every)) == len(every)
+        for history, path in zip(product(range(3), repeat=level), paths.history[level], strict=True):
+            expected = [0]
+            for move in history:
+                expected.append(table[expected[-1]][move])
+            assert every[path] == tuple(expected)

@@ -13,7 +13,7 @@ def small(archive, tmp_path):
     return save_archive(archive, tmp_path / "an archive")
 
 
-def test_trees_are_played_and_taken_up(run, small, tmp_path):
+def test_trees_are_played_and_taken_up_with_two_players_or_one(run, small, tmp_path):
     out = tmp_path / "trees"
     code, text, told = run(*GAME, "--archive", small, "--pairs", 2, "--out", out)
     assert code == 0
@@ -25,9 +25,6 @@ def test_trees_are_played_and_taken_up(run, small, tmp_path):
     assert f"of the {2 * 273} of trees that share only beginnings" in text
     assert f"of the {2 * 768} of races from the start" in text
     assert run(*GAME, "--archive", small, "--pairs", 2, "--out", out)[1] == text
-
-
-def test_ego_trees_are_played(run, small, tmp_path):
     command = [*GAME, "--archive", small, "--ego", 5, "--opponent", "static", "--out", tmp_path / "ego"]
     code, text, _ = run(*command)
     assert code == 0
@@ -37,9 +34,8 @@ def test_ego_trees_are_played(run, small, tmp_path):
     assert (trees.replies == -1).all()
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_impossible_options_end_in_one_line(run, small, tmp_path):
+    for options, message in [
         (["--pairs", "0"], "pairs is 0; it must be a whole number"),
         (["--ego", "0"], "roots is 0; it must be a whole number"),
         (["--ego", "3", "--seeds", "2"], "--seeds 2 does not go with --ego: every ego tree has its own noise"),
@@ -47,10 +43,8 @@ def test_ego_trees_are_played(run, small, tmp_path):
         (["--seeds", "3"], "seeds_per_pair is 3, but there is no steering noise"),
         (["--moves", "9"], "a tree of 9 moves with 4 choices for each player has"),
         (["--race", "nope"], "race settings 'nope' are unknown"),
-    ],
-)
-def test_impossible_options_end_in_one_line(run, small, tmp_path, options, message):
-    code, _, told = run(*GAME, "--archive", small, *options, "--out", tmp_path / "trees")
-    assert code == 2
-    assert re.fullmatch(rf"pcs-racing: error: .*{message}.*\n", told)
-    assert not (tmp_path / "trees").exists()
+    ]:
+        code, _, told = run(*GAME, "--archive", small, *options, "--out", tmp_path / "trees")
+        assert code == 2
+        assert re.fullmatch(rf"pcs-racing: error: .*{message}.*\n", told)
+        assert not (tmp_path / "trees").exists()

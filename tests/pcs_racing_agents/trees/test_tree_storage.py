@@ -23,7 +23,7 @@ def contents(trees) -> list[bytes]:
     return [trees.file(i).read_bytes() for i in range(len(trees))]
 
 
-def test_trees_come_back_as_they_were_played(paper, stored):
+def test_trees_come_back_as_they_were_played_and_the_manifest_names_what_decides_them(paper, stored):
     assert len(stored) == len(list(stored)) == 3
     for i, tree in enumerate(stored):
         assert tree.policies.tolist() == PAIRS[i]
@@ -34,9 +34,6 @@ def test_trees_come_back_as_they_were_played(paper, stored):
     assert [tree.policies[0] for tree in stored[1:]] == [5, 4]
     assert stored[-1].policies.tolist() == PAIRS[-1]
     assert len({(tree.start_s, tree.side, int(tree.seeds[0])) for tree in stored}) == 3
-
-
-def test_the_manifest_names_everything_that_decides_the_trees(paper, stored):
     settings = yaml.safe_load((stored.folder / "job.yaml").read_text())["settings"]
     assert settings["archive"] == {"name": "tiny", "sha256": paper.archive.content_hash}
     assert settings["track"] == {"name": "Tarnfjord", "sha256": paper.track.content_hash}
@@ -63,7 +60,7 @@ def test_what_is_missing_or_damaged_is_made_again_to_the_byte(paper, stored, cap
     assert calls == [(1, 3, "tree"), (2, 3, "tree"), (3, 3, "tree")]
 
 
-def test_trees_of_another_game_are_noticed(paper, noisy, stored, track):
+def test_trees_of_another_game_renamed_files_and_other_folders_are_noticed(paper, noisy, stored, track, tmp_path):
     other = replace(paper.archive, coordinates=1.1 * paper.archive.coordinates, ideal=None, nadir=None)
     assert len(load_trees(stored.folder, paper.archive)) == 3
     refused(r"archive 'tiny' .*not with 'tiny'", load_trees, stored.folder, other)
@@ -72,6 +69,12 @@ def test_trees_of_another_game_are_noticed(paper, noisy, stored, track):
     refused("moves is 2, not 1", stored.check, replace(paper, config=replace(paper.config, moves=1)))
     with pytest.raises(InputError, match=r"rules\.moves is 2, not 1"):
         build_trees(replace(paper, config=replace(paper.config, moves=1)), stored.folder, pairs=PAIRS, seed=3)
+    stored.file(2).rename(stored.file(1))
+    with pytest.raises(InputError, match=r"policies \[4, 4\]"):
+        stored[1]
+    refused(r"game trees: job\.yaml", load_trees, tmp_path)
+    (tmp_path / "job.yaml").write_text("format: pcs-racing job\nkind: ego trees\nsettings: {}\n")
+    refused("manifest of game trees", load_trees, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -93,18 +96,8 @@ def test_files_that_do_not_fit_are_refused(stored, change, message):
         stored[1]
 
 
-def test_files_that_were_renamed_and_folders_of_something_else_are_refused(stored, paper, tmp_path):
-    stored.file(2).rename(stored.file(1))
-    with pytest.raises(InputError, match=r"policies \[4, 4\]"):
-        stored[1]
-    refused(r"game trees: job\.yaml", load_trees, tmp_path)
-    (tmp_path / "job.yaml").write_text("format: pcs-racing job\nkind: ego trees\nsettings: {}\n")
-    refused("manifest of game trees", load_trees, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
+def test_impossible_settings_are_refused_before_anything_is_written(paper, tmp_path):
+    for settings, message in [
         ({"pairs": 0}, "pairs is 0"),
         ({"pairs": [[1, 2, 3]]}, r"pairs has shape \(1, 3\)"),
         ({"pairs": [[1.0, 2.0]]}, r"pairs has shape \(1, 2\) and type float64"),
@@ -112,14 +105,12 @@ def test_files_that_were_renamed_and_folders_of_something_else_are_refused(store
         ({"pairs": 1, "seed": -1}, "seed is -1"),
         ({"pairs": 1, "seeds_per_pair": 0}, "seeds_per_pair is 0"),
         ({"pairs": 1, "seeds_per_pair": 2}, "seeds_per_pair is 2"),
-    ],
-)
-def test_impossible_settings_are_refused_before_anything_is_written(paper, tmp_path, settings, message):
-    refused(message, build_trees, paper, tmp_path / "trees", **settings)
-    assert not (tmp_path / "trees").exists()
+    ]:
+        refused(message, build_trees, paper, tmp_path / "trees", **settings)
+        assert not (tmp_path / "trees").exists()
 
 
-def test_pairs_are_different_and_repeatable(paper):
+def test_pairs_are_different_and_nobody_crashes_before_the_first_move(paper, noisy):
     for count in (1, 7, 40, 45):
         pairs = choose_pairs(paper.archive, count, seed=2)
         assert pairs.shape == (count, 2)
@@ -127,9 +118,6 @@ def test_pairs_are_different_and_repeatable(paper):
         np.testing.assert_array_equal(choose_pairs(paper.archive, count, seed=2), pairs)
     assert not np.array_equal(choose_pairs(paper.archive, 45, seed=3), pairs)
     assert len(choose_pairs(paper.archive, 100)) == 100  # more than there are: some come twice
-
-
-def test_nobody_crashes_before_the_first_move_of_a_drawn_root(noisy):
     assert default_seeds(noisy) == 4
     rng = np.random.default_rng(0)
     for _ in range(3):

@@ -1,20 +1,19 @@
 """Races in which a person makes the moves: what the person is told, and the page in headless Chromium."""
 
 import json
-import threading
 
 import numpy as np
 import pytest
+from refusal import refused
 from zoo_games import CONFIG, toy_archive
 
-from pcs_racing import InputError, make_game
+from pcs_racing import make_game
 from pcs_racing.base.seeds import race_seed
 from pcs_racing.race.races import starts_of
 from pcs_racing_agents import make
 from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.view.person_race import MOST_RACES, PersonRaces, play_page
-from pcs_racing_agents.view.view_server import make_server
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +23,7 @@ def races():
     return PersonRaces(game, make("random-moves", archive=archive, race=CONFIG), seed=3)
 
 
-def test_a_person_is_told_what_every_move_leads_to(races):
+def test_a_person_is_told_what_every_move_leads_to_and_may_race_drivers(races):
     told = races.situation(0, ())
     game = races.game
     assert [choice["name"] for choice in told["choices"]] == list(game.competitor_moves)
@@ -33,18 +32,15 @@ def test_a_person_is_told_what_every_move_leads_to(races):
     after = races.situation(0, (2,))
     assert after["policy"] == told["choices"][2]["policy"]
     assert after["history"][0]["you"] == game.competitor_moves[2]
+    driven = PersonRaces(races.game, make("lattice:pace=0.3", archive=races.game.archive, race=CONFIG))
+    told = driven.situation(0, (1,))
+    assert told["history"] == []
+    assert told["opponent"] == "lattice:pace=0.3"
 
 
-def test_what_was_driven_does_not_depend_on_moves_to_come(races):
-    short, longer = races.replay(1, (0,)), races.replay(1, (0, 3, 1))
-    frames = len(short.cars)
-    assert short.duration == pytest.approx(2 * CONFIG.step_seconds)
-    np.testing.assert_array_equal(short.cars, longer.cars[:frames])
-    np.testing.assert_array_equal(short.progress, longer.progress[:frames])
-    assert races.situation(1, (0, 3))["history"] == races.situation(1, (0, 3, 1))["history"][:2]
-
-
-def test_a_race_to_its_end_is_the_game_of_these_moves(races):
+def test_races_that_can_not_be_are_refused(races):
+    for number, moves, message in [(MOST_RACES, (), str(MOST_RACES)), (0, (5,), "move 5"), (0, (0,) * 5, "5 moves")]:
+        refused(message, races.situation, number, moves)
     moves = (0, 3, 1, 4)
     told = races.situation(2, moves)
     assert told["over"]
@@ -59,55 +55,35 @@ def test_a_race_to_its_end_is_the_game_of_these_moves(races):
     for step, move in enumerate(moves):
         state = game.step(state, np.array([[move, played.moves.codes[0, 1, step]]]))
     assert told["lead"] == pytest.approx(state.race.lead[0], abs=1e-9)
+    short, longer = races.replay(1, (0,)), races.replay(1, (0, 3, 1))
+    frames = len(short.cars)
+    assert short.duration == pytest.approx(2 * CONFIG.step_seconds)
+    np.testing.assert_array_equal(short.cars, longer.cars[:frames])
+    np.testing.assert_array_equal(short.progress, longer.progress[:frames])
+    assert races.situation(1, (0, 3))["history"] == races.situation(1, (0, 3, 1))["history"][:2]
 
 
-def test_drivers_can_be_raced_too(races):
-    driven = PersonRaces(races.game, make("lattice:pace=0.3", archive=races.game.archive, race=CONFIG))
-    told = driven.situation(0, (1,))
-    assert told["history"] == []
-    assert told["opponent"] == "lattice:pace=0.3"
+def test_addresses(races):
+    found = {"/race/0/": 200, "/race/0/1-2": 200, "/race/0/9": 409, "/race/0/1-": 404, "/race/x/": 404, "/a": 404}
+    for path, status in found.items():
+        answer = races.answer(path)
+        assert answer.status == status
+        assert ("error" in json.loads(answer.body)) == (status != 200)
 
 
-@pytest.mark.parametrize(
-    ("number", "moves", "message"),
-    [(MOST_RACES, (), str(MOST_RACES)), (0, (5,), "move 5"), (0, (0,) * 5, "5 moves")],
-)
-def test_what_can_not_be_is_refused(races, number, moves, message):
-    with pytest.raises(InputError, match=message):
-        races.situation(number, moves)
+def test_the_page_in_a_browser(races, browser, served):
+    browser.open(served(play_page(races), races.answer))
+    assert browser.wait("document.querySelectorAll('#choices button:enabled').length") == len(
+        races.game.competitor_moves
+    )
+    for made in range(1, races.game.config.moves + 1):
+        browser.run("document.querySelector('#choices button').click()")
+        browser.wait(f"document.querySelectorAll('#history tr').length === {made}")
+    assert races.situation(0, (0, 0, 0, 0))["outcome"] in browser.run("document.querySelector('#lead').innerText")
+    assert browser.run("document.documentElement.scrollWidth") <= 1280
 
 
-@pytest.mark.parametrize(
-    ("path", "status"),
-    [("/race/0/", 200), ("/race/0/1-2", 200), ("/race/0/9", 409), ("/race/0/1-", 404), ("/race/x/", 404), ("/a", 404)],
-)
-def test_addresses(races, path, status):
-    answer = races.answer(path)
-    assert answer.status == status
-    assert ("error" in json.loads(answer.body)) == (status != 200)
-
-
-def test_the_page_in_a_browser(races, browser):
-    with make_server(play_page(races), races.answer) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        try:
-            browser.open(f"http://127.0.0.1:{server.server_address[1]}/")
-            count = "document.querySelectorAll('#choices button:enabled').length"
-            assert browser.wait(count) == len(races.game.competitor_moves)
-            for made in range(1, races.game.config.moves + 1):
-                browser.run("document.querySelector('#choices button').click()")
-                browser.wait(f"document.querySelectorAll('#history tr').length === {made}")
-            assert races.situation(0, (0, 0, 0, 0))["outcome"] in browser.run(
-                "document.querySelector('#lead').innerText"
-            )
-            assert browser.run("document.documentElement.scrollWidth") <= 1280
-        finally:
-            server.shutdown()
-            thread.join()
-
-
-def test_the_command_serves_until_it_is_ended(capsys, monkeypatch):
+def test_the_command_serves_until_it_is_ended_and_refuses_unknown_opponents(capsys, monkeypatch):
     def end(self, *_):
         raise KeyboardInterrupt
 
@@ -116,8 +92,5 @@ def test_the_command_serves_until_it_is_ended(capsys, monkeypatch):
     monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
     assert main(["play", "--opponent", "never-switch", "--track", "Pipkin"]) == 0
     assert f"play at {opened[0]}" in capsys.readouterr().out
-
-
-def test_an_unknown_opponent_is_told_before_the_page_opens(capsys):
     assert main(["play", "--opponent", "nobody"]) == 2
     assert "'nobody'" in capsys.readouterr().err

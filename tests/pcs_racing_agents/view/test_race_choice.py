@@ -33,13 +33,9 @@ def test_outcomes_are_told_by_agent():
         ("a", "b", "t", 1, "none", "car", "none", "1; 1"),
     ])  # fmt: skip
     of_a = [
-        "a win by switching",
-        "a win without switching",
-        "a crash of its own",
-        "a crash of its own",
+        "a win by switching", "a win without switching", "a crash of its own", "a crash of its own", "a tie",
         "a tie",
-        "a tie",
-    ]
+    ]  # fmt: skip
     of_b = ["a loss", "a loss", "a crash of the other's", "a crash of its own", "a tie", "a tie"]
     for car, expected in enumerate((of_a, of_b)):
         assert [OUTCOMES[i].split(",")[0] for i in outcomes(columns, car)] == expected

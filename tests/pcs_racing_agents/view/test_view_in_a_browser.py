@@ -1,7 +1,6 @@
 """The page in headless Chromium: the list, its filters and keys, a race that plays, names that are only names."""
 
 import csv
-import threading
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from pcs_racing_agents.view.race_choice import SelectedRace, choose_races
 from pcs_racing_agents.view.race_replays import RaceRepeater
 from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_page import ViewContent, packed_races, view_page
-from pcs_racing_agents.view.view_server import RaceService, make_server
+from pcs_racing_agents.view.view_server import RaceService
 
 NASTY = "</script><script>document.title='taken'</script><img src=x onerror=\"document.title='taken'\">"
 BLUE, ORANGE = (27, 111, 216), (224, 135, 0)
@@ -34,7 +33,7 @@ def played(browser):
     return [float(piece) for piece in browser.wait("document.body.dataset.played || ''").split("/")]
 
 
-def test_the_page_lists_the_races_and_says_nothing_wrong(browser, page, tournament_folder):
+def test_the_page_lists_the_races_and_reads_what_was_packed(browser, page, tournament_folder):
     browser.open(page)
     played(browser)
     assert browser.complaints == []
@@ -48,6 +47,11 @@ def test_the_page_lists_the_races_and_says_nothing_wrong(browser, page, tourname
     assert f"{abs(float(row['lead'])):.1f}" in displayed[0]
     assert browser.run("document.querySelectorAll('link, script[src], img').length") == 0
     assert browser.run("document.documentElement.scrollWidth") <= 1280
+    races = read_results(tournament_folder[0] / "results.csv")
+    browser.open(f"{page.as_uri()}#show=list")
+    for name, packed in packed_races(races)["columns"].items():
+        assert browser.run(f"Array.from(columns.{name})") == pytest.approx(unpack(packed).tolist(), abs=1e-9), name
+    assert browser.run("[...replays.keys()]") == [pick.race for pick in choose_races(races, 5)]
 
 
 def test_filters_leave_the_races_that_they_name(browser, page, tournament_folder):
@@ -124,15 +128,6 @@ def test_keys_walk_through_the_list(browser, page):
     assert browser.run("document.activeElement.id") == "text"
 
 
-def test_a_race_that_is_not_there_says_how_to_watch_it(browser, page, tournament_folder):
-    browser.open(page)
-    absent = browser.run("[...Array(N).keys()].find((i) => !here(i))")
-    browser.run(f"choose({absent}, true)")
-    text = browser.run("document.getElementById('instead').innerText")
-    assert f"pcs-racing view '{tournament_folder[0]}' --races {absent}" in text
-    assert f"Race {absent}: " in text
-
-
 def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
     place, _ = tournament_folder
     results = open_results(place)
@@ -144,14 +139,10 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
     race = driver.drive(0)
     hostile = replace_texts(race.values, NASTY)
     content = ViewContent(
-        NASTY,
-        races,
-        results="$(touch /tmp/never) <b>",
-        picks=[SelectedRace(0, NASTY)],
-        driven=[race._replace(values=hostile)],
-        circuits={NASTY: driver.circuits[race.circuit]},
+        NASTY, races, results="$(touch /tmp/never) <b>", picks=[SelectedRace(0, NASTY)],
+        driven=[race._replace(values=hostile)], circuits={NASTY: driver.circuits[race.circuit]},
         space={**driver.space, "archive": NASTY, "moves": [NASTY] * len(driver.space["moves"])},
-    )
+    )  # fmt: skip
     path = tmp_path / "hostile.html"
     path.write_text(view_page(content), encoding="utf-8")
     browser.open(path)
@@ -227,36 +218,27 @@ def many_races(count):
     )
 
 
-def test_the_page_reads_what_was_packed(browser, page, tournament_folder):
-    races = read_results(tournament_folder[0] / "results.csv")
-    browser.open(f"{page.as_uri()}#show=list")
-    for name, packed in packed_races(races)["columns"].items():
-        assert browser.run(f"Array.from(columns.{name})") == pytest.approx(unpack(packed).tolist(), abs=1e-9), name
-    assert browser.run("[...replays.keys()]") == [pick.race for pick in choose_races(races, 5)]
-
-
-def test_a_phone_shows_the_list_and_then_the_race(browser, page):
+def test_a_phone_shows_the_list_and_then_the_race_or_how_to_watch_it(browser, page, tournament_folder):
     browser.open(page, width=390, height=844)
     assert browser.run("getComputedStyle(document.querySelector('.watch')).display") == "none"
     assert browser.run("document.documentElement.scrollWidth") <= 390
     browser.run("document.querySelector('#pane .line').click()")
     assert browser.run("getComputedStyle(document.querySelector('.races')).display") == "none"
     assert browser.run("document.documentElement.scrollWidth") <= 390
+    browser.open(page)
+    absent = browser.run("[...Array(N).keys()].find((i) => !here(i))")
+    browser.run(f"choose({absent}, true)")
+    text = browser.run("document.getElementById('instead').innerText")
+    assert f"pcs-racing view '{tournament_folder[0]}' --races {absent}" in text
+    assert f"Race {absent}: " in text
 
 
-def test_a_served_page_drives_any_race(browser, tournament_folder):
+def test_a_served_page_drives_any_race(browser, tournament_folder, served):
     place, _ = tournament_folder
     results = open_results(place)
     service = RaceService(RaceRepeater(results), len(results.races))
     page = view_page(ViewContent("served", results.races, str(place), serve=True))
-    with make_server(page, service.answer) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        try:
-            browser.open(f"http://127.0.0.1:{server.server_address[1]}/#race=7")
-            assert played(browser)[1] > 0.1
-            assert browser.complaints == []
-            assert browser.run("space.archive") == "toy"
-        finally:
-            server.shutdown()
-            thread.join()
+    browser.open(served(page, service.answer) + "#race=7")
+    assert played(browser)[1] > 0.1
+    assert browser.complaints == []
+    assert browser.run("space.archive") == "toy"

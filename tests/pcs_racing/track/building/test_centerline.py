@@ -21,7 +21,7 @@ def cell(point, resolution, origin):
     return row, col
 
 
-def test_the_line_of_a_ring_is_found_with_its_widths(box):
+def test_the_line_of_a_ring_is_found_with_its_widths_and_of_two_rings_at_the_seed_point(box):
     line, grid, resolution, origin = box
     found = centerline_from_grid(grid, resolution, origin)
     assert distances(found, line).max() < 0.06
@@ -30,6 +30,12 @@ def test_the_line_of_a_ring_is_found_with_its_widths(box):
     steps = np.hypot(*(np.roll(found, -1, axis=0) - found)[:, :2].T)
     assert 0.2 < steps.min() <= steps.max() < 0.4
     assert first_crossing(found[:, :2]) == (-1, -1)
+    line, _, resolution, _ = box
+    one, _ = walls_to_grid(line, 2.2, resolution)
+    grid = np.hstack([one, one])
+    refused("2 regions", centerline_from_grid, grid, resolution, (0.0, 0.0), error=MapError)
+    right = centerline_from_grid(grid, resolution, (0.0, 0.0), seed_point=(0.75 * grid.shape[1] * resolution, 1.8))
+    assert right[:, 0].min() > 0.5 * grid.shape[1] * resolution
 
 
 @pytest.mark.parametrize("style", ["hull", "voronoi", "hairpin"])
@@ -41,7 +47,7 @@ def test_the_line_of_a_generated_circuit_is_found_again(style):
     assert away.max() < 0.1
 
 
-def test_directions_and_start(box):
+def test_directions_and_starts_on_a_straight_or_at_the_seed(box):
     _, grid, resolution, origin = box
     seed = (3.0, 6.6)
     plain = centerline_from_grid(grid, resolution, origin, seed_point=seed)
@@ -55,16 +61,12 @@ def test_directions_and_start(box):
     for heading, expected in ((np.pi, plain), (0.3, back)):
         towards = centerline_from_grid(grid, resolution, origin, seed_point=seed, direction=heading)
         np.testing.assert_array_equal(towards, expected)
-
-
-def test_without_a_seed_the_line_begins_on_a_straight(box):
-    _, grid, resolution, origin = box
     x, y = centerline_from_grid(grid, resolution, origin)[0, :2]
     assert abs(abs(y) - 7.0) < 0.2
     assert abs(x) < 6.0
 
 
-def test_dirt_on_the_track_does_no_harm(box):
+def test_dirt_on_the_track_does_no_harm_and_a_gap_in_a_wall_leaves_no_loop(box):
     line, grid, resolution, origin = box
     dirty = grid.copy()
     rng = np.random.default_rng(3)
@@ -74,9 +76,6 @@ def test_dirt_on_the_track_does_no_harm(box):
     found = centerline_from_grid(dirty, resolution, origin)
     assert np.median(distances(found, line)) < 0.05
     assert distances(found, line).max() < 0.8
-
-
-def test_a_gap_in_a_wall_leaves_no_loop(box):
     _, grid, resolution, origin = box
     leaking = grid.copy()
     i, j = cell((0.0, 8.1), resolution, origin)
@@ -84,18 +83,8 @@ def test_a_gap_in_a_wall_leaves_no_loop(box):
     refused("no closed loop", centerline_from_grid, leaking, resolution, origin, error=MapError)
 
 
-def test_two_circuits_on_one_map_ask_for_a_seed_point(box):
-    line, _, resolution, _ = box
-    one, _ = walls_to_grid(line, 2.2, resolution)
-    grid = np.hstack([one, one])
-    refused("2 regions", centerline_from_grid, grid, resolution, (0.0, 0.0), error=MapError)
-    right = centerline_from_grid(grid, resolution, (0.0, 0.0), seed_point=(0.75 * grid.shape[1] * resolution, 1.8))
-    assert right[:, 0].min() > 0.5 * grid.shape[1] * resolution
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
+def test_impossible_wishes_and_maps_without_a_loop_are_refused(box):
+    for arguments, words in [
         ({"seed_point": (0.0, 0.0)}, "has no closed loop"),
         ({"seed_point": (0.0, 8.12)}, r"seed point \(0, 8.12\)"),
         ({"seed_point": (0.0, 80.0)}, r"seed point \(0, 80\)"),
@@ -103,16 +92,11 @@ def test_two_circuits_on_one_map_ask_for_a_seed_point(box):
         ({"direction": "widdershins"}, "direction is 'widdershins'"),
         ({"direction": np.nan}, "direction is nan"),
         ({"seed_point": (0.0, 7.0), "direction": 1.57}, "lies across the track"),
-    ],
-)
-def test_impossible_wishes_are_refused(box, arguments, words):
-    _, grid, resolution, origin = box
-    refused(words, centerline_from_grid, grid, resolution, origin, error=MapError, **arguments)
-
-
-@pytest.mark.parametrize("value", [False, True])
-def test_an_empty_and_a_full_map_have_no_loop(value):
-    refused("no closed loop", centerline_from_grid, np.full((60, 60), value), 0.05, (0.0, 0.0), error=MapError)
+    ]:
+        _, grid, resolution, origin = box
+        refused(words, centerline_from_grid, grid, resolution, origin, error=MapError, **arguments)
+    for value in [False, True]:
+        refused("no closed loop", centerline_from_grid, np.full((60, 60), value), 0.05, (0.0, 0.0), error=MapError)
 
 
 @pytest.mark.parametrize("name", ["Catalunya", "Oschersleben", "Spielberg"])

@@ -1,9 +1,9 @@
 """The exact distance of points from wall cells."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusal import refused
 
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.clearance import checked_grid, wall_clearance
@@ -24,19 +24,12 @@ def test_clearance_is_the_distance_to_the_nearest_square(seed, reach):
     np.testing.assert_allclose(wall_clearance(points, occupied, resolution, origin, reach), expected, atol=1e-12)
 
 
-def test_a_point_off_the_map_has_no_clearance():
+def test_a_point_off_the_map_has_no_clearance_and_impossible_grids_are_refused():
     assert wall_clearance(np.array([[9.0, 0.5]]), np.zeros((10, 10), bool), 0.1, np.zeros(2), 1.0)[0] == 0.0
-
-
-@pytest.mark.parametrize(
-    ("grid", "resolution", "origin", "words"),
-    [
+    for grid, resolution, origin, words in [
         (np.zeros((9, 9)), 0.05, (0, 0), "float64 of shape"),
         (np.zeros(9, bool), 0.05, (0, 0), r"shape \(9,\)"),
         (np.zeros((9, 9), bool), 0.0, (0, 0), "resolution is 0.0"),
         (np.zeros((9, 9), bool), 0.05, (0, np.nan), "origin holds nan"),
-    ],
-)
-def test_impossible_grids_are_refused(grid, resolution, origin, words):
-    with pytest.raises(MapError, match=words):
-        checked_grid(grid, resolution, origin)
+    ]:
+        refused(words, checked_grid, grid, resolution, origin, error=MapError)

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from refusal import refused
 
 from pcs_racing.base.errors import InputError, MapError
 from pcs_racing.track.building.clearance import wall_clearance
@@ -50,7 +51,7 @@ def test_the_direction_of_the_centre_line_is_kept(box):
     assert lap(race) == pytest.approx(lap(minimum_curvature_raceline(line, grid, resolution, origin)), rel=0.002)
 
 
-def test_the_line_of_a_circular_track_is_a_circle():
+def test_the_line_of_a_circular_track_is_a_circle_and_a_narrow_place_is_named():
     t = np.linspace(0.0, 2.0 * np.pi, 300, endpoint=False)
     line = 8.0 * np.column_stack([np.cos(t), np.sin(t)])
     grid, origin = walls_to_grid(line, 2.2, 0.05)
@@ -58,37 +59,28 @@ def test_the_line_of_a_circular_track_is_a_circle():
         # By curvature alone the widest circle is the best one, with the length the narrowest.
         race = minimum_curvature_raceline(line, grid, 0.05, origin, length_weight=weight)
         np.testing.assert_allclose(np.hypot(*race.T), radius, atol=0.06)
-
-
-def test_a_narrow_place_is_named():
-    t = np.linspace(0.0, 2.0 * np.pi, 300, endpoint=False)
-    line = 8.0 * np.column_stack([np.cos(t), np.sin(t)])
-    grid, origin = walls_to_grid(line, 2.2, 0.05)
     i, j = np.floor((np.array([8.0, 0.0]) - origin) / 0.05).astype(int)[::-1]
     grid[i : i + 3, j - 10 : j + 11] = True
-    with pytest.raises(MapError, match=r"narrow .*\((7|8)\.\d\d, -?0\.\d\d\)"):
-        minimum_curvature_raceline(line, grid, 0.05, origin)
+    narrow = r"narrow .*\((7|8)\.\d\d, -?0\.\d\d\)"
+    refused(narrow, minimum_curvature_raceline, line, grid, 0.05, origin, error=MapError)
 
 
-@pytest.mark.parametrize(
-    ("change", "error", "words"),
-    [
+def test_impossible_values_are_refused(box):
+    for change, error, words in [
         ({"clearance": -0.1}, InputError, "clearance is -0.1"),
         ({"length_weight": -1.0}, InputError, "length_weight is -1.0"),
         ({"centerline": np.zeros((3, 2))}, MapError, "0 different points"),
         ({"centerline": 100.0 * np.eye(4)[:, :2]}, MapError, "different points|leaves the map"),
         ({"centerline": [[-500.0, 0.0], [0.0, 500.0], [500.0, 0.0], [0.0, -500.0]]}, MapError, "leaves the map at"),
         ({"resolution": -0.05}, MapError, "resolution is -0.05"),
-    ],
-)
-def test_impossible_values_are_refused(box, change, error, words):
-    line, grid, resolution, origin = box
-    arguments = {"centerline": line, "occupied": grid, "resolution": resolution, "origin": origin} | change
-    with pytest.raises(error, match=words):
-        minimum_curvature_raceline(**arguments)
+    ]:
+        line, grid, resolution, origin = box
+        arguments = {"centerline": line, "occupied": grid, "resolution": resolution, "origin": origin} | change
+        with pytest.raises(error, match=words):
+            minimum_curvature_raceline(**arguments)
 
 
-def test_rows_follow_the_file_format(box):
+def test_rows_follow_the_file_format_and_give_the_lap_time(box):
     line = box[0]
     rows = raceline_rows(line, spacing=0.25)
     s, x, y, psi, kappa, v, ax = rows.T
@@ -99,6 +91,9 @@ def test_rows_follow_the_file_format(box):
     # Heading turns by the integral of the curvature: one full turn.
     assert np.sum(kappa[:-1]) * s[1] == pytest.approx(2.0 * np.pi, rel=1e-3)
     np.testing.assert_allclose(v[:-1] ** 2 + 2.0 * ax[:-1] * s[1], v[1:] ** 2)
+    assert lap_time(np.full(50, 4.0), 0.2) == pytest.approx(2.5)
+    # From 2 to 4 m/s and back at constant acceleration: the mean speed is 3 m/s.
+    assert lap_time(np.array([2.0, 4.0]), 3.0) == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("name", ["Catalunya", "Oschersleben", "Spielberg"])
@@ -125,9 +120,3 @@ def test_the_start_line_may_lie_anywhere(kappa, shift):
     np.testing.assert_allclose(
         speed_profile(np.roll(kappa, shift), 0.3), np.roll(speed_profile(kappa, 0.3), shift), rtol=1e-12
     )
-
-
-def test_lap_time_of_a_steady_lap_and_of_a_ramp():
-    assert lap_time(np.full(50, 4.0), 0.2) == pytest.approx(2.5)
-    # From 2 to 4 m/s and back at constant acceleration: the mean speed is 3 m/s.
-    assert lap_time(np.array([2.0, 4.0]), 3.0) == pytest.approx(2.0)

@@ -35,7 +35,7 @@ def test_a_circle_stays_a_circle(radius, count, clockwise, start):
     np.testing.assert_allclose(np.hypot(*samples.tangent.T), 1.0)
 
 
-def test_samples_are_evenly_spaced_whatever_the_points():
+def test_samples_are_evenly_spaced_whatever_the_points_and_repeated_ones_do_no_harm():
     """An ellipse with unevenly spaced points: the arc between samples, finely measured, is the same everywhere."""
     t = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
     t = t + 0.3 * np.sin(3.0 * t)
@@ -46,9 +46,6 @@ def test_samples_are_evenly_spaced_whatever_the_points():
     np.testing.assert_allclose(chord * (1.0 + samples.kappa**2 * ds**2 / 24.0), ds, rtol=1e-5)
     np.testing.assert_allclose(samples.xy[0], points[0], atol=1e-12)
     np.testing.assert_allclose((samples.xy[:, 0] / 10.0) ** 2 + (samples.xy[:, 1] / 4.0) ** 2, 1.0, atol=1e-4)
-
-
-def test_repeated_points_do_no_harm():
     square = [[0, 0], [1, 0], [1, 0], [1, 1], [0, 1], [0, 0]]
     assert clean_closed(square).tolist() == [[0, 0], [1, 0], [1, 1], [0, 1]]
     with pytest.raises(ValueError, match="points, got 3"):

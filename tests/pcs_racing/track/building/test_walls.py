@@ -58,7 +58,7 @@ def test_segments_stay_within_the_tolerance_of_the_faces_they_stand_for(drivable
         np.testing.assert_array_equal(segments[first:last, 2:], np.roll(segments[first:last, :2], -1, axis=0))
 
 
-def test_straight_walls_are_exact_and_the_room_is_on_their_left():
+def test_straight_walls_are_exact_and_specks_keep_their_shape():
     drivable = np.zeros((12, 30), dtype=bool)
     drivable[1:11, 1:29] = True
     segments, _, _ = simplify(trace_outlines(drivable), 0.3, 0.25)
@@ -69,10 +69,7 @@ def test_straight_walls_are_exact_and_the_room_is_on_their_left():
     longest = segments[np.argsort(np.hypot(dx, dy))[-2:]]
     np.testing.assert_allclose(np.sort(longest[:, 1]), [1.0, 11.0])
     np.testing.assert_allclose(longest[:, 1], longest[:, 3])
-
-
-def test_specks_keep_their_shape():
-    """A single wall cell on the track is seen from every side."""
+    # A single wall cell on the track is seen from every side.
     drivable = np.zeros((11, 11), dtype=bool)
     drivable[1:10, 1:10] = True
     drivable[5, 5] = False
@@ -117,11 +114,7 @@ def _missed(track, views, beams, rng):
     return missed / (views * beams)
 
 
-def test_lists_hold_all_that_is_seen(oval):
-    assert _missed(oval, 60, 720, np.random.default_rng(7)) == 0.0
-
-
-def test_listed_distances_are_those_of_the_segments_from_the_middle_of_their_stretch(oval):
+def test_lists_hold_all_that_is_seen_in_the_order_of_the_distance(oval):
     """Rounded down, by less than a millimetre, and rising along each list, in which no segment stands twice."""
     arrays = oval.arrays
     assert (arrays.seen_start[0], arrays.seen_start[-1]) == (0, len(arrays.seen))
@@ -140,14 +133,13 @@ def test_listed_distances_are_those_of_the_segments_from_the_middle_of_their_str
         s, d = oval.to_frenet(arrays.seen_middle[m])
         assert abs(s - (m + 0.5) * arrays.seen_stretch) < arrays.seen_stretch
         assert abs(d) < 0.3
+    assert _missed(oval, 60, 720, np.random.default_rng(7)) == 0.0
 
 
 @pytest.mark.parametrize("name", ["Spielberg", "Oschersleben"])
 def test_lists_of_real_circuits_hold_nearly_all_that_is_seen(real_maps, name):
     assert _missed(load_track(real_maps / name), 60, 720, np.random.default_rng(7)) < 1e-4
 
-
-# Corners
 
 BOXES = np.array([[1.0, 2.0, 0.3, 0.4, 0.3], [3.0, 1.0, 0.0, 0.5, 0.0]])  # a box and a round one
 
@@ -160,7 +152,7 @@ def segments_between(corners: np.ndarray) -> set[tuple[float, ...]]:
     return set(found)
 
 
-def test_each_list_holds_the_segments_that_its_stretch_sees(oval):
+def test_each_list_holds_the_segments_of_its_stretch_and_those_that_meet_share_a_corner(oval):
     for track in (oval, with_obstacles(oval, BOXES)):
         t = track.arrays
         everywhere = t.corners[:, t.corners_start[-1] :]
@@ -171,10 +163,7 @@ def test_each_list_holds_the_segments_that_its_stretch_sees(oval):
             listed = t.walls[t.seen[t.seen_start[m] : t.seen_start[m + 1]]]
             corners = t.corners[:, t.corners_start[m] : t.corners_start[m + 1]]
             assert segments_between(corners) | segments_between(everywhere) == {tuple(wall) for wall in listed.tolist()}
-
-
-def test_segments_that_meet_share_a_corner():
-    """Three sides of a square, of which the last is listed first, and a wall far away."""
+    # Three sides of a square, of which the last is listed first, and a wall far away.
     walls = np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [9, 9, 8, 9]], float)
     start, corners = corner_lists(walls, np.array([0, 4, 6]), np.array([2, 0, 3, 1, 3, 0], np.int32))
     assert start.tolist() == [0, 16, 32]

@@ -51,17 +51,6 @@ def test_a_generated_folder_holds_the_circuit(tmp_path):
         assert picture.width > 400
 
 
-def test_a_bare_map_is_completed(tmp_path):
-    source = bare(tmp_path / "Bare Map", SHIPPED[0])
-    track = import_map(source, tmp_path / "Full", picture=False)
-    found = read_map(tmp_path / "Full")
-    assert found.name == track.name == "Full"
-    assert sorted(path.name for path in source.iterdir()) == ["Bare Map_map.png", "Bare Map_map.yaml"]
-    race = resample(found.raceline[:-1, 1:3], 0.02)
-    free = wall_clearance(race, found.occupied, found.resolution, np.array(found.origin), 1.0)
-    assert free.min() >= 0.305 - 1e-4
-
-
 def test_an_import_follows_the_direction_and_start_of_the_shipped_line(tmp_path):
     clockwise = next(path for path in SHIPPED if path.name == "Saltmere")
     track = import_map(clockwise, tmp_path / "Again", picture=False)
@@ -78,11 +67,19 @@ def test_an_import_follows_the_direction_and_start_of_the_shipped_line(tmp_path)
     assert ahead @ (shipped[(nearest + 1) % len(shipped), :2] - shipped[nearest, :2]) < 0.0
 
 
-def test_nothing_is_written_when_it_fails(tmp_path):
+def test_a_bare_map_is_completed_and_nothing_is_written_when_it_fails(tmp_path):
     refused("width is -1", generate_map, tmp_path / "Never", 0, width=-1.0)
     refused("seed point", import_map, SHIPPED[0], tmp_path / "Never", seed_point=(1e4, 0.0), error=MapError)
     refused("the source itself", import_map, SHIPPED[0], SHIPPED[0], error=MapError)
     assert list(tmp_path.iterdir()) == []
+    source = bare(tmp_path / "Bare Map", SHIPPED[0])
+    track = import_map(source, tmp_path / "Full", picture=False)
+    found = read_map(tmp_path / "Full")
+    assert found.name == track.name == "Full"
+    assert sorted(path.name for path in source.iterdir()) == ["Bare Map_map.png", "Bare Map_map.yaml"]
+    race = resample(found.raceline[:-1, 1:3], 0.02)
+    free = wall_clearance(race, found.occupied, found.resolution, np.array(found.origin), 1.0)
+    assert free.min() >= 0.305 - 1e-4
 
 
 @pytest.mark.parametrize("folder", SHIPPED, ids=lambda path: path.name)

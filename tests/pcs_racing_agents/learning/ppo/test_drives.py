@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from random_layers import random_layers
 
 from pcs_racing import load_track, parse_policy
-from pcs_racing.base.dense import DenseLayers
 from pcs_racing.planners.network import INPUTS, network_planner
 from pcs_racing.planners.trained import trained_planner
 from pcs_racing.race.config import load_race_config
@@ -23,24 +23,10 @@ def track():
 
 def drives(track, races=6, hold=2, **changes):
     return LearnerEnv(
-        races,
-        track=track,
-        race=load_race_config("contest", duration=2.0),
-        opponent=[parse_policy("lattice:pace=0"), parse_policy("lattice")],
-        time_step=0.01 * hold,
-        autoreset_mode="SameStep",
-        **changes,
-    )
-
-
-def layers(hidden=(8,), size=0.4, seed=0):
-    rng = np.random.default_rng(seed)
-    sizes = [len(INPUTS), *hidden, 2]
-    shapes = list(zip(sizes[1:], sizes[:-1], strict=True))
-    return DenseLayers(
-        tuple(rng.normal(0.0, size, shape).astype(np.float32) for shape in shapes),
-        tuple(rng.normal(0.0, 0.1, shape[0]).astype(np.float32) for shape in shapes),
-    )
+        races, track=track, race=load_race_config("contest", duration=2.0),
+        opponent=[parse_policy("lattice:pace=0"), parse_policy("lattice")], time_step=0.01 * hold,
+        autoreset_mode="SameStep", **changes,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("hold", [2, 4, 10])
@@ -102,19 +88,17 @@ def test_rewards_are_progress_less_a_share_of_the_opponents(track):
     assert crashes > 0
 
 
-def test_slow_opponents_are_only_met_in_learning(drive_settings):
+def test_slow_opponents_are_only_met_in_learning_and_judging_is_racing_under_the_rules(drive_settings):
     level = make_task(replace(drive_settings, races=("contest",)))
     (track,), (rules,) = level.tracks, level.rules
     learning = level.learning_rules(track, rules)
     assert learning.duration == 1.0
     assert learning.speed_range == (0.3, track.calibration["contest"].speed_range[1])
     assert make_task(replace(drive_settings, slowest=0.0)).learning_rules(track, rules).speed_range is None
-
-
-def test_judging_is_racing_under_the_rules(drive_settings):
     level = make_task(drive_settings)
-    scores = level.evaluate(layers())
-    assert scores == level.evaluate(layers())
+    layers = random_layers(len(INPUTS), 8, 2)
+    scores = level.evaluate(layers)
+    assert scores == level.evaluate(layers)
     assert {cell.opponent for cell in scores} == set(drive_settings.opponents)
     assert {cell.race for cell in scores} == {"short"}
     mean = mean_score(scores, drive_settings.opponents)

@@ -13,12 +13,7 @@ from pcs_racing.planners.trained import read_driver
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.jobs.chunks import read_chunk
 from pcs_racing_agents.jobs.executors import make_executor
-from pcs_racing_agents.learning.ppo.evaluation import (
-    evaluation_curves,
-    mean_score,
-    read_evaluations,
-    write_evaluations,
-)
+from pcs_racing_agents.learning.ppo.evaluation import evaluation_curves, mean_score, read_evaluations, write_evaluations
 from pcs_racing_agents.learning.ppo.learner import actor_layers, learn_once, make_model, own_randomness
 from pcs_racing_agents.learning.ppo.train import train_ppo
 from pcs_racing_agents.networks import load_network
@@ -77,21 +72,18 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained,
     assert again.curves[0] == trained[level].curves[0]
 
 
-def test_a_folder_belongs_to_its_settings_and_what_is_finished_is_only_read(settings, trained, monkeypatch):
-    monkeypatch.setattr("pcs_racing_agents.learning.ppo.train.learn_once", None)
-    again = train_ppo(settings["drive"], trained["drive"].folder.parent)
-    assert again.curves == trained["drive"].curves
-    with pytest.raises(InputError, match=r"learning_rate is 0\.001, not 0\.002"):
-        train_ppo(settings["duel"], trained["duel"].folder.parent, learning_rate=0.002)
-
-
-def test_a_folder_belongs_to_its_archive(settings, tmp_path):
+def test_a_folder_belongs_to_its_settings_and_archive_and_is_only_read_again(settings, tmp_path, trained, monkeypatch):
     """An archive that was exchanged for another under the same name is noticed."""
     own = save_archive(load_archive("default"), tmp_path / "mine")
     few = {"archive": str(own), "opponents": {"random-moves": 1}, "steps": 16}
     train_ppo(settings["duel"], tmp_path / "out", **few)
     save_archive(load_archive("contest"), own)
     refused("archive_sha256 is", train_ppo, settings["duel"], tmp_path / "out", **few)
+    monkeypatch.setattr("pcs_racing_agents.learning.ppo.train.learn_once", None)
+    again = train_ppo(settings["drive"], trained["drive"].folder.parent)
+    assert again.curves == trained["drive"].curves
+    with pytest.raises(InputError, match=r"learning_rate is 0\.001, not 0\.002"):
+        train_ppo(settings["duel"], trained["duel"].folder.parent, learning_rate=0.002)
 
 
 def test_two_trainings_in_one_process_do_not_disturb_each_other(settings, trained, tmp_path):
@@ -123,36 +115,22 @@ def test_seeds_differ_the_best_is_kept_and_an_executor_changes_no_weight(setting
     assert len(reports) == 11  # at the beginning, after every update, and after every seed
 
 
-def test_training_ends_at_a_plateau(settings, tmp_path):
+def test_training_ends_at_a_plateau_and_leaves_random_generators_alone(settings, tmp_path):
     level = replace(settings["drive"], learning_rate=1e-8, final_learning_rate=0.0, patience=2, steps=10**6)
-    result = train_ppo(level, tmp_path)
+    result = train_ppo(level, tmp_path / "plateau")
     assert result.curves[0].steps == (0, 320, 640)
-
-
-def test_random_generators_of_the_process_are_left_alone(settings, tmp_path):
     import torch
 
     np.random.seed(5)  # noqa: NPY002
     torch.manual_seed(5)
     expected = np.random.get_state()[1].copy(), torch.get_rng_state(), torch.get_num_threads()  # noqa: NPY002
-    train_ppo(settings["drive"], tmp_path, steps=160)
+    train_ppo(settings["drive"], tmp_path / "short", steps=160)
     np.testing.assert_array_equal(np.random.get_state()[1], expected[0])  # noqa: NPY002
     assert torch.equal(torch.get_rng_state(), expected[1])
     assert torch.get_num_threads() == expected[2]
 
 
-def test_weights_that_run_away_are_told(settings, trained):
-    import torch
-
-    with own_randomness():
-        model = make_model(settings["drive"], trained["drive"].task.env_groups(), 0, "tanh")
-        learn_once(model, settings["drive"], 10.0)
-        with torch.no_grad():
-            model.policy.action_net.bias[0] = float("nan")
-        refused(r"weight .*160 steps", learn_once, model, settings["drive"], 10.0)
-
-
-def test_weights_and_the_learning_rate_keep_to_the_settings(settings, trained):
+def test_weights_and_the_learning_rate_keep_to_the_settings_and_weights_that_run_away_are_told(settings, trained):
     """The rate falls linearly from the first step to the last of the settings."""
     drive = replace(settings["drive"], learning_rate=0.01, final_learning_rate=0.002)
     with own_randomness():
@@ -163,6 +141,14 @@ def test_weights_and_the_learning_rate_keep_to_the_settings(settings, trained):
             rates.append(model.policy.optimizer.param_groups[0]["lr"])
         assert max(np.abs(weight).max() for weight in actor_layers(model).weights) == np.float32(0.05)
     np.testing.assert_allclose(rates, [0.01, 0.008, 0.006])
+    import torch
+
+    with own_randomness():
+        model = make_model(settings["drive"], trained["drive"].task.env_groups(), 0, "tanh")
+        learn_once(model, settings["drive"], 10.0)
+        with torch.no_grad():
+            model.policy.action_net.bias[0] = float("nan")
+        refused(r"weight .*160 steps", learn_once, model, settings["drive"], 10.0)
 
 
 @pytest.mark.parametrize("hidden", [(8,), ()])
@@ -186,9 +172,6 @@ def test_noise_may_last_for_some_steps(settings, trained, hidden):
     assert len({row.tobytes() for row in tried}) == 200
 
 
-# What comes of it
-
-
 def test_the_network_decides_as_stable_baselines_does(settings, trained):
     import torch
 
@@ -209,7 +192,7 @@ def test_the_network_decides_as_stable_baselines_does(settings, trained):
     np.testing.assert_allclose(values - np.logaddexp.reduce(values, axis=1, keepdims=True), logits, atol=1e-5)
 
 
-def test_a_duel_policy_is_an_agent_of_the_zoo(trained):
+def test_a_duel_policy_is_an_agent_of_the_zoo_and_a_drive_policy_a_driver(trained):
     network = load_network(trained["duel"].folder)
     assert network.name == "default-paper-ppo"
     assert network.training["setting_opponents"] == "2 random-moves, 1 never-switch, 1 pure-pursuit"
@@ -219,9 +202,6 @@ def test_a_duel_policy_is_an_agent_of_the_zoo(trained):
     game = make_game(load_track("Pipkin"), "default", stay=True)
     seen = game.observation(game.reset(games=3))[:, 0]
     np.testing.assert_array_equal(agent.predict(seen)[0], network.choose(seen))
-
-
-def test_a_drive_policy_is_a_driver(trained):
     layers, manifest = read_driver(trained["drive"].folder)
     for one, two in zip(layers.weights, trained["drive"].layers.weights, strict=True):
         np.testing.assert_array_equal(one, two)
@@ -229,7 +209,7 @@ def test_a_drive_policy_is_a_driver(trained):
     assert manifest["training"]["steps_of_all_seeds"] == 640
 
 
-def test_curves_are_kept(settings, trained, tmp_path):
+def test_curves_are_kept_and_other_files_are_none(settings, trained, tmp_path):
     run = trained["drive"]
     result = read_evaluations(run.folder / "curve.csv")
     assert [curve.steps for curve in result] == [(0, 320, 640)]
@@ -246,10 +226,7 @@ def test_curves_are_kept(settings, trained, tmp_path):
     (worth,) = panels["worth of a race"]
     assert (worth.label, worth.x.tolist()) == ("seed 0", [0.0, 0.00032, 0.00064])
     assert worth.y[1] == mean_score(result[0].scores[1], settings["drive"].opponents).worth
-
-
-@pytest.mark.parametrize("text", ["seed,steps\n0,1\n", "no curve at all\nx\n"])
-def test_other_files_are_no_curves(tmp_path, text):
-    (tmp_path / "curve.csv").write_text(text)
-    refused("curve", read_evaluations, tmp_path / "curve.csv")
+    for text in ["seed,steps\n0,1\n", "no curve at all\nx\n"]:
+        (tmp_path / "curve.csv").write_text(text)
+        refused("curve", read_evaluations, tmp_path / "curve.csv")
     refused("can't read", read_evaluations, tmp_path / "none.csv")

@@ -5,6 +5,7 @@ from dataclasses import replace
 import gymnasium as gym
 import numpy as np
 import pytest
+from refusal import refused
 from repository import read_page
 
 from pcs_racing.base.errors import ConfigError, UnknownNameError
@@ -18,17 +19,12 @@ def test_every_environment_has_settings_and_others_are_refused():
     assert set(tuned_environments()) == {*GYMNASIUM_IDS, *PETTINGZOO_IDS}
     for name in tuned_environments():
         assert f"`{name}`" in PAGE
-    with pytest.raises(UnknownNameError, match="Match-v0"):
-        tuned_ppo("pcs_racing/Match-v1")
+    refused("Match-v0", tuned_ppo, "pcs_racing/Match-v1", error=UnknownNameError)
     falling = learning_rate("lin_1e-3")
     assert [falling(1.0), falling(0.5), falling(0.0)] == [1e-3, 5e-4, 0.0]
     assert learning_rate(0.01) == 0.01
-
-
-@pytest.mark.parametrize("value", ["lin_", "cos_1e-3", "1e-3", "lin_-1", "lin_nan"])
-def test_another_schedule_is_refused(value):
-    with pytest.raises(ConfigError):
-        learning_rate(value)
+    for value in ["lin_", "cos_1e-3", "1e-3", "lin_-1", "lin_nan"]:
+        refused("learning_rate is", learning_rate, value, error=ConfigError)
 
 
 @pytest.mark.parametrize("name", tuned_environments())

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import make_game
-from pcs_racing.base.errors import InputError
 from pcs_racing.game.config import load_game_config
 from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.drivers import planner_driver
@@ -43,18 +43,24 @@ def slow(games, setting, tmp_path_factory):
     return folder, reply_to(always(setting, "aggressiveness -"), games, setting, folder)
 
 
-def test_an_agent_that_slows_down_loses_to_one_that_was_trained_against_it(slow, games):
+def test_an_agent_that_slows_down_loses_to_its_reply_and_an_even_score_is_no_loss(slow, games):
     _, reply = slow
     assert reply.loss.low > 0.0
     assert reply.loss.mean > 0.03
     assert len(reply.races) == reply.loss.units == 10 * 10 * 5 * 2
     excess = np.mean(reply.races.winner == 0) - np.mean(reply.races.winner == 1)
     assert reply.loss.mean == pytest.approx(0.5 * excess)
-    _, reply = slow
     assert not set(np.round(reply.races.start_s, 6)) & set(np.round(games[0].start_lines, 6))
+    even = replace(reply.races, winner=np.tile(np.array([0, 1], np.int8), len(reply.races) // 2))
+    assert excess_estimate(even).mean == 0.0
+    refused("no races", excess_estimate, even.take([]))
+    ego, opponent = reply.races.variants.T.astype(int)
+    faster = replace(reply.races, winner=np.where(ego == opponent, -1, ego < opponent).astype(np.int8))
+    estimate = excess_estimate(faster)
+    assert (estimate.mean, estimate.se) == (pytest.approx(0.0), pytest.approx(0.0, abs=1e-12))
 
 
-def test_a_run_that_goes_on_elsewhere_gives_the_same(slow, games, setting):
+def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(slow, games, setting, monkeypatch):
     folder, first = slow
     for file in sorted((folder / "chunks").glob("*.npz"))[::2]:
         file.unlink()
@@ -63,44 +69,23 @@ def test_a_run_that_goes_on_elsewhere_gives_the_same(slow, games, setting):
     assert again.loss == first.loss
     for own, others in zip(first.network.layers.weights, again.network.layers.weights, strict=True):
         np.testing.assert_array_equal(own, others)
-
-
-def test_networks_are_kept_with_the_job(slow, games, setting, monkeypatch):
-    """A run that goes on does not train again what is there."""
+    # A run that goes on does not train again what is there.
     from pcs_racing_agents.learning.responses import kept_networks
 
     def never(*arguments, **options):
         raise AssertionError("trained again")
 
     monkeypatch.setattr(kept_networks, "train_network", never)
-    folder, first = slow
     assert reply_to(always(setting, "aggressiveness -"), games, setting, folder).loss == first.loss
 
 
-def test_a_driver_with_one_policy_can_be_replied_to(games, setting, tmp_path):
+def test_a_driver_with_one_policy_can_be_replied_to_in_enough_races(games, setting, tmp_path):
     pytest.importorskip("torch", reason="torch is not installed")
     reply = reply_to(planner_driver(setting, name="pure-pursuit"), games, setting, tmp_path / "driver", races=40)
     assert set(reply.races.variants[:, 1]) == {0}
     assert len(reply.loss.clusters) == 2  # start policies of the reply, and start lines
-
-
-def test_too_few_races_are_refused_before_anything_is_learned(games, setting, tmp_path):
-    with pytest.raises(InputError, match="races is 39"):
-        reply_to(never_switch(setting), games, setting, tmp_path / "few", races=39)
+    refused("races is 39", reply_to, never_switch(setting), games, setting, tmp_path / "few", races=39)
     assert not (tmp_path / "few" / "chunks").exists()
-
-
-def test_neither_itself_nor_start_policies_are_a_loss(slow):
-    _, reply = slow
-    even = replace(reply.races, winner=np.tile(np.array([0, 1], np.int8), len(reply.races) // 2))
-    assert excess_estimate(even).mean == 0.0
-    with pytest.raises(InputError, match="no races"):
-        excess_estimate(even.take([]))
-    _, reply = slow
-    ego, opponent = reply.races.variants.T.astype(int)
-    faster = replace(reply.races, winner=np.where(ego == opponent, -1, ego < opponent).astype(np.int8))
-    estimate = excess_estimate(faster)
-    assert (estimate.mean, estimate.se) == (pytest.approx(0.0), pytest.approx(0.0, abs=1e-12))
 
 
 def test_the_command_prints_the_loss_and_writes_it(tmp_path, capsys):

@@ -1,17 +1,20 @@
 import numpy as np
 import pytest
+from random_layers import random_layers
 from refusal import refused
 
 from pcs_racing import make_game
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.config import load_game_config
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.learning.responses import ResponseSettings, branch_games, learn_response
+from pcs_racing_agents.learning.responses import ResponseSettings, branch_games, learn_response, merge_networks
 from pcs_racing_agents.learning.responses.branches import outcome
+from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament.games import game_between
 
 
@@ -58,7 +61,7 @@ def test_moves_that_lead_to_the_same_policy_are_driven_once(game, setting):
             assert len(np.unique(outcomes[policies == policy])) == 1
 
 
-def test_branches_do_not_depend_on_the_batch(game, setting):
+def test_branches_do_not_depend_on_the_batch_and_a_driver_may_be_the_opponent(game, setting):
     keys = race_seeds(5, 6)
     rest = ([random_moves(setting), never_switch(setting)], always(setting, "restraint +"))
     rival = random_moves(setting, seed=2)
@@ -66,9 +69,6 @@ def test_branches_do_not_depend_on_the_batch(game, setting):
     parts = [branch_games(game, rival, keys[k : k + 2], 1, *rest) for k in (0, 2, 4)]
     np.testing.assert_array_equal(whole.outcomes, np.concatenate([piece.outcomes for piece in parts]))
     np.testing.assert_array_equal(whole.observations, np.concatenate([piece.observations for piece in parts]))
-
-
-def test_a_driver_from_outside_may_be_the_opponent(game, setting):
     rival = planner_driver(setting, name="lane-switcher")
     arena = game_between(game, never_switch(setting), rival)
     result = branch_games(arena, rival, race_seeds(0, 3), 0, [never_switch(setting)], never_switch(setting))
@@ -94,3 +94,33 @@ def test_impossible_requests_are_refused(game, setting, tmp_path):
         refused("one of each", learn_response, [game], [], setting, ResponseSettings(), job)
         with pytest.raises(InputError, match="games of 2 moves"):
             learn_response([game, other], [never_switch(setting)], setting, ResponseSettings(), job)
+
+
+GAME = GameIdentity(("a", "b", "c"), ("left", "right"), (0.35,), "toy", "0" * 64, "paper")
+
+
+def network(seed: int, hidden: tuple[int, ...] = (5, 4), clipped: bool = False) -> RegretNetwork:
+    rng = np.random.default_rng(seed)
+    return RegretNetwork(
+        name=f"net-{seed}",
+        identity=GAME,
+        target="advantage",
+        clipped=clipped,
+        layers=random_layers(3, *hidden, 2, seed=seed),
+        mean=rng.normal(size=3).astype(np.float32),
+        scale=rng.uniform(0.5, 2.0, 3).astype(np.float32),
+    )
+
+
+def test_the_merged_network_puts_out_the_mean_of_members_of_one_kind():
+    for hidden in [(), (6,), (5, 4), (4, 3, 5)]:
+        members = [network(seed, hidden) for seed in range(3)]
+        x = np.random.default_rng(9).normal(size=(20, 3))
+        merged = merge_networks(members, "merged")
+        np.testing.assert_allclose(merged(x), np.mean([m(x) for m in members], axis=0), atol=2e-5)
+    merge_networks([network(0, (5, 4)), network(1, (2, 7))], "merged")
+    refused("different numbers of layers", merge_networks, [network(0), network(1, (5,))], "merged")
+    with pytest.raises(InputError, match="networks 'net-0' and 'net-1' differ in clipped"):
+        merge_networks([network(0), network(1, clipped=True)], "merged")
+    refused("give at least one", merge_networks, [], "merged")
+    refused("mean of clipped networks", merge_networks, [network(0, clipped=True), network(1, clipped=True)], "merged")

@@ -1,0 +1,36 @@
+"""Races of cars that stand at given places, for tests of what becomes of them."""
+
+import numpy as np
+
+from pcs_racing import Parameter, Planner, RaceSetup, load_race_config
+from pcs_racing.base.compilation import compiled
+from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.race.positions import place_cars
+from pcs_racing.race.state import empty_state
+
+X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
+
+
+@compiled
+def hold(track, theta, view, memory, scratch, path, command):
+    command[0] = theta[0]
+    command[1] = theta[1]
+
+
+HOLD = Planner(
+    "hold", (Parameter("steer", -0.4, 0.4, 0.0, "rad"), Parameter("speed", -3.0, 9.0, 0.0, "m/s")), control=hold
+)
+
+
+def placed(track, places, speeds=None, planner=HOLD, vehicles=None, **rules):
+    """A race of cars that stand at (s, d) or (s, d, turned by) or drive so fast; they hold their speed."""
+    count = len(places)
+    speeds = [0.0] * count if speeds is None else speeds
+    setup = RaceSetup(track, load_race_config("paper", **rules), (planner,) * count, vehicles or (F1TENTH,) * count)
+    state = empty_state(1, setup.memory_size, count)
+    for car, (s, d, *turned) in enumerate(places):
+        x, y, psi = track.to_cartesian([s, d])
+        state.cars[0, car, [X, Y, V, PSI]] = x, y, speeds[car], psi + sum(turned)
+        state.progress[0, car] = s
+    place_cars(track.arrays, state, np.stack([[vehicle.as_row() for vehicle in setup.vehicles]]))
+    return setup, state, np.array([[(0.0, speed) for speed in speeds]])
