@@ -11,19 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.race import state as _state
 from pcs_racing.race.config import DT
-from pcs_racing.race.state import (
-    BLOCKING,
-    ITTC,
-    ITTC_SAMPLES,
-    LATERAL,
-    PROFILE,
-    PROFILE_BEHIND,
-    STEERING,
-    TIME,
-    TIME_BEHIND,
-    RaceState,
-)
+from pcs_racing.race.state import RaceState
 
 BOTH_SIDES = 1.0
 """Seconds that a car must have driven in front and behind before a reaction to the lead is measured."""
@@ -77,28 +67,28 @@ def _pace(segment: Segment) -> NDArray[np.float64]:
 
 
 def _restraint(segment: Segment) -> NDArray[np.float64]:
-    return segment.sums[..., ITTC] / np.maximum(segment.sums[..., ITTC_SAMPLES], 1.0)
+    return segment.sums[..., _state.ITTC] / np.maximum(segment.sums[..., _state.ITTC_SAMPLES], 1.0)
 
 
 def _smoothness(segment: Segment) -> NDArray[np.float64]:
-    return -segment.sums[..., STEERING] / np.maximum(segment.sums[..., TIME], 0.5)
+    return -segment.sums[..., _state.STEERING] / np.maximum(segment.sums[..., _state.TIME], 0.5)
 
 
 def _blocking(segment: Segment) -> NDArray[np.float64]:
-    return segment.sums[..., BLOCKING] / np.maximum(segment.sums[..., TIME], 0.5)
+    return segment.sums[..., _state.BLOCKING] / np.maximum(segment.sums[..., _state.TIME], 0.5)
 
 
 def _cornering(segment: Segment) -> NDArray[np.float64]:
-    return np.sqrt(segment.sums[..., LATERAL] / np.maximum(segment.sums[..., TIME], 0.5))
+    return np.sqrt(segment.sums[..., _state.LATERAL] / np.maximum(segment.sums[..., _state.TIME], 0.5))
 
 
 def _speed(segment: Segment) -> NDArray[np.float64]:
-    return segment.sums[..., PROFILE] / np.maximum(segment.sums[..., TIME], 0.5)
+    return segment.sums[..., _state.PROFILE] / np.maximum(segment.sums[..., _state.TIME], 0.5)
 
 
 def _reaction(segment: Segment) -> NDArray[np.float64]:
-    behind, profile_behind = segment.sums[..., TIME_BEHIND], segment.sums[..., PROFILE_BEHIND]
-    ahead, profile_ahead = segment.sums[..., TIME] - behind, segment.sums[..., PROFILE] - profile_behind
+    behind, profile_behind = segment.sums[..., _state.TIME_BEHIND], segment.sums[..., _state.PROFILE_BEHIND]
+    ahead, profile_ahead = segment.sums[..., _state.TIME] - behind, segment.sums[..., _state.PROFILE] - profile_behind
     difference = profile_behind / np.maximum(behind, BOTH_SIDES) - profile_ahead / np.maximum(ahead, BOTH_SIDES)
     return np.where(np.minimum(behind, ahead) >= BOTH_SIDES, difference, 0.0)
 

@@ -47,20 +47,8 @@ PARAMETERS = (
     Parameter("follow_factor", 0.6, 1.0, 0.8, "share of the opponent's speed at which it is followed"),
     Parameter("other_lane_factor", 0.5, 1.0, 0.6, "share of the race line's speed on the overtaking lane"),
 )
-(
-    SPEED_SHARE,
-    LOOKAHEAD_SLOW,
-    LOOKAHEAD_FAST,
-    GAIN_SLOW,
-    GAIN_FAST,
-    GAIN_CORNER,
-    DERIVATIVE,
-    BLOCKING_DISTANCE,
-    NOTICE_TIME,
-    RETURN_COUNT,
-    FOLLOW_FACTOR,
-    OTHER_LANE_FACTOR,
-) = range(len(PARAMETERS))
+SPEED_SHARE, LOOKAHEAD_SLOW, LOOKAHEAD_FAST, GAIN_SLOW, GAIN_FAST, GAIN_CORNER = range(6)
+DERIVATIVE, BLOCKING_DISTANCE, NOTICE_TIME, RETURN_COUNT, FOLLOW_FACTOR, OTHER_LANE_FACTOR = range(6, len(PARAMETERS))
 
 VARIANTS = 20
 VARIATION = 0.5  # share of the way from the default to the bounds that they fill

@@ -36,8 +36,6 @@ from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, offset
 
-__all__ = ["LATTICE"]
-
 ACROSS = 8
 DISTANCES = 2
 GOALS = ACROSS * DISTANCES
@@ -108,21 +106,8 @@ _WEIGHTS = (
     ("overtaking", -1.0, 2.0, 1.0, "how far behind the predicted opponent the candidate ends, in 5 m"),
     ("blocking", -2.0, 1.0, -0.5, "distance from the line of an opponent that closes from behind, m"),
 )
-(
-    LENGTH,
-    MAX_CURVATURE,
-    MEAN_CURVATURE,
-    CURVATURE_RATE,
-    LATERAL,
-    BRAKE,
-    SIMILARITY,
-    PROGRESS,
-    DEVIATION,
-    WALLS,
-    PROXIMITY,
-    OVERTAKING,
-    BLOCKING,
-) = range(len(_WEIGHTS))
+LENGTH, MAX_CURVATURE, MEAN_CURVATURE, CURVATURE_RATE, LATERAL, BRAKE, SIMILARITY = range(7)
+PROGRESS, DEVIATION, WALLS, PROXIMITY, OVERTAKING, BLOCKING = range(7, len(_WEIGHTS))
 PACE, ATTACK, SIDE_MARGIN, PACE_BEHIND = range(len(_WEIGHTS), len(_WEIGHTS) + 4)
 
 PARAMETERS = (
@@ -145,25 +130,8 @@ MEMORY = 7
 # line, and how much its bends slow a car down; air that the race line and the move leave, nearness to walls, least air
 # beside a wall, cost whatever the speed. Then, for all candidates, costs without the opponent and costs; and points and
 # air at the ends of all segments.
-(
-    _GOAL_D,
-    _LENGTH,
-    _A,
-    _B,
-    _KAPPA,
-    _MAX_KAPPA,
-    _MEAN_KAPPA,
-    _KAPPA_RATE,
-    _SIDEWAYS,
-    _STRETCH,
-    _SLOWED,
-    _LINE_AIR,
-    _MOVE_AIR,
-    _WALL_COST,
-    _MIN_AIR,
-    _BASE,
-    _LEAST,
-) = (GOALS * k for k in range(17))
+_GOAL_D, _LENGTH, _A, _B, _KAPPA, _MAX_KAPPA, _MEAN_KAPPA, _KAPPA_RATE, _SIDEWAYS = (GOALS * k for k in range(9))
+_STRETCH, _SLOWED, _LINE_AIR, _MOVE_AIR, _WALL_COST, _MIN_AIR, _BASE, _LEAST = (GOALS * k for k in range(9, 17))
 _COSTS = _LEAST + CANDIDATES
 _POINT_X = _COSTS + CANDIDATES
 _POINT_Y = _POINT_X + SEGMENTS * GOALS

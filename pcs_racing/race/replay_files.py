@@ -14,20 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from pcs_racing.base import packing
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import read_limited, write_atomically
-from pcs_racing.base.packing import (
-    COARSE,
-    FINE,
-    pack,
-    pack_costs,
-    pack_paths,
-    pack_segments,
-    unpack,
-    unpack_costs,
-    unpack_paths,
-    unpack_segments,
-)
 from pcs_racing.race.replay import Replay, ReplayEvent
 
 FORMAT = "pcs-racing replay 1"
@@ -132,21 +121,21 @@ def _to_values(replay: Replay) -> dict[str, Any]:
     """Plain values; optional parts that are absent are left out."""
     values: dict[str, Any] = {
         **plain_parts(replay),
-        "walls": pack_segments(replay.walls),
-        "line": pack(replay.line, FINE, [0, 0]),
-        "cars": pack(replay.cars, FINE, [0, 0]),
-        "progress": pack(replay.progress, FINE, [0, 0]),
+        "walls": packing.pack_segments(replay.walls),
+        "line": packing.pack(replay.line, packing.FINE, [0, 0]),
+        "cars": packing.pack(replay.cars, packing.FINE, [0, 0]),
+        "progress": packing.pack(replay.progress, packing.FINE, [0, 0]),
     }
     if replay.line_speed is not None:
-        values["line_speed"] = pack(replay.line_speed, COARSE, [0])
+        values["line_speed"] = packing.pack(replay.line_speed, packing.COARSE, [0])
     if replay.ittc is not None:
-        values["ittc"] = pack(np.minimum(replay.ittc, LONGEST_ITTC), COARSE, [0])
+        values["ittc"] = packing.pack(np.minimum(replay.ittc, LONGEST_ITTC), packing.COARSE, [0])
     if replay.paths is not None:
-        values["paths"] = pack_paths(replay.paths, FINE)
+        values["paths"] = packing.pack_paths(replay.paths, packing.FINE)
     if replay.candidates is not None and replay.costs is not None and replay.candidate_steps is not None:
-        values["candidate_steps"] = pack(replay.candidate_steps, 1, [0])
-        values["candidates"] = pack_paths(replay.candidates, COARSE)
-        values["costs"] = pack_costs(replay.costs)
+        values["candidate_steps"] = packing.pack(replay.candidate_steps, 1, [0])
+        values["candidates"] = packing.pack_paths(replay.candidates, packing.COARSE)
+        values["costs"] = packing.pack_costs(replay.costs)
     return values
 
 
@@ -165,12 +154,12 @@ def _from_values(values: object) -> Replay:
     plain = ("title", "track_name", "car_names", "outcome", "frame_dt", "plan_dt", "half_sizes")
     arrays = ("line", "cars", "progress", "line_speed", "ittc")
     fields: dict[str, Any] = {name: values[name] for name in plain}
-    fields |= {name: unpack(values[name], name) for name in arrays if name in values}
-    fields |= {name: unpack_paths(values[name], name) for name in ("paths", "candidates") if name in values}
+    fields |= {name: packing.unpack(values[name], name) for name in arrays if name in values}
+    fields |= {name: packing.unpack_paths(values[name], name) for name in ("paths", "candidates") if name in values}
     if "candidate_steps" in values:
-        fields["candidate_steps"] = unpack(values["candidate_steps"], "candidate_steps").astype(np.int64)
+        fields["candidate_steps"] = packing.unpack(values["candidate_steps"], "candidate_steps").astype(np.int64)
     if "costs" in values:
-        fields["costs"] = unpack_costs(values["costs"], "costs")
-    fields["walls"] = unpack_segments(values["walls"], "walls")
+        fields["costs"] = packing.unpack_costs(values["costs"], "costs")
+    fields["walls"] = packing.unpack_segments(values["walls"], "walls")
     fields["events"] = tuple(ReplayEvent(*event) for event in values["events"])
     return Replay(**fields)
