@@ -162,7 +162,7 @@ def _count_overtakes(progress, leader, overtakes, ahead, race, vehicles, number)
                     continue
                 if ahead[race, second] >> first & 1:
                     overtakes[race, first] += 1
-                    ahead[race, second] &= ~(1 << first)
+                    ahead[race, second] &= 0xFF ^ (1 << first)  # ~ is negative in plain Python
                 ahead[race, first] |= 1 << second
                 if ahead[race, first] | 1 << first == (1 << number) - 1:
                     leader[race] = first
