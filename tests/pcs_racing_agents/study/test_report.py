@@ -165,6 +165,7 @@ def test_what_is_not_there_is_not_told(content):
     assert "paper" not in re.sub(r"base64,[^\"]*|the paper&#39;s test|<style>.*?</style>", "", page, flags=re.DOTALL)
     assert "paper" not in overview_rows(table)[0]
     assert len({len(row) for row in overview_rows(table)}) == 1
+    assert f"{table.rows[0].gain.result.difference:+.3f}" in overview_rows(table)[1][-1]
     page = report_page(ReportContent("Nothing yet"))
     assert "<section" not in page
     assert "<nav></nav>" in page
