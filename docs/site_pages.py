@@ -234,6 +234,8 @@ def reference_page(package: str) -> str:
     for module in public_modules(package):
         name = module.removeprefix(f"{package}.")
         text += [name, "-" * len(name), "", f".. automodule:: {module}", "   :members:"]
+        if package == "pcs_racing.f1tenth":
+            text.append("   :no-index:")  # its names are the gym's, some of them ours: Track means ours in a signature
         if again := _names_from_elsewhere(module):
             text.append(f"   :exclude-members: {', '.join(again)}")
         text.append("")
