@@ -1,9 +1,13 @@
-"""Keys of the noise of races, derived from one root seed."""
+"""Keys of the noise of races, derived from one root seed; and the hash by which random numbers are made of keys."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_seed
+from pcs_racing.base.compilation import inner_kernel
+
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+"""Step between the inputs of `scramble` in a sequence of random numbers (splitmix64)."""
 
 
 def race_seed(seed: int, index: int) -> np.uint64:
@@ -16,3 +20,14 @@ def race_seed(seed: int, index: int) -> np.uint64:
 def race_seeds(seed: int, races: int) -> NDArray[np.uint64]:
     """Noise keys of the races 0 to ``races`` - 1, shape (races,)."""
     return np.array([race_seed(seed, index) for index in range(races)], np.uint64)
+
+
+def scramble(bits):  # type: ignore[no-untyped-def]
+    """Scramble 64 bits, or each number of an array of them: the finaliser of splitmix64 (Steele et al. 2014)."""
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return bits ^ (bits >> np.uint64(31))
+
+
+scramble_one = inner_kernel(scramble, forceinline=True)
+"""The same for one number, in compiled functions."""

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import as_array, check_whole, check_whole_array
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.seeds import race_seeds
+from pcs_racing.base.seeds import GOLDEN, race_seeds, scramble
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
@@ -86,10 +86,4 @@ def random_bits(keys: NDArray[np.uint64], attempt: int) -> NDArray[np.uint64]:
     """
     # Every attempt has numbers of its own, none of which another attempt reads.
     counters = np.arange(5, dtype=np.uint64) + np.uint64(5 * attempt + 1)
-    return _mix(_mix(keys)[:, None] + counters * np.uint64(0x9E3779B97F4A7C15))
-
-
-def _mix(x: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return x ^ (x >> np.uint64(31))
+    return np.asarray(scramble(scramble(keys)[:, None] + counters * GOLDEN))

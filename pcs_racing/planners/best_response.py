@@ -28,10 +28,8 @@ from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
-from pcs_racing.planners.pursuit import steady_course
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between
 
 PARAMETERS = (
     _line.PACE,
@@ -53,7 +51,6 @@ MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2 along the track
 SIGHT = 25.0  # m within which the opponent is considered
 IMPOSSIBLE = 1e3
 
-LOST = 0.4  # m from the last plan, beyond which a new one begins where the car is
 
 # Memory: the last plan as a lane, and the side on which it passes the opponent.
 _PASSED = _line.KEPT_LANE
@@ -217,12 +214,10 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     gap = gap_ahead(track, view)
     own, opponent = scratch[:_PLAN], scratch[_PLAN:_TRIAL]
     lane = scratch[_LANE:SCRATCH]
-    d0, slope = _line.kept_lane(track, memory, s0)
+    d0, slope, goes_on = _line.last_lane(track, view, memory)
+    if not goes_on:
+        d0, slope = view[_view.OWN_D], tangent(min(max(_line.course_off_line(track, view), -1.0), 1.0))
     rate = view[_view.OWN_V] * slope
-    here = track.line[line_index(track, s0)]
-    course = angle_between(steady_course(view, here[_frenet.KAPPA]), here[_frenet.PSI])
-    if memory[0] == 0.0 or abs(d0 - view[_view.OWN_D]) > LOST:
-        d0, rate = view[_view.OWN_D], view[_view.OWN_V] * tangent(min(max(course, -1.0), 1.0))
     clear = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
     far = not -SIGHT < gap < SIGHT
     opp_scale = view[_view.OPP_V] / track.line[line_index(track, s0 + gap), _frenet.SPEED]

@@ -44,7 +44,6 @@ MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2
 GRIP = 1.3 * _line.GRIP  # m/s^2 across the track
 COLLISION, IMPOSSIBLE, KEPT = 20.0, 1e3, 0.3  # m: costs, and what the last choice gains
 SIGHT = 12.0  # m within which the game is played
-LOST = 0.4  # m from the last lane, beyond which a new one begins where the car is
 AIR_LATER = 2  # steps within which the air beside the opponent may still be missing
 
 _CHOSEN = _line.KEPT_LANE  # memory: the lane, and the place that was chosen last, counted from 1
@@ -147,8 +146,8 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         cap = _line.follow_line(track, theta, view, gap, SIGHT, lane)
         _line.ease_onto(track, view, scale, cap, lane, path)
         return
-    d, slope = _line.kept_lane(track, memory, view[_view.OWN_S])
-    if memory[0] == 0.0 or abs(d - view[_view.OWN_D]) > LOST:
+    d, slope, goes_on = _line.last_lane(track, view, memory)
+    if not goes_on:
         d, slope = view[_view.OWN_D], 0.0
     opp_v = view[_view.OPP_V]
     follow = _line.trailing_speed(theta, view, gap) if gap > 0.0 else PART * view[_view.OWN_V]

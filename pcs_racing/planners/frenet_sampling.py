@@ -24,10 +24,8 @@ from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
-from pcs_racing.planners.pursuit import steady_course
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between
 
 PARAMETERS = (
     *_line.TRAILING,
@@ -55,7 +53,6 @@ SIGHT = 20.0  # m within which the opponent is predicted
 ON_LINE = 0.15  # m from the race line within which a wall is as near as it is to the line
 SOON = 0.5  # s within which the air beside the opponent may still be missing
 MOST_ACCELERATION, MOST_BRAKING = 10.0, 7.0  # m/s^2 along the track
-LOST = 0.4  # m from the plan, beyond which a new one begins where the car is
 
 # Memory: whether there is a plan, its time of the race, duration, quintic and quartic, in powers of time from 0 to 5.
 _VALID, _BEGUN, _DURATION, _QUINTIC, _QUARTIC = 0, 1, 2, 3, 9
@@ -119,10 +116,9 @@ def _present(track, view, memory):  # type: ignore[no-untyped-def]
         c = memory[_QUINTIC:]
         t = min(t, memory[_DURATION])
         d = _at(c, t)
-        if abs(d - view[_view.OWN_D]) < LOST:
+        if abs(d - view[_view.OWN_D]) < _line.LOST:
             return d, _rate(c, t), _bend(c, t)
-    here = track.line[line_index(track, view[_view.OWN_S])]
-    course = angle_between(steady_course(view, here[_frenet.KAPPA]), here[_frenet.PSI])
+    course = _line.course_off_line(track, view)
     return view[_view.OWN_D], view[_view.OWN_V] * tangent(min(max(course, -1.0), 1.0)), 0.0
 
 

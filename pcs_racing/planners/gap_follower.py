@@ -16,9 +16,10 @@ import numpy as np
 
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arcsine, sine_cosine, tangent
-from pcs_racing.car.lidar import WORK_SHAPE, Beams, scan_into
+from pcs_racing.car.lidar import Beams
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.scanning import WORK, scan_beams
 from pcs_racing.planners.view import PATH_POINTS
 
 BEAMS = 108
@@ -47,8 +48,7 @@ _SIN, _COS = (np.array(values) for values in zip(*map(_plain, _ANGLES), strict=T
 _APART_SIN, _APART_COS = (np.array(values) for values in zip(*map(_plain, STEP * np.arange(BEAMS)), strict=True))
 
 # Scratch: the lidar's own working memory, the ranges, and the free distances.
-_RANGES = WORK_SHAPE[0] * WORK_SHAPE[1]
-_FREE = _RANGES + BEAMS
+_FREE = WORK + BEAMS
 SCRATCH = _FREE + BEAMS
 
 
@@ -106,24 +106,9 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     x0 = view[_view.OWN_X]
     y0 = view[_view.OWN_Y]
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
-    ranges = scratch[_RANGES:_FREE]
+    ranges = scratch[WORK:_FREE]
     free = scratch[_FREE:SCRATCH]
-    scan_into(
-        track,
-        Beams(_ANGLES[0], STEP, MAX_RANGE, _COS, _SIN),
-        x0,
-        y0,
-        course,
-        view[_view.OWN_S],
-        True,
-        view[_view.OPP_X],
-        view[_view.OPP_Y],
-        view[_view.OPP_PSI],
-        0.5 * view[_view.OPP_LENGTH],
-        0.5 * view[_view.OPP_WIDTH],
-        scratch[:_RANGES].reshape(WORK_SHAPE),
-        ranges,
-    )
+    scan_beams(track, Beams(_ANGLES[0], STEP, MAX_RANGE, _COS, _SIN), view, course, scratch[:WORK], ranges)
     free_distances(ranges, theta[BUBBLE], free)
     angle, longest = widest_gap(free, theta[DEPTH])
     angle += lean(ranges, theta[SIDE_AIR])

@@ -43,6 +43,7 @@ KEPT_LANE = 3 + LANE_POINTS
 ANCHOR_STEP = 2.0  # m
 WALL_NEAR, WALL_PUSH = 0.60, 0.30  # m: a lane nearer to a wall is pushed off it, by 0.145 m where it is at 0.305 m
 
+LOST = 0.4  # m from the last plan, beyond which a new one begins where the car is
 FORGIVEN, MOST_FORGIVEN = 0.5, 0.1  # share of a stray (m, or slope) where the path does not begin: all would weave
 OFF_LINE = 0.30  # m from the race line, where a lane is a driver's own business
 ON_LINE = 0.15  # m from the race line within which a lane is as good as the line itself
@@ -173,6 +174,20 @@ def kept_lane(track, memory, s):  # type: ignore[no-untyped-def]
     return memory[3 + j] + (u - j) * memory[2] * slope, slope
 
 
+@kernel
+def last_lane(track, view, memory):  # type: ignore[no-untyped-def]
+    """Do as `kept_lane` beside the own car, and say whether that may go on: else there is none, or the car lost it."""
+    d, slope = kept_lane(track, memory, view[_view.OWN_S])
+    return d, slope, memory[0] != 0.0 and abs(d - view[_view.OWN_D]) <= LOST
+
+
+@kernel
+def course_off_line(track, view):  # type: ignore[no-untyped-def]
+    """Angle of the own course to the race line beside the car, rad."""
+    here = track.line[line_index(track, view[_view.OWN_S])]
+    return angle_between(steady_course(view, here[_frenet.KAPPA]), here[_frenet.PSI])
+
+
 @kernel(forceinline=True)
 def _stray(x):  # type: ignore[no-untyped-def]
     """What is left of a stray from the lane, after what the path forgives."""
@@ -221,8 +236,7 @@ def ease_onto(track, view, scale, cap, lane, path):  # type: ignore[no-untyped-d
     step = lane_step(view)
     _keep_off_walls(track, s0, step, lane)
     here = line[line_index(track, s0)]
-    course = steady_course(view, here[_frenet.KAPPA])
-    slope = tangent(min(max(angle_between(course, here[_frenet.PSI]), -1.2), 1.2))
+    slope = tangent(min(max(course_off_line(track, view), -1.2), 1.2))
     slope *= max(1.0 - here[_frenet.KAPPA] * d0, 0.25)
     aside = _stray(d0 - lane[0])
     ease = max(reach, view[_view.OWN_V] * np.sqrt(6.0 * abs(aside) / EASE_LATERAL))

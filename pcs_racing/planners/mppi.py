@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import exponential
+from pcs_racing.base.seeds import GOLDEN, scramble, scramble_one
 from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
-from pcs_racing.planners.pursuit import steady_course
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between, wrap_s
+from pcs_racing.track.frenet import wrap_s
 
 PARAMETERS = (
     _line.PACE,
@@ -55,7 +55,6 @@ GRIP = 6.0  # m/s^2 of lateral acceleration that costs nothing at speed scales u
 GRIP_WEIGHT = 4.0
 WALL_AIR = 0.30  # m beside the car from which on a wall costs
 CRASH = 300.0
-LOST = 0.4  # m from the last plan, beyond which a new one begins where the car is
 MOST_KAPPA, MOST_NOISE, MOST_BRAKING, MOST_ACCELERATION = 1.2, 0.3, 5.5, 6.0
 CELL, CELLS = 0.25, 128  # m, and how many of them of the race line ahead are copied together
 
@@ -64,10 +63,7 @@ _TABLE = 4096
 
 def normal_table(size: int) -> NDArray[np.float64]:
     """Nearly normal numbers, mean 0 and variance 1: sums of four uniform ones of 16 bits, from a counter."""
-    key = np.arange(1, size + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
-        key = (key ^ (key >> np.uint64(shift))) * np.uint64(factor)
-    key ^= key >> np.uint64(31)
+    key = scramble(np.arange(1, size + 1, dtype=np.uint64) * GOLDEN)
     total = sum(((key >> np.uint64(shift)) & np.uint64(0xFFFF)).astype(np.float64) for shift in (0, 16, 32, 48))
     drawn = (np.asarray(total) / 65535.0 - 2.0) * np.sqrt(3.0)
     return np.ascontiguousarray(drawn - drawn.mean())
@@ -92,9 +88,7 @@ SCRATCH = _LANE + _line.LANE_SIZE
 @inner_kernel(forceinline=True)
 def _place(time, step, which):  # type: ignore[no-untyped-def]
     """Where in the table the noise of a step of the plan begins, at a time of the race in s (splitmix64)."""
-    key = np.uint64(int(time * 100.0 + 0.5) * 64 + 2 * step + which + 1) * np.uint64(0x9E3779B97F4A7C15)
-    key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    key = scramble_one(np.uint64(int(time * 100.0 + 0.5) * 64 + 2 * step + which + 1) * GOLDEN)
     return np.int64((key >> np.uint64(33)) % np.uint64(_TABLE - SAMPLES))
 
 
@@ -190,13 +184,10 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     s0, v0 = view[_view.OWN_S], max(view[_view.OWN_V], 0.1)
     scale = _line.speed_scale(view, theta[_PACE])
     grip = GRIP * max(scale * scale, 1.0)
-    here = track.line[line_index(track, s0)]
     # From where the last plan is by now: what the car strays from it, `ease_onto` leads back.
-    d0, slope = _line.kept_lane(track, memory[_KEPT:], s0)
-    e0 = slope
-    if memory[_KEPT] == 0.0 or abs(d0 - view[_view.OWN_D]) > LOST:
-        d0 = view[_view.OWN_D]
-        e0 = angle_between(steady_course(view, here[_frenet.KAPPA]), here[_frenet.PSI])
+    d0, e0, goes_on = _line.last_lane(track, view, memory[_KEPT:])
+    if not goes_on:
+        d0, e0 = view[_view.OWN_D], _line.course_off_line(track, view)
     e0 = min(max(e0, -1.0), 1.0)
     for k in range(CELLS):
         sample = track.line[line_index(track, s0 + (k + 0.5) * CELL)]
@@ -214,11 +205,12 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         scratch[_K + i], scratch[_COST + i] = before, 0.0
     # The opponent carries on with its share of the profile, where it is across the track.
     opp_s = gap_ahead(track, view)
+    behind = opp_s <= -0.5 * view[_view.OWN_LENGTH]
     share = view[_view.OPP_V] / track.line[line_index(track, wrap_s(track, view[_view.OPP_S])), _frenet.SPEED]
     for k in range(STEPS):
         opp_s += STEP * share * track.line[line_index(track, s0 + opp_s), _frenet.SPEED]
         # A car that is wholly behind has to look after itself.
-        seen = opp_s if gap_ahead(track, view) > -0.5 * view[_view.OWN_LENGTH] else -1e3
+        seen = -1e3 if behind else opp_s
         kappa, a = memory[_KAPPAS + k], memory[_ACCELERATIONS + k]
         _drive_copies(theta, view, sd_kappa, grip, scale, k, seen, view[_view.OPP_D], kappa, a, scratch)
     _average(theta, view[_view.TIME], sd_kappa, memory, scratch)

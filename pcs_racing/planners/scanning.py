@@ -17,20 +17,20 @@ ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 """Directions of the beams in rad, from right to left; 0 is straight ahead."""
 _plain = getattr(sine_cosine, "py_func", sine_cosine)  # calling compiled code would slow down every import
 _SIN, _COS = (np.array(values) for values in zip(*map(_plain, ANGLES), strict=True))
-_WORK = WORK_SHAPE[0] * WORK_SHAPE[1]
-SCAN_SIZE = _WORK + BEAMS
+WORK = WORK_SHAPE[0] * WORK_SHAPE[1]
+SCAN_SIZE = WORK + BEAMS
 """Numbers of scratch that a scan takes: the lidar's own working memory, and the ranges at the end."""
 
 
 @compiled
-def scan(track, view, scratch):  # type: ignore[no-untyped-def]
-    """Scan from the own car along its heading; the ranges (m) are ``scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]``."""
+def scan_beams(track, beams, view, heading, work, ranges):  # type: ignore[no-untyped-def]
+    """Scan from the own car with any beams, which turn with ``heading`` (rad); ``work`` holds `WORK` numbers."""
     scan_into(
         track,
-        Beams(ANGLES[0], STEP, MAX_RANGE, _COS, _SIN),
+        beams,
         view[_view.OWN_X],
         view[_view.OWN_Y],
-        view[_view.OWN_PSI],
+        heading,
         view[_view.OWN_S],
         True,
         view[_view.OPP_X],
@@ -38,9 +38,16 @@ def scan(track, view, scratch):  # type: ignore[no-untyped-def]
         view[_view.OPP_PSI],
         0.5 * view[_view.OPP_LENGTH],
         0.5 * view[_view.OPP_WIDTH],
-        scratch[:_WORK].reshape(WORK_SHAPE),
-        scratch[_WORK:SCAN_SIZE],
+        work.reshape(WORK_SHAPE),
+        ranges,
     )
+
+
+@compiled
+def scan(track, view, scratch):  # type: ignore[no-untyped-def]
+    """Scan from the own car along its heading; the ranges (m) are ``scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]``."""
+    beams = Beams(ANGLES[0], STEP, MAX_RANGE, _COS, _SIN)
+    scan_beams(track, beams, view, view[_view.OWN_PSI], scratch[:WORK], scratch[WORK:SCAN_SIZE])
 
 
 @kernel(forceinline=True)

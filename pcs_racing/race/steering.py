@@ -3,16 +3,9 @@
 import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.seeds import GOLDEN, scramble_one
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.race.config import CONTROL_EVERY
-
-
-@inner_kernel(forceinline=True)
-def _mix(key):  # type: ignore[no-untyped-def]
-    """Scramble 64 bits (the finaliser of splitmix64, Steele et al. 2014)."""
-    key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return key ^ (key >> np.uint64(31))
 
 
 @kernel
@@ -24,8 +17,8 @@ def steering_noise(seed, car, tick):  # type: ignore[no-untyped-def]
     # Neighbouring ticks and cars differ in few bits: scrambled twice, no trace of that is left. Every two cars have a
     # sequence of their own: in one sequence car 2 would repeat at a tick what car 0 gets at the next.
     pair = seed + np.uint64(0xA0761D6478BD642F) * np.uint64(car >> 1)
-    key = _mix(pair + np.uint64(0x9E3779B97F4A7C15) * np.uint64(2 * tick + (car & 1) + 1))
-    key = _mix(key + np.uint64(0xD1B54A32D192ED03))
+    key = scramble_one(pair + GOLDEN * np.uint64(2 * tick + (car & 1) + 1))
+    key = scramble_one(key + np.uint64(0xD1B54A32D192ED03))
     mask = np.uint64(0xFFFF)
     total = (
         float(key & mask)

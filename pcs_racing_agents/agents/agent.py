@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_text, check_whole
-from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.compilation import kernel
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import GOLDEN, scramble_one
 from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor, is_model
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
@@ -26,21 +27,13 @@ from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 
 
-@compiled(inline="always")
-def _mix(x):  # type: ignore[no-untyped-def]
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return x ^ (x >> np.uint64(31))
-
-
 @kernel
 def _hash(words, seed, out):  # type: ignore[no-untyped-def]
-    golden = np.uint64(0x9E3779B97F4A7C15)
-    first = _mix((seed + np.uint64(1)) * golden)
+    first = scramble_one((seed + np.uint64(1)) * GOLDEN)
     for row in range(words.shape[0]):
         state = first
         for column in range(words.shape[1]):
-            state = _mix((state ^ np.uint64(words[row, column])) + golden)
+            state = scramble_one((state ^ np.uint64(words[row, column])) + GOLDEN)
         out[row] = state
 
 
