@@ -24,7 +24,7 @@ from pcs_racing.envs.drive_kernel import (
     set_commands,
     step_races,
 )
-from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, shares
+from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, samples_ahead, shares
 from pcs_racing.envs.infos import Result, all_poses, common_codes, pose_info, race_info, race_infos, race_results
 from pcs_racing.envs.moving_opponents import MovingOpponents
 from pcs_racing.envs.obstacles import obstacles_option
@@ -177,7 +177,7 @@ class DriveBatch:
         places = Starts(np.repeat(lines, count), np.tile(np.arange(count), len(lines)))
         grid = start_races(setup, places, np.zeros(len(places), np.uint64))
         settings = setup.settings
-        ahead = make_sight(self.options, self.cars, self.players, setup.track).ahead
+        ahead = samples_ahead(self.options, setup.track)
         # Time to collision costs time, and only opponents that observe characteristics need it.
         if self._moving is None:
             settings = settings._replace(ittc_horizon=0.0)
@@ -352,7 +352,7 @@ class DriveBatch:
             i = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
             where = f" of environment {i}" if shape else ""
             raise InputError(f"action{where} is {rows[i].tolist()}; steering and speed must be finite, in [-1, 1]")
-        return shares(values, self.options)
+        return values if self.options.normalized else shares(values, self._limits)
 
     def step(self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()) -> BatchStep:
         """Drive every race one step on."""

@@ -194,6 +194,11 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
     return elements
 
 
+def samples_ahead(options: DriveOptions, track: Track) -> NDArray[np.int64]:
+    """Look-ahead distances in samples of a track's race line."""
+    return np.array([round(one / track.arrays.ds) % len(track.arrays.line) for one in options.look_ahead], np.int64)
+
+
 def make_sight(options: DriveOptions, cars: int, players: int, track: Track) -> Sight:
     """What players observe in races of so many cars on a track; noise and the end of the race are not known here."""
     elements = drive_elements(options, cars)
@@ -208,7 +213,7 @@ def make_sight(options: DriveOptions, cars: int, players: int, track: Track) -> 
         players=players,
         own_state=options.own_state,
         own_pose=options.own_pose,
-        ahead=np.array([round(one / track.arrays.ds) % len(track.arrays.line) for one in options.look_ahead], np.int64),
+        ahead=samples_ahead(options, track),
         opponent=SEE_OPPONENT.index(options.see_opponent),
         others=max(1, cars - 1),
         time_left=options.time_left,
@@ -222,9 +227,7 @@ def make_sight(options: DriveOptions, cars: int, players: int, track: Track) -> 
     )
 
 
-def shares(actions: NDArray[np.float64], options: DriveOptions) -> NDArray[np.float64]:
-    """Actions as shares from -1 to 1 of the limits, shape (..., 2), whatever unit they are in."""
-    if options.normalized:
-        return actions
-    turn, top = options.limits
+def shares(actions: NDArray[np.float64], limits: tuple[float, float]) -> NDArray[np.float64]:
+    """Actions in rad and m/s as shares from -1 to 1 of the limits, shape (..., 2)."""
+    turn, top = limits
     return (actions - (0.0, 0.5 * top)) / (turn, 0.5 * top)

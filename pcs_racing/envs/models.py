@@ -18,7 +18,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar_kernel import WORK_SHAPE
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive_kernel import SEEN_SHAPE, Sight, observe_car
-from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, shares
+from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, samples_ahead, shares
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.state import MOST_CARS, RaceState
@@ -73,8 +73,8 @@ class ModelDriver:
         settings: KernelSettings,
     ) -> NDArray[np.float64]:
         """Return steering angles (rad) and speeds (m/s) for one car of the races ``rows``, shape (n, 2)."""
-        line, noise = track.arrays.line, np.full(state.races, float(self.options.lidar_noise))
-        ahead = np.array([round(one / track.arrays.ds) % len(line) for one in self.options.look_ahead], np.int64)
+        noise = np.full(state.races, float(self.options.lidar_noise))
+        ahead = samples_ahead(self.options, track)
         sight = self._sight._replace(ahead=ahead, noise=noise, end_tick=settings.end_tick)
         seen = np.empty((len(rows), len(sight.low)), np.float32)
         buffers = np.empty(len(sight.low)), np.empty(SEEN_SHAPE), np.empty(WORK_SHAPE)
@@ -103,7 +103,8 @@ class ModelDriver:
                 f"finite numbers of shape ({len(seen)}, 2): steering and speed"
             )
         # A last layer with a tanh gives shares of the space of actions, whatever its unit.
-        return actions if getattr(self.model, "squash", False) else shares(actions, self.options)
+        plain = self.options.normalized or getattr(self.model, "squash", False)
+        return actions if plain else shares(actions, self.options.limits)
 
 
 class ModelPlanner(Planner):
