@@ -18,7 +18,7 @@ from pcs_racing.track.mapping.shapes import STYLES
 from pcs_racing.track.track import Calibration, Track, build_track
 
 SPEED_RANGES = {"paper": (0.66, 0.86), "contest": (0.65, 0.97), "roboracer": (0.65, 0.97)}
-"""Speed scales of pace 0 and 1: those of the shipped circuits with the least room to drive fast in."""
+"""Speed scales of pace 0 and 1: below those of most shipped circuits, as a generated one is driven unseen."""
 BENDS = 0.12  # 1/m: start places are where the line bends less than this ...
 BEFORE, AHEAD = 2.0, 8.0  # ... from so many metres before them to so many ahead
 TRIES = 20  # seeds of the generator for one circuit; hardly one in a hundred gives none

@@ -4,8 +4,8 @@ Both cars start at rest, at 50 places, and race for 8 s. The opponent drives one
 of its speed (:mod:`pcs_racing_agents.benchmark.overtaken`). A scenario ends in a collision as soon as either car
 touches a wall or the other car; else the ego has overtaken if it is ahead at the end, and else it follows.
 
-Lines come from a folder of files ``CIRCUIT_line0.csv`` to ``CIRCUIT_line2.csv`` (columns s, x, y, heading, curvature,
-speed; the ego drives on line 1), or are made here: the race line, and lanes to both sides of it.
+Lines come from a folder of files ``CIRCUIT_line0.csv`` to ``CIRCUIT_line2.csv`` (columns s; x; y; heading; curvature;
+speed; acceleration, the ego drives on line 1), or are made here: the race line, and lanes to both sides of it.
 
 References
 ----------
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import read_limited
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
@@ -32,6 +33,7 @@ from pcs_racing.race.driving import drive, kernel_settings
 from pcs_racing.race.start_grid import settle
 from pcs_racing.race.state import empty_state
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, X, Y
+from pcs_racing.track.map_files import parse_csv
 from pcs_racing.track.track import Track, build_track
 from pcs_racing_agents.benchmark.overtaken import overtaken
 from pcs_racing_agents.results.text_table import aligned
@@ -43,6 +45,8 @@ SPEED_RANGE = (0.8, 1.2)  # scales of the speed profile of pace 0 and 1: at the 
 RULES = RaceConfig(name="overtaking", duration=8.0, speed_range=SPEED_RANGE)
 ASIDE, WALL_AIR = 0.57, 0.45  # m: distance of the lanes that are made here from the race line, and least to a wall
 SPACING = 0.5  # m between the samples of a line
+COLUMNS = ("s", "x", "y", "heading", "curvature", "speed", "acceleration")
+MAX_LINE = 16 * 2**20  # bytes of a file of a line
 MERGE = 8  # samples before and behind a narrow place over which a lane comes in
 PUBLISHED = ("End2Race, published", 0.942, 0.592)  # shares without collision and overtaking, of 2,400 scenarios
 
@@ -74,12 +78,8 @@ def read_lines(track: Track, folder: Path) -> Lines:
     tables = []
     for k in range(LINES):
         path = folder / f"{track.name}_line{k}.csv"
-        try:
-            tables.append(np.loadtxt(path, delimiter=";", ndmin=2))
-        except (OSError, ValueError) as error:
-            raise InputError(f"there are no lines of {track.name} in {path}: {error}") from None
-        if tables[-1].shape[1] < 6 or not np.isfinite(tables[-1]).all():
-            raise InputError(f"{path} must have columns s; x; y; psi; kappa; v of numbers")
+        data = read_limited(path, MAX_LINE, f"a line of {track.name}", InputError)
+        tables.append(parse_csv(path, data, COLUMNS, ";"))
     arrays, center = track.arrays, track.centerline
     if np.median(np.diff(track.to_frenet(tables[1][:, 1:3])[:, 0])) < 0.0:
         center = center[::-1][:, [0, 1, 3, 2]]
@@ -149,9 +149,7 @@ def race_scenarios(lines: Lines, ego: Policy, *, seed: int = 0, threads: int | N
     names = np.full(races, track.name)
     label = np.char.add(np.char.add(names, " "), start.astype(str))
     overtakes = (state.lead > 0.0) & ~state.crashed
-    return Outcomes(
-        ego.name, label, names, np.array(FACTORS)[factor], line, np.where(state.crashed, fault, 0), overtakes
-    )
+    return Outcomes(ego.name, label, names, np.array(FACTORS)[factor], line, fault, overtakes)
 
 
 def joined(parts: Sequence[Outcomes]) -> Outcomes:

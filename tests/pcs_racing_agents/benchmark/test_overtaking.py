@@ -58,8 +58,8 @@ def test_lines_are_read_in_their_own_direction(lines, tmp_path):
     s = np.arange(lines.d.shape[1]) * track.length / lines.d.shape[1]
     for k in range(3):
         xy = track.to_cartesian(np.stack([s, lines.d[k]], axis=-1))[::-1, :2]
-        columns = np.column_stack([s, xy, s * 0.0, s * 0.0, lines.speed[k][::-1]])
-        np.savetxt(tmp_path / f"Brackwater_line{k}.csv", columns, delimiter=";", header="s; x; y; psi; kappa; v")
+        columns = np.column_stack([s, xy, s * 0.0, s * 0.0, lines.speed[k][::-1], s * 0.0])
+        np.savetxt(tmp_path / f"Brackwater_line{k}.csv", columns, delimiter=";", header="s; x; y; psi; kappa; v; a")
     read = read_lines(track, tmp_path)
     assert read.track.length == pytest.approx(track.length, rel=0.01)
     ahead = track.to_frenet(read.track.to_cartesian([[0.0, 0.0], [AHEAD, 0.0]])[:, :2])[:, 0]
@@ -67,7 +67,9 @@ def test_lines_are_read_in_their_own_direction(lines, tmp_path):
     # What lay to the left lies to the right in the other direction.
     assert read.d[0].mean() == pytest.approx(-lines.d[0].mean(), abs=0.02)
     assert read.speed[1].mean() == pytest.approx(lines.speed[1].mean(), rel=0.02)
-    refused("no lines of Pipkin", read_lines, load_track("Pipkin"), tmp_path)
+    refused("can't read .*Pipkin_line0.csv: No such", read_lines, load_track("Pipkin"), tmp_path)
+    (tmp_path / "Brackwater_line1.csv").write_text("0; 1; 2; 3; 4; 5; nan\n")
+    refused("line 1: .*7 finite numbers", read_lines, track, tmp_path)
 
 
 def test_the_command_prints_the_tables_and_writes_the_scenarios(tmp_path, capsys):
