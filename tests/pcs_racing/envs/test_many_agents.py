@@ -187,11 +187,11 @@ def test_actions_in_units_and_the_own_pose(oval):
 def test_an_angle_is_the_same_angle_whatever_the_other_car_can_steer(oval):
     narrow, wide = {"steer_max": 0.3}, {"steer_max": 0.5}
     envs = [DriveEnv(oval, "lattice", vehicle=[narrow, other], normalized=False) for other in (narrow, wide)]
-    for env in envs:
-        env.reset(seed=1)
+    for one in envs:
+        one.reset(seed=1)
         for _ in range(5):
-            env.step([0.2, 1.5])
-    np.testing.assert_allclose(*(env.batch.state.cars[0, 0] for env in envs), atol=1e-9)
+            one.step([0.2, 1.5])
+    np.testing.assert_allclose(*(one.batch.state.cars[0, 0] for one in envs), atol=1e-9)
 
 
 @pytest.mark.parametrize("opponent", [None, "lattice:pace=0.3"])
