@@ -315,6 +315,7 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
     The points are those of the path that is driven: of the move, and of the way back onto it from ``aside``.
     """
     per_ds = 1.0 / ds
+    count = line.shape[0]
     keep = 0.5 * width + BODY_AIR
     per_return = 1.0 / _return_length(v)
     here = line[_sample_at(line, per_ds, s0), _frenet.KAPPA]
@@ -344,6 +345,7 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
             scratch[_SLOWED + g] = 0.0
             scratch[_LINE_AIR + g] = WALL_AIR
             scratch[_MOVE_AIR + g] = WALL_AIR
+            scratch[_MIN_AIR + g] = WALL_AIR
         for j in range(SEGMENTS):
             u = (j + 1) / SEGMENTS
             driven = u * length
@@ -359,8 +361,16 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
             fastest = scale * line[i, _frenet.SPEED]
             square = min(fastest * fastest, v * v + 8.0 * driven)
             back = _fade_out(driven * per_return, aside, aside_slope)
+            # A narrow place is passed between two points: the least room around this one counts.
+            around = int(0.5 * length / SEGMENTS * per_ds) + 1
             right = line[i, _frenet.RIGHT] - 0.5 * width
             left = line[i, _frenet.LEFT] - 0.5 * width
+            least_right = right
+            least_left = left
+            for k in range(i - around, i + around + 1):
+                sample = k - count if k >= count else k
+                least_right = min(least_right, line[sample, _frenet.RIGHT] - 0.5 * width)
+                least_left = min(least_left, line[sample, _frenet.LEFT] - 0.5 * width)
             for g in range(first, first + ACROSS):
                 a = scratch[_A + g]
                 b = scratch[_B + g]
@@ -371,6 +381,8 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
                 scratch[_SLOWED + g] += min(np.sqrt(grip / max(abs(bent) * square, 1e-3)), 1.0) * (1.0 / SEGMENTS)
                 scratch[_LINE_AIR + g] = min(scratch[_LINE_AIR + g], right, left)
                 scratch[_MOVE_AIR + g] = min(scratch[_MOVE_AIR + g], right + at_d + back, left - at_d - back)
+                least = min(least_right + at_d + back, least_left - at_d - back)
+                scratch[_MIN_AIR + g] = min(scratch[_MIN_AIR + g], least)
                 scratch[_POINT_X + j * GOALS + g] = x - (at_d + back) * sine
                 scratch[_POINT_Y + j * GOALS + g] = y + (at_d + back) * cosine
                 scratch[_MAX_KAPPA + g] = max(scratch[_MAX_KAPPA + g], abs(bent))
@@ -409,7 +421,7 @@ def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
     for k in range(GOALS * SEGMENTS):
         scratch[_AIR + k] = cells[np.uint64(int(scratch[_AIR + k]))]
     for g in range(GOALS):
-        nearest = 1e9
+        nearest = scratch[_MIN_AIR + g]
         total = 0.0
         for j in range(SEGMENTS):
             air = scratch[_AIR + j * GOALS + g] - half_width
