@@ -16,7 +16,7 @@ import numpy as np
 
 from pcs_racing.base import packing
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import read_limited, write_atomically
+from pcs_racing.base.files import parse_json, read_limited, write_atomically
 from pcs_racing.race.replay import Replay, ReplayEvent
 
 FORMAT = "pcs-racing replay 1"
@@ -86,11 +86,9 @@ def read_replay(path: str | os.PathLike[str]) -> Replay:
             raise InputError(f"{path} holds no replay: a page written by save_replay was expected")
         text = found.group(1)
     try:
-        return _from_values(json.loads(text))
+        return _from_values(parse_json(path, text))
     except InputError as error:
         raise InputError(f"{path} is not a replay: {error}") from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{path} is not a replay: its JSON is broken") from None
 
 
 # Writing and reading JSON
