@@ -149,6 +149,8 @@ def _from_values(values: object) -> Replay:
         raise InputError(f"missing parts {missing}, unknown parts {unknown!r:.100}")
     if not isinstance(values["events"], list) or not all(isinstance(e, list) and len(e) == 4 for e in values["events"]):
         raise InputError("events must be a list of [time, car, kind, text]")
+    if values["half_sizes"] is None:  # a replay that is made, not read, may leave it out
+        raise InputError("half_sizes must be positive lengths in m")
     plain = ("title", "track_name", "car_names", "outcome", "frame_dt", "plan_dt", "half_sizes")
     arrays = ("line", "cars", "progress", "line_speed", "ittc")
     fields: dict[str, Any] = {name: values[name] for name in plain}
