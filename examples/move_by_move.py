@@ -68,7 +68,7 @@ def main() -> None:
     recording = record_game(game, *cars, policies=first, start=start, seed=int(key[0]))
     assert recording.played.lead[0] == state.race.lead[0]  # the very same race
     print(recording.replay.outcome)
-    replay = mark_moves(recording.replay, recording.played, game.move_names, game.config.step_seconds)
+    replay = mark_moves(recording.replay, recording.played, game.move_names, game.config.ends)
     arguments.out.mkdir(parents=True, exist_ok=True)
     print("page:", save_replay(replay, arguments.out / "race.html"))
 

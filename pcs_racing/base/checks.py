@@ -164,6 +164,8 @@ def check_array(
     In ``shape`` None stands for any length; ``least`` and ``most`` belong to the range.
     """
     try:
+        if np.iscomplexobj(value):
+            raise TypeError  # numpy would drop the imaginary part
         # Always a copy: the caller may go on writing to what it passed.
         array = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -25,14 +25,14 @@ import difflib
 from collections.abc import Iterable
 from importlib.util import find_spec
 
-_LONGEST = 2000
+_LONGEST = 300
 
 
 class InputError(ValueError):
     """An argument has a value that is not allowed; the message names the value and the correct form.
 
-    The value can be any text, so line breaks in a message are escaped, and the middle of a message of more than 2000
-    characters is left out.
+    The value can be any text, so control characters in a message are escaped, and the middle of a message of more than
+    300 characters is left out.
     """
 
     def __init__(self, *args: object) -> None:
@@ -79,5 +79,10 @@ def require(*modules: str, extra: str = "mapping") -> None:
 
 
 def _shortened(message: str) -> str:
-    line = "\\n".join(message.splitlines())
-    return line if len(line) <= _LONGEST else f"{line[:1500]} ... {line[-400:]}"
+    line = _ends(message)
+    # What a terminal would take for a command: the cursor's, colours, the direction of writing.
+    return _ends("".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line))
+
+
+def _ends(line: str) -> str:
+    return line if len(line) <= _LONGEST else f"{line[:195]} ... {line[-100:]}"

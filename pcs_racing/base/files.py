@@ -5,6 +5,7 @@ that unpacks to terabytes. The readers here check the size before they build the
 """
 
 import io
+import json
 import math
 import os
 import secrets
@@ -103,6 +104,24 @@ def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputEr
         return plain_yaml(content)
     except InputError as problem:
         raise error(f"{file} is not valid YAML: {problem}") from None
+
+
+def parse_json(file: str | os.PathLike[str], content: bytes | str) -> Any:
+    """Parse a JSON text; NaN, Infinity and numbers beyond those of a float are refused."""
+
+    def finite(number: str) -> float:
+        value = float(number)
+        if not math.isfinite(value):
+            raise InputError(f"{file} holds {number:.20}; its numbers must be finite")
+        return value
+
+    try:
+        return json.loads(content, parse_float=finite, parse_constant=finite)
+    except InputError:
+        raise
+    # Bytes of another encoding, integers of thousands of digits, brackets in brackets.
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{file} is not valid JSON: {' '.join(str(error).split()):.100}") from None
 
 
 def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:

@@ -341,9 +341,11 @@ class DriveBatch:
         """Return actions as float64 of shape (B, players, 2), or raise an error that says what is wrong, and where."""
         wanted = (*shape, 2)
         try:
+            if np.iscomplexobj(actions):
+                raise TypeError  # numpy would drop the imaginary part
             values = np.asarray(actions, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(f"action {actions!r} must be numbers of shape {wanted}: steering and speed") from error
+            raise InputError(f"action {actions!r:.80} must be numbers of shape {wanted}: steering and speed") from error
         if values.shape != wanted:
             raise InputError(f"action has shape {values.shape}; it must be {wanted}: steering and speed in [-1, 1]")
         values = np.ascontiguousarray(values.reshape(self.episodes, self.players, 2))

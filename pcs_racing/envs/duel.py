@@ -259,9 +259,9 @@ class HeadToHeadEnv(ParallelBatchEnv):
     - `opponent` (`None`): what drives `car_1` in place of a second agent: as for `pcs_racing/Duel-v1`. Then `car_0` is
       the only agent.
     - `max_cycles` (`None`): moves after which an episode is truncated.
-    - every field of `GameConfig`: `moves` (4), `step_seconds` (8.0), `epsilon` (0.5; one number, or several), `stay`
-      (as the race's rules say), `utility`, `fault_penalty` (0), `discount` (1), `characteristics` (the archive's),
-      `mask_duplicates` (False).
+    - every field of `GameConfig`: `moves` (4), `step_seconds` (8.0), `first_steps` (none), `epsilon` (0.5; one number,
+      or several), `stay` (as the race's rules say), `utility`, `fault_penalty` (0), `discount` (1), `characteristics`
+      (the archive's), `mask_duplicates` (False).
 
     ## Vectorized environment
 

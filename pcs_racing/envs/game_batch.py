@@ -378,7 +378,8 @@ class GameBatch:
         step = self.last_step(environment) if step is None else step
         trail: list[NDArray[np.float64]] = []
         for begun, theta in step.pieces:
-            race, left = begun.copy(), game.config.step_ticks
+            race, ends = begun.copy(), game.config.end_ticks
+            left = int(ends[np.searchsorted(ends, race.tick[0], side="right")] - race.tick[0])
             while left > 0:
                 drive, before = min(ticks or FILM_TICKS, left), int(race.tick[0])
                 advance(game.setup, race, theta, drive, threads=1, ittc=False, conditions=conditions)
@@ -394,6 +395,8 @@ class GameBatch:
         theta, begun = state.theta[episode : episode + 1].copy(), self._begun[episode]
         # The first step was driven when the game began; it starts on the grid, which is made again from the keys.
         if begun is not None:
+            if self.game.config.end_ticks[0] == 0:
+                return []  # nothing was driven yet
             conditions = self.variety.conditions(np.array([episode]))
             noise = state.race.seed[episode : episode + 1]
             return [(self.game_of(episode).grid(begun[0], noise, begun[1], conditions), theta)]

@@ -17,7 +17,7 @@ from pcs_racing.race.state import RaceState, empty_state, take
 class MovingOpponents:
     """The game of moves in which car 1 of a batch of races takes part, while car 0 is steered by an agent.
 
-    The opponent watches for a step of the game (8 s), then moves and drives the next one, and so on; after the last
+    The opponent watches for a step of the game, then moves and drives the next one, and so on; after the last
     move it keeps its policy. It observes car 0 as it would observe a driver from outside the archive. A move is made at
     the first step of the environment that ends at its time or later.
 
@@ -62,7 +62,7 @@ class MovingOpponents:
         # The races are the drive's own; the games only add who moved when.
         games = self._games._replace(race=races)
         due = (games.policy[:, 1] != OUTSIDE) & ~self.game.done(games)
-        rows = np.flatnonzero(due & (races.tick >= (games.step + 1) * self.game.config.step_ticks))
+        rows = np.flatnonzero(due & (races.tick >= self.game.config.end_ticks[games.step]))
         if len(rows) == 0:
             return
         # Only games whose step is over are measured: the others would be measured over a part of it.

@@ -204,6 +204,8 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         return self._observations()
 
     def _check_started(self) -> None:
+        if self.closed:
+            raise InputError("the environments were closed; make new ones")
         if not self._generators:
             raise InputError("the episodes have not begun; call reset() first")
 

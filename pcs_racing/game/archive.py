@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+LARGEST = 1e9
+"""Largest parameter or coordinate of an archive: their squares are finite, whatever is added up."""
+
 
 class Explored(NamedTuple):
     """All policies evaluated during the synthesis of an archive; its "random policies" are drawn from them."""
@@ -120,7 +123,8 @@ class PolicyArchive:
         self, key: str, shape: tuple[int | None, ...], default: Floats | None = None, least: float | None = None
     ) -> None:
         given: Any = default if getattr(self, key) is None else getattr(self, key)
-        array = check_array(f"archive {self.name!r}: {key}", given, shape, least=least)
+        lowest = -LARGEST if least is None else least
+        array = check_array(f"archive {self.name!r}: {key}", given, shape, least=lowest, most=LARGEST)
         array.setflags(write=False)
         object.__setattr__(self, key, array)
 

@@ -12,6 +12,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import unpack_arrays
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.learned import LearnedCharacteristics
+from pcs_racing.planners.registry import get_planner
 
 _TEXTS = ("name", "planner", "preset")
 _NAMES = ("parameter_names", "characteristics")
@@ -82,6 +83,7 @@ def load_archive(source: str | os.PathLike[str] | PolicyArchive) -> PolicyArchiv
     try:
         if fields["learned"] is not None:
             fields["learned"] = LearnedCharacteristics.from_plain(fields["learned"])
+        get_planner(fields["planner"])
         return PolicyArchive(**fields, **arrays)
     except InputError as error:
         raise type(error)(f"{folder}: {error}") from None

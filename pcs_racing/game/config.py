@@ -2,9 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Settings, checked, choice, flag, load_settings, number, setting, tenths, whole
 from pcs_racing.game.characteristics import get_characteristics
@@ -36,6 +41,16 @@ EPSILON_RULE = checked(_epsilon, "above 0 up to 10")
 """What settings that state how far moves go may say: a number, or several different ones."""
 
 
+def check_lengths(value: Any) -> tuple[float, ...]:
+    """Return lengths of steps: whole tenths of a second, in which plans are made; the first one may be 0."""
+    lengths = value if isinstance(value, list | tuple) else None
+    if lengths is None or not all(is_number(one) and abs(10.0 * one - round(10.0 * one)) < 1e-9 for one in lengths):
+        raise InputError(f"first_steps is {value!r:.80}; it must be a list of seconds in whole tenths")
+    if any(not (0.1 <= one <= 600.0 or (k == 0 and one == 0.0)) for k, one in enumerate(lengths)):
+        raise InputError(f"first_steps is {value!r:.80}; steps last 0.1 to 600 s, and the first one may last 0")
+    return tuple(map(float, lengths))
+
+
 def _axes(value: Any) -> tuple[str, ...]:
     """Return the names of characteristics."""
     if isinstance(value, str) or not isinstance(value, Sequence):
@@ -51,10 +66,16 @@ class GameConfig(Settings):
     race: RaceConfig = setting(
         PAPER,
         checked(_race),
-        "Rules of the race, a preset's name or a YAML file; its duration is replaced by (moves + 1) * step_seconds.",
+        "Rules of the race, a preset's name or a YAML file; its duration is replaced by the sum of all steps.",
     )
     moves: int = setting(4, whole(1, 100), "Moves of each player; one step without moves precedes the first.")
     step_seconds: float = setting(8.0, tenths(0.1, 600.0), "Simulated time per move, s.")
+    first_steps: tuple[float, ...] = setting(
+        (),
+        checked(check_lengths),
+        "Lengths of the first steps, s, where they are not step_seconds: with [0, 2], players move before the start, "
+        "2 s after it, and then every step_seconds.",
+    )
     epsilon: float | tuple[float, ...] = setting(
         EPSILON,
         EPSILON_RULE,
@@ -83,7 +104,12 @@ class GameConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.moves + 1) * self.step_seconds > 3600.0:
+        if len(self.first_steps) > self.moves:
+            raise ConfigError(
+                f"first_steps is {list(self.first_steps)}; with {self.moves} moves it may have {self.moves} lengths, "
+                "since the step after the last move takes step_seconds"
+            )
+        if self.horizon > 3600.0:
             raise ConfigError(f"{self.moves} moves of {self.step_seconds:g} s make a race of over 3600 s; take fewer")
         # What the preset decides is written down, so that equal rules are equal values.
         if self.stay is None:
@@ -92,14 +118,20 @@ class GameConfig(Settings):
             object.__setattr__(self, "utility", "lead" if self.race.crash_rule == "nobody" else "win")
 
     @property
-    def horizon(self) -> float:
-        """Length of the race, s."""
-        return round((self.moves + 1) * self.step_seconds, 1)
+    def ends(self) -> tuple[float, ...]:
+        """Time at which each of the ``moves + 1`` steps ends, s: a move is made at all of them but the last."""
+        return tuple(float(tick) / 100.0 for tick in self.end_ticks)
+
+    @cached_property
+    def end_ticks(self) -> NDArray[np.int64]:
+        """The same in simulation steps of 0.01 s, shape (moves + 1,)."""
+        rest = [self.step_seconds] * (self.moves + 1 - len(self.first_steps))
+        return np.cumsum([round(length * 100.0) for length in (*self.first_steps, *rest)])
 
     @property
-    def step_ticks(self) -> int:
-        """Simulation steps of 0.01 s in a step of the game."""
-        return round(self.step_seconds * 100.0)
+    def horizon(self) -> float:
+        """Length of the race, s."""
+        return self.ends[-1]
 
     @property
     def race_rules(self) -> RaceConfig:

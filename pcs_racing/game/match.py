@@ -235,15 +235,16 @@ class MatchGame:
         game, race = take_games(state.game, rows), state.race[rows]
         config = self.game.config
         # The last step of a crash is shorter than the others and counts less.
-        ticks = game.race.tick[:, None] - config.step_ticks * np.arange(config.moves + 1)
-        weights = np.clip(ticks, 0, config.step_ticks) / np.maximum(game.race.tick, 1)[:, None]
+        begins = np.append(0, config.end_ticks[:-1])
+        ticks = game.race.tick[:, None] - begins
+        weights = np.clip(ticks, 0, config.end_ticks - begins) / np.maximum(game.race.tick, 1)[:, None]
         # Step by step, in an order that depends neither on the batch nor on the processor.
         for step in range(config.moves + 1):
             weight = weights[:, step, None, None]
             state.own[rows, :, race] += weight * game.own[:, :, step]
             state.measured[rows, :, race] += weight * game.estimates[:, :, step]
         state.leads[rows, race] = game.race.lead
-        state.driven[rows, race] = game.race.tick / (config.step_ticks * (config.moves + 1))
+        state.driven[rows, race] = game.race.tick / config.end_ticks[-1]
         winner = winners(config.race, game.race)
         tie = (winner < 0) & ~game.race.crashed
         for car in range(2):

@@ -1,7 +1,8 @@
 """The rules of the game: start, moves, end, winner, fault and reward.
 
 1. **Start.** Two cars stand on the grid of a start line; each is driven by a motion planner with a policy of an
-   archive. Both drive one step (8 s) in which the players only watch: :meth:`RaceGame.reset`.
+   archive. Both drive one step (8 s; none where the rules say so) in which the players only watch:
+   :meth:`RaceGame.reset`.
 2. **Moves.** Then each player moves: more or less of one characteristic, to the nearest policy of the archive that lies
    there (:attr:`RaceGame.table`), or to stay. Both moves are made at the same time, and a step is driven with the new
    policies: :meth:`RaceGame.step`. What the players observe is in :mod:`pcs_racing.game.observation`.
@@ -39,7 +40,7 @@ from pcs_racing.race.conditions import RaceConditions
 from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import NO_CRASH, RaceState
+from pcs_racing.race.state import NO_CRASH, RaceState, take
 from pcs_racing.track.track import Track
 
 Indices = NDArray[np.int64]
@@ -258,7 +259,11 @@ class RaceGame:
         state.policy[:] = policy
         state.theta[:] = self.theta(policy)
         state.theta[outside] = theta[outside]
-        self._drive(state, np.ones(len(policy), np.bool_), conditions)
+        everybody = np.ones(len(policy), np.bool_)
+        if self.config.end_ticks[0] > 0:
+            self._drive(state, everybody, conditions)
+        else:
+            self.record_step(state, np.flatnonzero(everybody), self.measure(state.race, state.race))
         return state
 
     def _starts(self, bits: NDArray[np.uint64]) -> Starts:
@@ -393,8 +398,26 @@ class RaceGame:
 
     def _advance(self, races: RaceState, theta: Floats, conditions: RaceConditions = AS_THE_SETUP) -> Floats:
         before = races._replace(progress=races.progress.copy(), sums=races.sums.copy(), tick=races.tick.copy())
-        advance(self.setup, races, theta, self.config.step_ticks, threads=self.threads, conditions=conditions)
+        self.drive_step(races, theta, conditions)
         return self.measure(before, races)
+
+    def drive_step(
+        self, races: RaceState, theta: Floats, conditions: RaceConditions = AS_THE_SETUP, *, ittc: bool = True
+    ) -> None:
+        """Drive races in place to the end of their next step, each of its own; those that are over stand still."""
+        ends = self.config.end_ticks
+        lengths = np.append(ends, ends[-1])[np.searchsorted(ends, races.tick, side="right")] - races.tick
+        lengths[races.crashed] = 0
+        for ticks in np.unique(lengths[lengths > 0]):
+            rows = np.flatnonzero(lengths == ticks)
+            # A usual batch is at one moment: no races are taken out and put back. Those that are over do not move.
+            if not self.config.first_steps:
+                advance(self.setup, races, theta, int(ticks), threads=self.threads, ittc=ittc, conditions=conditions)
+                return
+            some, own = take(races, rows), conditions if conditions is AS_THE_SETUP else conditions.take(rows)
+            advance(self.setup, some, theta[rows], int(ticks), threads=self.threads, ittc=ittc, conditions=own)
+            for name, driven in some._asdict().items():
+                getattr(races, name)[rows] = driven
 
     def measure(self, before: RaceState, after: RaceState) -> Floats:
         """Normalised coordinates of each car as measured between two moments a step apart, shape (B, 2, G)."""

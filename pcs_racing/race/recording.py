@@ -3,6 +3,7 @@
 A recorded race is the race: it ends in exactly the state that ``run_races``, or a game, gives for it.
 """
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -89,7 +90,7 @@ def record_drive(
     theta: Floats,
     *,
     names: tuple[str, ...],
-    step_ticks: int | None = None,
+    ends: Sequence[int] = (),
     candidates: bool = True,
 ) -> Replay:
     """Drive one race, whose policies may change on the way, and keep what is needed to watch it.
@@ -104,16 +105,18 @@ def record_drive(
         Parameters of the cars in each of S steps, padded to the setup's ``theta_size``; the last go on to the end.
     names : tuple of str
         What the replay calls the cars; equal names get the number of the car (:func:`tell_apart`).
-    step_ticks : int, optional
-        Length of a step in ticks of 0.01 s; a multiple of 10, as plans are made. Not needed for a single step.
+    ends : sequence of int
+        When each step but the last ends, in ticks of 0.01 s; multiples of 10, as plans are made.
     """
     if len(start) != 1:
         raise InputError(f"there are {len(start)} starts; a recording is of one race")
-    if len(theta) > 1 and (step_ticks is None or step_ticks < PLAN_EVERY or step_ticks % PLAN_EVERY):
-        raise InputError(f"step_ticks is {step_ticks!r}; it must be a multiple of {PLAN_EVERY} from {PLAN_EVERY}")
+    if len(ends) != len(theta) - 1 or any(tick % PLAN_EVERY for tick in ends) or list(ends) != sorted(ends):
+        raise InputError(
+            f"ends are {list(ends)}; {len(theta)} steps have {len(theta) - 1} of them, rising multiples of {PLAN_EVERY}"
+        )
     names = tell_apart(names)
     state = start_races(setup, start, np.array([noise], np.uint64))
-    log = _drive(setup, state, theta, step_ticks or setup.config.ticks, candidates)
+    log = _drive(setup, state, theta, ends, candidates)
     track = setup.track
     line = track.line
     return Replay(
@@ -152,7 +155,7 @@ class _Log:
     events: list[ReplayEvent] = field(default_factory=list)
 
 
-def _drive(setup: RaceSetup, state: RaceState, steps: Floats, step_ticks: int, candidates: bool) -> _Log:
+def _drive(setup: RaceSetup, state: RaceState, steps: Floats, ends: Sequence[int], candidates: bool) -> _Log:
     """Drive a race to its end, in place, and write down what can be seen on the way."""
     log = _Log()
     ittc = None
@@ -165,7 +168,7 @@ def _drive(setup: RaceSetup, state: RaceState, steps: Floats, step_ticks: int, c
             log.ittc.append(np.zeros(state.number) if ittc is None else ittc)
         if over:
             return log
-        step = min(tick // step_ticks, len(steps) - 1)
+        step = bisect_right(ends, tick)
         theta = np.ascontiguousarray(steps[step : step + 1])
         plans = tick % PLAN_EVERY == 0
         if plans and candidates:

@@ -16,7 +16,7 @@ import numpy as np
 
 from pcs_racing.base import packing
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import read_limited, write_atomically
+from pcs_racing.base.files import parse_json, read_limited, write_atomically
 from pcs_racing.race.replay import Replay, ReplayEvent
 
 FORMAT = "pcs-racing replay 1"
@@ -86,11 +86,9 @@ def read_replay(path: str | os.PathLike[str]) -> Replay:
             raise InputError(f"{path} holds no replay: a page written by save_replay was expected")
         text = found.group(1)
     try:
-        return _from_values(json.loads(text))
+        return _from_values(parse_json(path, text))
     except InputError as error:
         raise InputError(f"{path} is not a replay: {error}") from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{path} is not a replay: its JSON is broken") from None
 
 
 # Writing and reading JSON
@@ -151,6 +149,8 @@ def _from_values(values: object) -> Replay:
         raise InputError(f"missing parts {missing}, unknown parts {unknown!r:.100}")
     if not isinstance(values["events"], list) or not all(isinstance(e, list) and len(e) == 4 for e in values["events"]):
         raise InputError("events must be a list of [time, car, kind, text]")
+    if values["half_sizes"] is None:  # a replay that is made, not read, may leave it out
+        raise InputError("half_sizes must be positive lengths in m")
     plain = ("title", "track_name", "car_names", "outcome", "frame_dt", "plan_dt", "half_sizes")
     arrays = ("line", "cars", "progress", "line_speed", "ittc")
     fields: dict[str, Any] = {name: values[name] for name in plain}

@@ -21,7 +21,7 @@ from pcs_racing.base.errors import MapError
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 
-MAX_PIXELS = 64_000_000
+MAX_PIXELS = 25_000_000  # 5,000 x 5,000: building a track takes some 40 bytes of memory for each
 MAX_POINTS = 100_000  # of a line: 10 km with a point every 0.1 m
 PICTURE_FORMATS = ("PNG", "PPM", "BMP")
 CENTERLINE_COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")

@@ -14,6 +14,7 @@ gives the name.
 import io
 import os
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -103,7 +104,8 @@ def find_map(path: str | os.PathLike[str]) -> MapFiles:
         raise MapError(f"no map folder at {folder}: it must be a folder that holds a *_map.yaml and its picture")
     name = yaml_file.stem.removesuffix("_map")
     optional = (folder / f"{name}_{kind}" for kind in ("centerline.csv", "raceline.csv", "track.yaml"))
-    return MapFiles(name, folder, yaml_file, *(file if file.is_file() else None for file in optional))
+    # Whatever is in their place is read, or refused: a pipe or a link to nowhere is not the same as nothing.
+    return MapFiles(name, folder, yaml_file, *(file if os.path.lexists(file) else None for file in optional))
 
 
 def read_map(path: str | os.PathLike[str]) -> MapFolder:
@@ -119,9 +121,9 @@ def read_bytes(files: MapFiles) -> dict[str, bytes]:
     """Read the files of a map, its picture included, by their paths within the folder."""
     texts = [file for file in (files.yaml, files.centerline, files.raceline, files.info) if file is not None]
     limits = {".csv": MAX_LINE}
-    contents = {_label(files, file): _bytes(file, limits.get(file.suffix, MAX_YAML)) for file in texts}
+    contents = {_label(files, file): _bytes(files.folder, file, limits.get(file.suffix, MAX_YAML)) for file in texts}
     picture = _picture(files, parse_ros_yaml(files.yaml, contents[files.yaml.name]))
-    return contents | {_label(files, picture): _bytes(picture, MAX_BYTES)}
+    return contents | {_label(files, picture): _bytes(files.folder, picture, MAX_BYTES)}
 
 
 def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
@@ -220,7 +222,7 @@ def _map_yaml(folder: Path) -> Path:
     maps = [file for file in everything if file.stem.endswith("_map")]
     if not maps:
         others = [file for file in everything if not file.stem.endswith("_track")]
-        maps = [file for file in others if "image" in parse_yaml(file, _bytes(file, MAX_YAML))]
+        maps = [file for file in others if "image" in parse_yaml(file, _bytes(folder, file, MAX_YAML))]
     if len(maps) > 1:
         names = ", ".join(file.name for file in maps)
         raise MapError(f"{folder} holds several maps ({names}): name one of these files instead of the folder")
@@ -248,5 +250,9 @@ def _label(files: MapFiles, file: Path) -> str:
     return os.path.relpath(file, files.folder)
 
 
-def _bytes(file: Path, limit: int) -> bytes:
+def _bytes(folder: Path, file: Path, limit: int) -> bytes:
+    """Content of a file of a map; one that a link leads out of the folder for is none."""
+    with suppress(OSError, RuntimeError):  # a loop of links can't be read, either
+        if not file.resolve().is_relative_to(folder.resolve()):
+            raise MapError(f"{file} is a link out of the map's folder; put the file itself there")
     return read_limited(file, limit, "the file of a map", MapError)

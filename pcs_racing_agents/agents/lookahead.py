@@ -122,14 +122,14 @@ def _drive_on(search: RaceGame, state: GameState, actions: Indices, *, to_the_en
     """Move and simulate in place without measurements: afterwards only the race of the state is valid."""
     running = ~search.done(state)
     policy = search.table[state.policy, actions]
-    remaining = search.config.moves - state.step
-    ticks = search.config.step_ticks * (int(remaining.max(initial=0)) if to_the_end else 1)
     # A race that is over does not change any more.
-    advance(search.setup, state.race, search.theta(policy), ticks, threads=search.threads, ittc=False)
     if to_the_end:
-        driven = -(-state.race.tick // search.config.step_ticks) - 1  # the step in which a race ended counts
+        ends = search.config.end_ticks
+        advance(search.setup, state.race, search.theta(policy), int(ends[-1]), threads=search.threads, ittc=False)
+        driven = np.searchsorted(ends, state.race.tick)  # the step in which a race ended counts
         state.step[running] = driven[running]
     else:
+        search.drive_step(state.race, search.theta(policy), ittc=False)
         state.step[running] += 1
     return state
 

@@ -1,37 +1,81 @@
 """Score cards: what an agent scored by a protocol, as values, JSON, Markdown and a page; the leaderboard ranks them."""
 
 import json
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import read_limited, write_atomically
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.files import parse_json, read_limited, write_atomically
+from pcs_racing.base.settings import Settings, checked, number, setting
 from pcs_racing.race.replay import Replay
-from pcs_racing_agents.benchmark.scoring import CardScore
+from pcs_racing_agents.benchmark.card_values import NAME, CardScore, Gain, ReplyLoss
 from pcs_racing_agents.results.text_table import Column, markdown, table_rows, with_interval
 from pcs_racing_agents.study.report import page_environment
 
 FORMAT = "pcs-racing card 1"
 LARGEST = 1_000_000
+MOST_SCORES = 1000
+CIRCUITS = ("all", "seen", "unseen")
+
+S = TypeVar("S", bound=Settings)
+
+
+def _sha256(value: Any) -> str:
+    if not isinstance(value, str) or re.fullmatch("[0-9a-f]{64}", value) is None:
+        raise ConfigError(f"a hash is {value!r:.80}; it must have 64 hexadecimal digits")
+    return value
+
+
+def _scores(value: Any) -> tuple[CardScore, ...]:
+    if not isinstance(value, list | tuple) or not 1 <= len(value) <= MOST_SCORES:
+        raise ConfigError(f"scores are {value!r:.40}; they must be a list of 1 to {MOST_SCORES}")
+    return tuple(_made(CardScore, one) for one in value)
+
+
+def _gains(value: Any) -> dict[str, Gain]:
+    if not isinstance(value, Mapping) or not set(value) <= set(CIRCUITS):
+        raise ConfigError(f"gains are {value!r:.80}; they must be a mapping of some of {', '.join(CIRCUITS)}")
+    return {circuits: _made(Gain, gain) for circuits, gain in value.items()}
+
+
+def _made(kind: type[S], value: Any) -> S:
+    """Return declared values from themselves or from a mapping of all of them."""
+    if isinstance(value, kind):
+        return value
+    names = [field.name for field in fields(kind)]
+    if not isinstance(value, Mapping) or set(value) != set(names):
+        raise ConfigError(f"{value!r:.80} must be a mapping of {', '.join(names)}")
+    return kind(**value)
 
 
 @dataclass(frozen=True)
-class Card:
+class Card(Settings):
     """The result of an agent in the benchmark."""
 
-    protocol: str  #: Name of the protocol, with its version.
-    protocol_sha256: str  #: Hash of the protocol and of everything that its results depend on.
-    agent: str
-    agent_sha256: str
-    scores: tuple[CardScore, ...]  #: Over everything, by kind of opponent, and cell by cell.
-    #: Adaptivity gain on ``"seen"``, ``"unseen"`` and ``"all"`` circuits: ``over``, ``gain``, ``low``, ``high``.
-    gains: dict[str, dict[str, Any]]
-    rating: float | None = None
-    cost_us: float | None = None  #: Microseconds of a decision.
-    #: Loss to a learned best reply: ``loss``, ``low``, ``high``, the learner's ``starts`` and ``rounds``, ``races``.
-    best_reply: dict[str, Any] | None = None
+    protocol: str = setting(MISSING, NAME, "Name of the protocol, with its version.")
+    protocol_sha256: str = setting(
+        MISSING, checked(_sha256), "Hash of the protocol and of everything that its results depend on."
+    )
+    agent: str = setting(MISSING, NAME, "Name of the agent.")
+    agent_sha256: str = setting(MISSING, checked(_sha256), "Hash of the agent.")
+    scores: tuple[CardScore, ...] = setting(
+        MISSING, checked(_scores), "Over everything, by kind of opponent, and cell by cell."
+    )
+    gains: dict[str, Gain] = setting(MISSING, checked(_gains), "Adaptivity gain on some circuits.")
+    rating: float | None = setting(None, number(-1e4, 1e4), "Rating among the zoo.")
+    cost_us: float | None = setting(None, number(0.0, 1e9), "Time of a decision, us.")
+    best_reply: ReplyLoss | None = setting(
+        None, checked(partial(_made, ReplyLoss)), "Loss to a learned best reply, if it was measured."
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for circuits in CIRCUITS:  # what the leaderboard shows
+            self.score("all", circuits)
 
     def score(self, part: str = "all", circuits: str = "all") -> CardScore:
         """Return the score of a part of the races."""
@@ -51,9 +95,9 @@ def write_card(card: Card, folder: Path, races: Sequence[tuple[str, Replay]] = (
     races : sequence of (str, Replay)
         Races to watch on the page, with titles.
     """
-    values = {"format": FORMAT, **asdict(card), "scores": [score._asdict() for score in card.scores]}
+    values = {"format": FORMAT, **asdict(card)}
     texts = {
-        "card.json": json.dumps(values, indent=1) + "\n",
+        "card.json": json.dumps(values, indent=1, allow_nan=False) + "\n",
         "card.md": card_markdown(card),
         "card.html": card_page(card, races),
     }
@@ -68,23 +112,17 @@ def read_card(path: Path) -> Card:
     """Read a card from its folder or its ``card.json``."""
     file = path / "card.json" if path.is_dir() else path
     try:
-        # A card may come from anybody: its size is limited, and what it holds is checked by the types that it makes.
-        values = json.loads(read_limited(file, LARGEST, "a card"))
+        values = parse_json(file, read_limited(file, LARGEST, "a card"))
     except OSError as error:
         raise InputError(
             f"can't read {file}: {error.strerror}; give a folder that 'pcs-racing benchmark' wrote"
         ) from None
-    except ValueError:
-        raise InputError(f"{file} is no card: it is not JSON") from None
+    if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
+        raise InputError(f"{file} is no card of this version; its format must be {FORMAT!r}")
     try:
-        if values.pop("format") != FORMAT:
-            raise InputError(f"{file} is no card of this version; its format must be {FORMAT!r}")
-        scores = tuple(CardScore(**score) for score in values.pop("scores"))
-        card = Card(scores=scores, **values)
-        card.score()
-    except (KeyError, TypeError, AttributeError) as error:
+        return _made(Card, values)
+    except InputError as error:
         raise InputError(f"{file} is a damaged card: {error}") from None
-    return card
 
 
 COLUMNS = (
@@ -106,16 +144,16 @@ def summary_rows(card: Card) -> list[tuple[str, ...]]:
 def fact_lines(card: Card) -> list[str]:
     """Return the other results as sentences."""
     lines = [
-        f"Adaptivity gain over the best blind strategy ({gain['over']}), {circuits} circuits: "
-        f"{with_interval(gain['gain'], gain['low'], gain['high'])}."
+        f"Adaptivity gain over the best blind strategy ({gain.over}), {circuits} circuits: "
+        f"{with_interval(gain.gain, gain.low, gain.high)}."
         for circuits, gain in card.gains.items()
     ]
     if card.best_reply is not None:
         reply = card.best_reply
         lines.append(
-            f"Loss to a learned best reply ({reply['starts']} starts, {reply['rounds']} "
-            f"{'round' if reply['rounds'] == 1 else 'rounds'}): "
-            f"{with_interval(reply['loss'], reply['low'], reply['high'])}."
+            f"Loss to a learned best reply ({reply.starts} starts, {reply.rounds} "
+            f"{'round' if reply.rounds == 1 else 'rounds'}): "
+            f"{with_interval(reply.loss, reply.low, reply.high)}."
         )
     if card.rating is not None:
         lines.append(f"Rating among the zoo: {card.rating:+.0f}.")
@@ -192,8 +230,8 @@ def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
                 f"{card.score('all', 'seen').score:.3f}",
                 f"{card.score('all', 'unseen').score:.3f}",
                 f"{whole.own_crash:.1%}",
-                "" if gain is None else f"{gain['gain']:+.3f}",
-                "not measured" if reply is None else with_interval(reply["loss"], reply["low"], reply["high"]),
+                "" if gain is None else f"{gain.gain:+.3f}",
+                "not measured" if reply is None else with_interval(reply.loss, reply.low, reply.high),
                 "" if card.cost_us is None else f"{card.cost_us:.0f}",
             )
         )

@@ -12,6 +12,7 @@ from pcs_racing.game.competitor import competitor_name
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.agents.describe import measurements
+from pcs_racing_agents.benchmark.card_values import CardScore, Gain
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
 from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.results.races import RaceTable
@@ -29,28 +30,6 @@ class CellRaces(NamedTuple):
     cell: Cell
     pairing: Pairing
     races: RaceTable
-
-
-class CardScore(NamedTuple):
-    """The score over a part of the races."""
-
-    part: str  #: ``"all"``, a kind of opponent, or an opponent.
-    circuits: str  #: ``"seen"``, ``"unseen"``, ``"all"``, or a circuit.
-    races: int
-    #: ``score``, ``low``, ``high``: Mean score (1 win, 0.5 tie, 0 else), and its 95 % interval, robust to clusters of
-    #: start policies and of opponents' variants; it holds for these circuits.
-    score: float
-    low: float
-    high: float
-    #: ``own_crash``, ``other_crash``: Shares of races that ended in a crash by the agent's own fault, and in another
-    #: crash.
-    own_crash: float
-    other_crash: float
-
-    @property
-    def interval(self) -> str:
-        """Interval of the score as text."""
-        return f"[{self.low:.3f}, {self.high:.3f}]"
 
 
 def play_protocol(
@@ -141,7 +120,7 @@ def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     )
 
 
-def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None) -> dict[str, Any] | None:
+def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None) -> Gain | None:
     """Return what an agent scores more than the best strategy that never looks, on the same races.
 
     The best one is taken after the fact, on these races, which can only make the gain smaller. None for a driver that
@@ -166,7 +145,7 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None =
             return None
     scores, egos, opponents = _columns(rows(agent))
     difference = compare(scores, _columns(rows(best))[0], egos, opponents)
-    return {"over": best, "gain": difference.difference, "low": difference.low, "high": difference.high}
+    return Gain(best, difference.difference, max(difference.low, -1.0), min(difference.high, 1.0))
 
 
 def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:

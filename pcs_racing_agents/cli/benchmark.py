@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from pcs_racing_agents.agents.agent import Competitor
+    from pcs_racing_agents.benchmark.card_values import ReplyLoss
     from pcs_racing_agents.benchmark.protocol import Protocol
     from pcs_racing_agents.benchmark.scoring import CellRaces
     from pcs_racing_agents.jobs.jobs import Job
@@ -85,7 +86,7 @@ def _write(
     agent: "Competitor",
     digest: str,
     results: "dict[str, list[CellRaces]]",
-    reply: dict[str, float | int | str] | None,
+    reply: "ReplyLoss | None",
     folder: Path,
 ) -> None:
     """Print the card of one agent and write it."""
@@ -122,8 +123,9 @@ def _write(
 
 def _best_reply(
     protocol: "Protocol", agent: "Competitor", job: "Job", part: str, executor: "Executor | None"
-) -> dict[str, float | int | str]:
+) -> "ReplyLoss":
     """Train a best reply to the agent on the circuits that may be trained on, and return what it wins there."""
+    from pcs_racing_agents.benchmark.card_values import ReplyLoss
     from pcs_racing_agents.learning.responses.best_reply import best_reply
     from pcs_racing_agents.learning.responses.learner import load_response_settings
 
@@ -140,8 +142,8 @@ def _best_reply(
         progress=show_progress("best reply"),
     )
     loss = reply.loss
-    budget = {"starts": settings.starts, "rounds": settings.rounds}
-    return {"loss": loss.mean, "low": loss.low, "high": loss.high, **budget, "races": loss.units}
+    low, high = max(loss.low, -1.0), min(loss.high, 1.0)
+    return ReplyLoss(loss.mean, low, high, settings.starts, settings.rounds, loss.units)
 
 
 @command("leaderboard", "pcs-racing leaderboard out/cards/mine out/cards/zoo --out out/leaderboard")

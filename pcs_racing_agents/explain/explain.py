@@ -67,7 +67,7 @@ class Explanation:
     names: tuple[str, str]  #: Names of the competitors in car 0 and car 1.
     car: int  #: The car whose moves are explained.
     race: str  #: Name of the rules.
-    step_seconds: float  #: Time between two moves, s.
+    ends: tuple[float, ...]  #: When each step ends, s: the moves are made at all of them but the last.
     steps: tuple[ExplainedDecision, ...]  #: One for each move that was made; fewer after a crash.
     replay: Replay  #: The race, with the moves as events.
     played: RaceTable  #: Result of the race; of one game.
@@ -127,9 +127,9 @@ def explain_game(
         names=(names[0], names[1]),
         car=car,
         race=config.race.name,
-        step_seconds=config.step_seconds,
+        ends=config.ends,
         steps=_steps(arena, competitor, played, car, network),
-        replay=mark_moves(recording.replay, played, arena.move_names, config.step_seconds),
+        replay=mark_moves(recording.replay, played, arena.move_names, config.ends),
         played=played,
         unit=None if network is None else value_unit(network, str(config.utility)),
         default=DefaultStrategy(strategy.blind.name, strategy.margin)
@@ -153,7 +153,7 @@ def _steps(
             default_move = int(strategy.blind.predict(observation[0])[0])
         steps.append(
             ExplainedDecision(
-                time=(k + 1) * arena.config.step_seconds,
+                time=arena.config.ends[k],
                 own=own(observation, axes)[0].astype(np.float64),
                 opponent=opponent(observation, axes)[0].astype(np.float64),
                 lead=float(observed_lead(observation, axes, k)[0]),
@@ -197,10 +197,10 @@ def value_unit(network: RegretNetwork, utility: str) -> Unit:
     return Unit(1.0, "")
 
 
-def mark_moves(replay: Replay, played: RaceTable, moves: tuple[str, ...], step_seconds: float) -> Replay:
+def mark_moves(replay: Replay, played: RaceTable, moves: tuple[str, ...], ends: tuple[float, ...]) -> Replay:
     """Return a replay with the moves of both cars as events."""
     events = [
-        ReplayEvent((k + 1) * step_seconds, car, "move", moves[played.moves.codes[0, car, k]])
+        ReplayEvent(ends[k], car, "move", moves[played.moves.codes[0, car, k]])
         for car in range(2)
         for k in range(played.moves.codes.shape[2])
         if played.moves.codes[0, car, k] >= 0

@@ -78,12 +78,11 @@ def draw_track(axes: Any, explanation: Explanation) -> None:
     replay = explanation.replay
     for loop in join_segments(replay.walls):
         axes.plot(loop[:, 0], loop[:, 1], color="#a5afbb", lw=1.0)
-    per_step = max(1, round(explanation.step_seconds / replay.frame_dt))
     for car, colour in enumerate(CARS):
         x, y = replay.cars[:, car, 0], replay.cars[:, car, 1]
         axes.plot(x, y, color=colour, lw=1.3, alpha=0.75)
         for k in range(len(explanation.steps)):
-            frame = min((k + 1) * per_step, len(x) - 1)
+            frame = min(round(explanation.ends[k] / replay.frame_dt), len(x) - 1)
             _number(axes, (x[frame], y[frame]), k + 1, colour)
         axes.plot(x[0], y[0], "s", ms=5, color=colour, mec="white", mew=0.8, zorder=5)
         axes.plot(x[-1], y[-1], "o", ms=5, color="white", mec=colour, mew=1.6, zorder=5)
@@ -174,7 +173,7 @@ def draw_lead(axes: Any, explanation: Explanation) -> None:
                 va="bottom",
                 **label,
             )
-    axes.set_xlim(0.0, explanation.step_seconds * (len(explanation.played.moves.codes[0, 0]) + 1))
+    axes.set_xlim(0.0, explanation.ends[-1])
     axes.set_xlabel("time, s")
     axes.set_ylabel("lead, m")
     tidy(axes, "y")

@@ -155,7 +155,7 @@ def _amount(explanation: Explanation, value: float) -> str:
 def _what_followed(explanation: Explanation, k: int) -> str:
     """Describe the change of the lead and the events of the next step."""
     step, replay = explanation.steps[k], explanation.replay
-    end = step.time + explanation.step_seconds
+    end = explanation.ends[k + 1]
     # A crash ends the replay before the step does.
     frame = min(round(end / replay.frame_dt), len(replay.cars) - 1)
     gained = float(explanation.lead[frame]) - step.lead

@@ -1,5 +1,9 @@
-"""Folders of jobs: a manifest that records the settings, and a lock that admits one process at a time."""
+"""Folders of jobs: a manifest that records the settings, and a lock that admits one process at a time.
 
+Beside the manifest lies its digest: one that was damaged is told from one of other settings, and written again.
+"""
+
+import hashlib
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -18,6 +22,7 @@ from pcs_racing.base.files import plain_yaml, read_limited, write_atomically
 
 FORMAT = "pcs-racing job"
 VERSION = 1
+DIGEST = ".job.sha256"  # of the manifest
 GO_ON = "what is done is kept: mend that and start the same again to go on"
 _MAX_BYTES = 10_000_000
 _HALF_WRITTEN = re.compile(r"\..+\.[0-9a-f]{8}")
@@ -43,17 +48,19 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
     text = yaml.safe_dump(manifest, sort_keys=False, allow_unicode=True, width=110)
     # Read back, so that it is compared in the form in which a later run will read it.
     manifest = yaml.safe_load(text)
+    digest = hashlib.sha256(text.encode()).hexdigest()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _check_same(folder, manifest)
+        _check_same(folder, manifest, digest)
         lock = _take_lock(folder)
     except OSError as error:
         raise _unusable(folder, error) from None
     with lock:
         try:
             # Once more under the lock: another process may have begun in between.
-            if not _check_same(folder, manifest):
-                write_atomically(folder / "job.yaml", lambda file: file.write(text.encode("utf-8")))
+            if not _check_same(folder, manifest, digest):
+                write_atomically(folder / DIGEST, lambda file: file.write(digest.encode()))
+                write_atomically(folder / "job.yaml", lambda file: file.write(text.encode()))
             clear_half_written(folder)
         except OSError as error:
             raise _unusable(folder, error) from None
@@ -100,9 +107,13 @@ def _unusable(folder: Path, error: OSError) -> JobError:
     return JobError(f"can't work in the folder {folder}: {error.strerror} ({error.filename or folder})")
 
 
-def _check_same(folder: Path, manifest: Mapping[str, Any]) -> bool:
-    """Return whether a folder holds a run with this manifest; False if it is empty."""
+def _check_same(folder: Path, manifest: Mapping[str, Any], digest: str) -> bool:
+    """Return whether a folder holds a run with this manifest; False if it is empty, or the manifest was damaged."""
     file = folder / "job.yaml"
+    with suppress(OSError, InputError):
+        if read_limited(folder / DIGEST, 100, "a digest") == digest.encode():
+            # Every chunk carries a digest of its own, so that nothing is believed because of this.
+            return file.exists() and hashlib.sha256(read_limited(file, _MAX_BYTES, "")).hexdigest() == digest
     if not file.exists():
         others = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith("."))
         if others:
@@ -113,7 +124,10 @@ def _check_same(folder: Path, manifest: Mapping[str, Any]) -> bool:
     except InputError:
         earlier = None
     if not isinstance(earlier, dict) or earlier.get("format") != FORMAT:
-        raise InputError(f"{file} is no manifest of a job; choose a new or an empty folder")
+        raise InputError(
+            f"{file} is no manifest of a job; choose a new or an empty folder, or, if it was damaged, the settings of "
+            "the run that made it"
+        )
     for key, noun in (("version", "format version"), ("kind", "kind"), ("package", "package version")):
         if earlier.get(key) != manifest[key]:
             raise InputError(

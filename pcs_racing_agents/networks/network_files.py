@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, ManifestFormat, shipped_folder
-from pcs_racing.base.checks import check_text
+from pcs_racing.base.checks import check_names, check_text
 from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, check_same_game
+from pcs_racing.game.moves import check_epsilon
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 
@@ -83,6 +84,9 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
     for key in _IDENTITY:
         identity[key] = tuple(fields[key]) if isinstance(fields[key], list) else fields[key]
     try:
+        for key in ("elements", "moves"):
+            check_names(key, identity[key])
+        check_epsilon(identity["epsilon"])
         return RegretNetwork(
             name=fields["name"],
             identity=GameIdentity(**identity),

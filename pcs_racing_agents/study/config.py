@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import Settings, names, setting, tenths, text, whole
+from pcs_racing.base.settings import Settings, checked, names, setting, tenths, text, whole
 from pcs_racing.game.archive_files import list_archives
-from pcs_racing.game.config import EPSILON_RULE, GameConfig, load_game_config
+from pcs_racing.game.config import EPSILON_RULE, GameConfig, check_lengths, load_game_config
 from pcs_racing.race.config import load_race_config
 from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
@@ -30,6 +30,9 @@ class StudyConfig(Settings):
     epsilon: float | tuple[float, ...] = setting(0.5, EPSILON_RULE, "Length of a move, in normalised coordinates.")
     moves: int = setting(4, whole(1, 100), "Moves of each car in a game.")
     step_seconds: float = setting(8.0, tenths(0.1, 600.0), "Time between two moves, s.")
+    first_steps: tuple[float, ...] = setting(
+        (), checked(check_lengths), "Lengths of the first steps, as in the rules of the game, s."
+    )
     synthesis: str | None = setting(
         None,
         text(),
@@ -189,7 +192,8 @@ class StudyConfig(Settings):
     def game(self) -> GameConfig:
         """Rules of the game; with the move "stay" if the race's rules have it."""
         race = load_race_config(self.race)
-        return load_game_config(race, epsilon=self.epsilon, moves=self.moves, step_seconds=self.step_seconds)
+        own = {name: getattr(self, name) for name in ("epsilon", "moves", "step_seconds", "first_steps")}
+        return load_game_config(race, **own)
 
 
 def load_study_config(source: str | Path | StudyConfig | None = None, **changes: Any) -> StudyConfig:

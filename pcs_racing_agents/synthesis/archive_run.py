@@ -110,6 +110,7 @@ def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenar
             draw_policies(get_planner(config.planner), opponents, root, config.fixed),
             config.axes,
             planner=config.planner,
+            rivals=config.rivals,
             starts=starts,
             segment_seconds=config.segment_seconds,
             seed=_number(root),
@@ -170,7 +171,7 @@ def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats,
     if len(allowed) == 0:
         raise InputError(
             f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of the races of "
-            f"{config.duration:g} s, or lie below least; raise crash_limit or lower least"
+            f"{config.duration:g} s, or lie below least or least_score; raise crash_limit, or lower the others"
         )
     if config.choose == "headroom":
         parameters, notes = choose_for_headroom(races, allowed, seed)
@@ -216,7 +217,7 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
     if len(parameters):
         raced = races.race("measurement", "measurement", scenarios, parameters)
         measured = summarise(raced)
-        within_limits = np.flatnonzero(measured.own_crash <= limit)
+        within_limits = np.flatnonzero((measured.own_crash <= limit) & (measured.score >= races.config.least_score))
         kept = within_limits
         if races.config.choose == "pareto":
             kept = within_limits[~_beaten(races.config, raced, within_limits)]
@@ -225,8 +226,8 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
     fewest = 2 if races.config.choose == "pareto" else 3
     if len(kept) < fewest:
         raise InputError(
-            f"{len(kept)} policies remain below the crash limit of {limit:.0%}; an archive needs {fewest} at least: "
-            "raise crash_limit, or search longer"
+            f"{len(kept)} policies remain below the crash limit of {limit:.0%} and above least_score; an archive needs "
+            f"{fewest} at least: raise crash_limit, lower least_score, or search longer"
         )
     last = races.history[-1]
     races.note("measurement", last.generation, last.hypervolume, len(kept), measured)

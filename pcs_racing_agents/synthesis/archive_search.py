@@ -109,12 +109,14 @@ class PolicyRaces:
         return get_planner(self.config.planner).complete(self.config.varied, parameters)
 
     def violation(self, evaluation: Evaluation) -> Floats:
-        """Return by how much policies violate the limits, shape (K,): in crashes per race, or in the scouts' range."""
-        crashes = evaluation.own_crash - self.config.search_crash_limit
+        """Return by how much policies violate the limits, shape (K,): per race, or in the scouts' range."""
+        beyond = evaluation.own_crash - self.config.search_crash_limit
+        if self.config.rivals:
+            beyond = np.maximum(beyond, self.config.least_score - evaluation.score)
         if self.config.least is None:
-            return crashes
+            return beyond
         shortfall = (np.array(self.config.least) - evaluation.coordinates) / (self.scale.ideal - self.scale.nadir)
-        return np.maximum(crashes, shortfall.max(axis=1))
+        return np.maximum(beyond, shortfall.max(axis=1))
 
     @property
     def evaluations(self) -> int:

@@ -80,6 +80,14 @@ class ArchiveConfig(Settings):
         "hypervolume, and the best of them are the first archive.",
     )
     opponents: int = setting(4, whole(1, 1000), "Opponents (random policies) in the search.")
+    rivals: tuple[str, ...] = setting(
+        (), names(0), "Drivers of other planners that are met in every stage beside the random policies, each as often."
+    )
+    least_score: float = setting(
+        0.0,
+        number(0.0, 1.0),
+        "Smallest score against the rivals, a win being 1 and a tie 1/2, of a policy that may be chosen.",
+    )
     starts: int = setting(2, whole(1, 1000), "Start lines on each track in the search.")
     crash_limit: float = setting(
         0.15,
@@ -147,6 +155,8 @@ class ArchiveConfig(Settings):
                 )
         if self.fewest > self.most:
             raise ConfigError(f"fewest is {self.fewest}, above most, {self.most}")
+        if self.least_score > 0.0 and not self.rivals:
+            raise ConfigError(f"least_score is {self.least_score:g}, but there are no rivals to reach it against")
         if self.choose == "headroom":
             self._check_headroom()
         if not self.varied:
@@ -209,16 +219,16 @@ class ArchiveConfig(Settings):
     @property
     def races(self) -> int:
         """Races of each policy during the search."""
-        return len(self.tracks) * self.opponents * self.starts * 2
+        return len(self.tracks) * (self.opponents + len(self.rivals)) * self.starts * 2
 
     @property
     def work(self) -> dict[str, float]:
         """Seconds of racing in each stage, at most."""
-        races = 2 * len(self.tracks)
+        races, more = 2 * len(self.tracks), len(self.rivals)
         work = {
             "search": self.evaluations * self.races * self.duration,
-            "choice": self.candidates * races * self.choice_opponents * self.choice_starts * self.duration,
-            "measurement": self.most * races * self.final_opponents * self.final_starts * self.final_duration,
+            "choice": self.candidates * races * (self.choice_opponents + more) * self.choice_starts * self.duration,
+            "measurement": self.most * races * (self.final_opponents + more) * self.final_starts * self.final_duration,
         }
         if self.choose == "headroom":
             judging = len(self.tracks) + len(self.judging_tracks or ())

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from itertools import product
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -9,7 +10,9 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
-from pcs_racing.planners.registry import get_planner
+from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.registry import get_planner, parse_policy
+from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import SUMS
@@ -33,6 +36,7 @@ class Evaluation(NamedTuple):
     own_crash: Floats  #: shape (K,): Share of the races that ended by a crash of the policy's own fault.
     spread: Floats  #: shape (K, G): Standard error of the coordinates, were the races drawn again.
     won: Floats  #: shape (K,): Share of the races that the policy won.
+    score: Floats  #: shape (K,): Score against rivals, a win being 1 and a tie 1/2; 1 where there are none.
 
 
 def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
@@ -40,7 +44,8 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
 
     The arrays are ``totals`` (k, R, G): sums over the segments that each race began; ``segments`` (k, R): how many it
     began; ``own_crash`` (k, R): whether it ended by a crash of the policy's own fault; ``crashed`` (k, R): whether it
-    ended by a crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none.
+    ended by a crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none; ``rival`` (k, R): whether the opponent
+    was a rival.
     """
     raced = race_segments(task, threads)
     values, progress, sums, time = (raced.pop(name) for name in ("values", "progress", "sums", "time"))
@@ -93,16 +98,20 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
     own_crash, crashed = np.zeros((count, races), np.bool_), np.zeros((count, races), np.bool_)
     progress, sums, time = np.zeros((count, races, 2)), np.zeros((count, races, 2, len(SUMS))), np.zeros((count, races))
     length = round(scenarios.segment_seconds * 100.0)
-    for index, source in enumerate(scenarios.tracks):
-        setup = RaceSetup(as_track(source), scenarios.config, (planner, planner))
-        numbers = np.flatnonzero(scenarios.track == index)
+    families = opponent_families(scenarios, planner)
+    for (index, source), (family, members) in product(enumerate(scenarios.tracks), families):
+        setup = RaceSetup(as_track(source), scenarios.config, (planner, family))
+        numbers = np.flatnonzero((scenarios.track == index) & np.isin(scenarios.opponent, list(members)))
+        drivers = pad_parameters(list(members.values()), setup.theta_size)
+        own = np.pad(parameters, ((0, 0), (0, setup.theta_size - parameters.shape[1])))
+        place = {opponent: row for row, opponent in enumerate(members)}
         step = max(1, RACES_AT_ONCE // len(numbers))
         for first in range(0, count, step):
             egos = np.arange(first, min(first + step, count))
             ego, which = (indices.ravel() for indices in np.meshgrid(egos, numbers, indexing="ij"))
             state = start_races(setup, Starts(scenarios.start_s[which], scenarios.side[which]), scenarios.seed[which])
-            rivals = scenarios.opponents[scenarios.opponent[which]]
-            theta = np.ascontiguousarray(np.stack([parameters[ego], rivals], axis=1))
+            against = drivers[[place[one] for one in scenarios.opponent[which].tolist()]]
+            theta = np.ascontiguousarray(np.stack([own[ego], against], axis=1))
             for k in range(number):
                 # A segment is measured from the state before it and the state after it.
                 before = state.copy()
@@ -123,8 +132,18 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
             winner[ego, which] = winners(scenarios.config, state)
             whole = Segment.so_far(state, scenarios.segment_seconds)
             progress[ego, which], sums[ego, which], time[ego, which] = whole.progress, whole.sums, whole.time
-    judged = {"own_crash": own_crash, "crashed": crashed, "winner": winner}
+    rival = np.broadcast_to(scenarios.opponent >= len(scenarios.opponents), (count, races))
+    judged = {"own_crash": own_crash, "crashed": crashed, "winner": winner, "rival": rival}
     return {"values": values, "progress": progress, "sums": sums, "time": time, **judged}
+
+
+def opponent_families(scenarios: Scenarios, planner: Planner) -> list[tuple[Planner, dict[int, Policy]]]:
+    """Planners of the opponents, and those of each planner by their number."""
+    families: dict[str, tuple[Planner, dict[int, Policy]]] = {}
+    drivers = [Policy(planner, theta, "opponent") for theta in scenarios.opponents]
+    for number, driver in enumerate([*drivers, *map(parse_policy, scenarios.rivals)]):
+        families.setdefault(driver.planner.name, (driver.planner, {}))[1][number] = driver
+    return list(families.values())
 
 
 def summarise(raced: Arrays) -> Evaluation:
@@ -138,7 +157,10 @@ def summarise(raced: Arrays) -> Evaluation:
     coordinates = totals.sum(axis=1) / segments.sum(axis=1)[:, None]
     residuals = totals - coordinates[:, None] * segments[..., None]
     spread = np.sqrt(races / max(races - 1, 1) * (residuals**2).sum(axis=1)) / segments.sum(axis=1)[:, None]
-    return Evaluation(coordinates, raced["own_crash"].mean(axis=1), spread, (raced["winner"] == 0).mean(axis=1))
+    won, rival = raced["winner"] == 0, raced["rival"]
+    points = np.where(rival, won + 0.5 * ((raced["winner"] < 0) & ~raced["crashed"]), 0.0)
+    score = np.where(rival.any(axis=1), points.sum(axis=1) / np.maximum(rival.sum(axis=1), 1), 1.0)
+    return Evaluation(coordinates, raced["own_crash"].mean(axis=1), spread, won.mean(axis=1), score)
 
 
 def evaluate(

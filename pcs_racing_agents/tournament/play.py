@@ -86,13 +86,15 @@ def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
     if isinstance(race, GameConfig):
         return load_game_config(race, **settings)
     rules = load_race_config(race)
-    steps = load_game_config(rules, **settings).moves + 1
+    config = load_game_config(rules, **settings)
+    steps = config.moves + 1 - len(config.first_steps)
     if "step_seconds" not in settings:
         # In whole tenths, the time between two plans: a step of 8.1666 s would end between them.
-        tenths = round(rules.duration * 10.0)
-        if tenths % steps:
+        tenths = round((rules.duration - sum(config.first_steps)) * 10.0)
+        if tenths <= 0 or tenths % steps:
             raise InputError(
-                f"duration is {rules.duration:g} s; a game of {steps - 1} moves lasts a multiple of {0.1 * steps:g} s"
+                f"duration is {rules.duration:g} s; a game of {config.moves} moves lasts "
+                f"{f'{sum(config.first_steps):g} s and ' if config.first_steps else ''}a multiple of {0.1 * steps:g} s"
             )
         settings["step_seconds"] = tenths / steps / 10.0
     return load_game_config(rules, **settings)

@@ -117,7 +117,7 @@ def record_game(
         columns["noise"][0],
         theta,
         names=pairing.names,
-        step_ticks=arena.config.step_ticks,
+        ends=arena.config.end_ticks[: driven - 1].tolist(),
         candidates=candidates,
     )
     return Recording(replay, race_table(pairing, columns), arena)

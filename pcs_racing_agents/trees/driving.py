@@ -91,7 +91,7 @@ def drive_to_the_end(
         Progress of each car whenever the drivers plan (every 0.1 s), the step's first and last moment included;
         ``T = 0`` without ``trace``.
     """
-    ticks = game.config.step_ticks
+    ticks = int(np.diff(game.config.end_ticks)[-1])
     moments = ticks // PLAN_EVERY + 1 if trace else 0
     ends = RaceEnds.empty(len(rows))
     traces = np.zeros((len(rows), moments, 2), np.float32)

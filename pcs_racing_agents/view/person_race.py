@@ -97,7 +97,7 @@ class PersonRaces:
             "number": number,
             "made": made,
             "moves": game.config.moves,
-            "step_seconds": game.config.step_seconds,
+            "ends": game.config.ends,
             "seconds": replay.duration,
             "over": over,
             "outcome": replay.outcome,
@@ -133,7 +133,7 @@ class PersonRaces:
 
     def _end(self, made: int) -> float:
         """Time at which the step after a number of moves ends, s."""
-        return (made + 1) * self.game.config.step_seconds
+        return self.game.config.ends[made]
 
     def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, RaceTable, tuple[ExplainedDecision, ...]]:
         """Drive the whole race, staying after the given moves, and return it up to the next move."""
@@ -157,7 +157,7 @@ class PersonRaces:
         if isinstance(self.opponent, Driver):
             recording = record_game(game, person, self.opponent, **race, candidates=False)
             whole, played = recording.replay, recording.played
-            replay = mark_moves(whole, played, recording.game.competitor_moves, game.config.step_seconds)
+            replay = mark_moves(whole, played, recording.game.competitor_moves, game.config.ends)
             steps: tuple[ExplainedDecision, ...] = ()
         else:
             explanation = explain_game(game, person, self.opponent, **race, car=1)

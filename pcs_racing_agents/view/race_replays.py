@@ -64,8 +64,7 @@ class RaceRepeater:
         )
         played, arena = recording.played, recording.game
         self.results.check_lead(number, played.lead[0])
-        step_seconds = arena.config.step_seconds
-        replay = mark_moves(recording.replay, played, arena.move_names, step_seconds)
+        replay = mark_moves(recording.replay, played, arena.move_names, arena.config.ends)
         if self.space is None:
             self.space = space_values(arena.archive, arena.move_names)
         self.circuits.setdefault(row.track, circuit_values(replay))
@@ -78,7 +77,7 @@ class RaceRepeater:
         estimates = np.where(blocks[..., -1:] > 0.5, estimates.astype(np.float64), np.nan)
         values = race_values(replay)
         values["space"] = {
-            "step_seconds": step_seconds,
+            "ends": arena.config.ends,
             "policies": played.path[0].tolist(),
             "made": played.moves.codes[0].tolist(),
             "seen": _places(self.space, in_units(arena.archive, estimates)[..., list(plane(arena.archive))]),

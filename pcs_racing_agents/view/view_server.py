@@ -20,6 +20,7 @@ from pcs_racing_agents.view.race_replays import RaceRepeater
 
 MOST_KEPT = 200  # answers kept in memory, some 40 kB each
 LONGEST_PATH = 100
+AT_ONCE = 4  # answers that are worked out at the same time; each may simulate a race
 
 _RACE = re.compile(r"/race/([0-9]{1,7})")
 
@@ -80,7 +81,7 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
         0 takes a free one.
     """
     check_whole("port", port, 0, 65535)  # 0 takes any free one
-    content = page.encode()
+    content, busy = page.encode(), threading.BoundedSemaphore(AT_ONCE)
 
     class Handler(BaseHTTPRequestHandler):
         """Answers a viewer."""
@@ -94,18 +95,21 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
             """Send the page, or what the service answers."""
             # A port of 0 is known only now; the host of a request names it.
             own_port = self.connection.getsockname()[1]
-            host = self.headers.get("Host", "")
-            site = self.headers.get("Sec-Fetch-Site", "none")
-            if host not in (f"127.0.0.1:{own_port}", f"localhost:{own_port}"):
+            hosts = self.headers.get_all("Host", [])
+            site, origin = (self.headers.get(name) for name in ("Sec-Fetch-Site", "Origin"))
+            # Of two names the first might pass and the second be meant.
+            if hosts not in ([f"127.0.0.1:{own_port}"], [f"localhost:{own_port}"]):
                 self._send(error_answer(403, "this server answers for 127.0.0.1 only"))
-            elif site not in ("none", "same-origin"):
+            elif site not in (None, "none", "same-origin") or origin not in (None, f"http://{hosts[0]}"):
                 self._send(error_answer(403, "another site's page asked for this"))
             elif self.path == "/":
                 self._send(Answer(200, content, "text/html; charset=utf-8"))
             elif len(self.path) > LONGEST_PATH:
                 self._send(error_answer(404, f"an address here has at most {LONGEST_PATH} characters"))
             else:
-                self._send(answer(self.path))
+                with busy:
+                    found = answer(self.path)
+                self._send(found)
 
         def _send(self, sent: Answer) -> None:
             self.send_response(sent.status)
@@ -126,6 +130,7 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
         """Ends with the command, and does not tell of viewers who went away."""
 
         daemon_threads = True
+        request_queue_size = 128  # connections that wait to be accepted; with 5, most of 200 at once are refused
 
         def handle_error(self, *_: Any) -> None:
             """A viewer that goes away in the middle of an answer is no error."""

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import MapError
-from pcs_racing.track.building.curves import first_crossing
+from pcs_racing.track.building.curves import MAX_LENGTH, first_crossing
 from pcs_racing.track.building.splines import LineSamples, clean_closed, sample_closed
 from pcs_racing.track.building.walls import corner_lists, seen_lists, simplify, trace_outlines
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, LINE_COLUMNS, PSI, RIGHT, SIN, SPEED, TrackArrays, X, Y
@@ -18,7 +18,6 @@ Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 
 LINE_SPACING = 0.1  # of the samples of the race line, m
-MAX_LENGTH = 10_000.0  # m: far beyond any circuit for 1:10 cars, and it bounds the memory
 MAX_CURVATURE = 4.0  # 1/m: a car turns at 1.3 at most, so a sharper line has a kink
 MARGIN = 3  # cells kept around the drivable region
 SIMPLIFY = 0.027  # largest deviation of a wall from the middles of its cell faces, m, ...

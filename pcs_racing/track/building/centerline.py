@@ -9,7 +9,7 @@ from pcs_racing.base.checks import is_number
 from pcs_racing.base.elementary import arctangent2, headings, lengths, sine_cosine
 from pcs_racing.base.errors import MapError, require
 from pcs_racing.track.building.clearance import checked_grid
-from pcs_racing.track.building.curves import curve_length, resample, signed_area, smooth
+from pcs_racing.track.building.curves import MAX_LENGTH, curve_length, resample, signed_area, smooth
 from pcs_racing.track.grid import distance_to_walls
 
 SPACING = 0.3  # of the result, m
@@ -57,6 +57,13 @@ def centerline_from_grid(
     seed = None if seed_point is None else _checked_seed(seed_point, grid, resolution, corner)
     region, hole, row, col = _ring(grid, resolution, corner, seed)
     corner = corner + resolution * np.array([col, row])
+    # A line around a box is at least twice as long as its diagonal: known before the fields are made.
+    shortest = 2.0 * resolution * math.hypot(*(size - 2 * RIM for size in region.shape))
+    if shortest > MAX_LENGTH:
+        raise MapError(
+            f"the track is at least {shortest:.0f} m long: at most {MAX_LENGTH:.0f} m are supported (is the "
+            f"resolution, {resolution:g} m, right?)"
+        )
     # Distance from every cell to the inner and to the outer wall.
     to_hole = distance_to_walls(~hole & _inside_rim(hole), resolution)
     to_outside = distance_to_walls(region | hole, resolution)

@@ -7,6 +7,8 @@ from pcs_racing.base.elementary import lengths, sine_cosine
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.splines import sample_closed
 
+MAX_LENGTH = 10_000.0  # m: far beyond any circuit for 1:10 cars, and it bounds the memory
+
 
 @compiled
 def transform(real, imaginary):  # type: ignore[no-untyped-def]

@@ -65,6 +65,21 @@ def test_an_episode_is_the_game():
         assert results in ({Result.WIN, Result.LOSS}, {Result.TIE}, {Result.CRASH})
 
 
+def test_an_episode_may_begin_before_the_start():
+    rules = {"moves": 3, "step_seconds": 2.0, "first_steps": (0.0, 1.0), "opponent": "never-switch"}
+    env = DuelEnv(**rules, render_mode="rgb_array_list", render_size=(120, 80))
+    observation, _ = env.reset(seed=1)
+    assert env.batch.state.race.tick[0] == 0
+    assert len(env.render()) == 1  # nothing was driven
+    times = []
+    for _ in range(3):
+        env.step(1)
+        times.append(int(env.batch.state.race.tick[0]))
+    assert times == [100, 300, 500]
+    envs = DuelVectorEnv(2, **rules)
+    np.testing.assert_array_equal(envs.reset(seed=[1, 2])[0][0], observation)
+
+
 def test_policies_and_start_can_be_given():
     env = HeadToHeadEnv(**SHORT)
     policies = [2, 7]
@@ -186,7 +201,7 @@ def test_the_first_step_is_filmed_as_it_was_driven(seed):
         ((race, theta),) = env.batch.last_step(0).pieces
         assert race.tick == 0
         conditions = env.batch.variety.conditions(np.zeros(1, np.int64))
-        advance(env.game.setup, race, theta, env.game.config.step_ticks, conditions=conditions)
+        advance(env.game.setup, race, theta, int(env.game.config.end_ticks[0]), conditions=conditions)
         np.testing.assert_array_equal(race.cars, env.batch.state.race.cars)
 
 

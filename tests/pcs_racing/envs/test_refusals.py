@@ -132,6 +132,7 @@ def test_an_impossible_action_is_one_error_and_changes_nothing(kinds, wrong, mes
     [
         (DriveEnv, [[0.0, 0.0], [0.0, 0.0], [0.0, np.nan]], "environment 2"),
         (DriveEnv, np.zeros((2, 2)), r"\(3, 2\)"),
+        (DriveEnv, np.full((3, 2), 0.1 + 0.2j), "must be numbers"),
         (DuelEnv, [0, 9, 0], "environment 1: move 9"),
         (MatchEnv, [0, 7, 0], "environment 1: move 7"),
     ],
@@ -140,6 +141,8 @@ def test_an_impossible_action_of_many_names_the_environment(kind, wrong, message
     envs = make_many(kind, 3)
     envs.reset(seed=0)
     refused(message, envs.step, np.array(wrong))
+    envs.close()
+    refused("were closed", envs.step, np.stack([act(make(kind))] * 3))
 
 
 @pytest.mark.parametrize(

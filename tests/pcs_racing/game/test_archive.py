@@ -152,7 +152,7 @@ def test_the_axes_can_be_chosen_and_tell_how_they_go_together():
     "keep",
     [lambda toy, folder: load_archive(save_archive(toy, folder)), lambda toy, _: pickle.loads(pickle.dumps(toy))],
 )
-def test_an_archive_reads_back_exactly(tmp_path, keep):
+def test_an_archive_reads_back_exactly(tmp_path, keep, toy_planner):
     toy = archive(
         explored_parameters=[[0.1, 0.2]], explored_coordinates=[[1.0, 2.0]], settings={"seed": 3, "by": "hand"}
     )
@@ -180,7 +180,7 @@ def test_an_archive_as_a_table():
     assert explored.explored.own_crash is None
 
 
-def test_the_content_hash_says_whether_two_archives_play_the_same_game(tmp_path):
+def test_the_content_hash_says_whether_two_archives_play_the_same_game(tmp_path, toy_planner):
     toy = archive()
     assert archive(name="other", settings={"seed": 3}).content_hash == toy.content_hash
     assert load_archive(save_archive(toy, tmp_path)).content_hash == toy.content_hash
@@ -204,6 +204,9 @@ def test_impossible_archives_questions_and_epsilons_are_one_clear_error():
         ({"name": ""}, "name is ''"),
         ({"ideal": [1.0, -2.0], "nadir": [0.0, 0.0]}, r"restraint .* 0 .nadir. to -2"),
         ({"settings": {"a": [1]}}, "settings holds 'a'"),
+        ({"parameters": np.full((5, 2), 1j)}, "parameters is .*numbers"),
+        *[({key: [1e300, 1.0]}, f"{key} holds 1e.300.*1000000000") for key in ("ideal", "nadir")],
+        ({"coordinates": COORDINATES * 1e300}, "coordinates holds"),
         ({"own_crash": np.zeros(4)}, r"own_crash has shape \(4,\)"),
         ({"own_crash": np.full(5, -0.1)}, "own_crash holds -0.1"),
         ({"spread": np.where(np.arange(10).reshape(5, 2) == 6, np.nan, 1.0)}, r"spread holds nan at \(3, 0\)"),
@@ -226,7 +229,7 @@ def test_impossible_archives_questions_and_epsilons_are_one_clear_error():
         refused(r"epsilon is .*", check_epsilon, epsilon)
 
 
-def test_files_that_are_no_archive_and_damaged_ones_are_one_clear_error(tmp_path):
+def test_files_that_are_no_archive_and_damaged_ones_are_one_clear_error(tmp_path, toy_planner):
     refused(r"unknown archive 'nonsense'.*default", load_archive, "nonsense", error=UnknownNameError)
     refused("name or a folder", load_archive, 3)
     refused(r"can't read .*manifest.yaml", load_archive, tmp_path)
@@ -239,6 +242,7 @@ def test_files_that_are_no_archive_and_damaged_ones_are_one_clear_error(tmp_path
         (damage(lambda m: m.update(surprise=1)), "unknown or missing surprise"),
         (damage(lambda m: m.pop("planner")), "unknown or missing planner"),
         (damage(lambda m: m.update(settings=[1])), "settings is"),
+        (damage(lambda m: m.update(planner="nobody")), "planner 'nobody' is unknown"),
         (damage(lambda m: m.update(parameter_names=["a"])), r"parameters has shape \(5, 2\)"),
         (swap_arrays, r"archive.npz (is no archive|holds)"),
     ]:

@@ -114,6 +114,26 @@ def test_a_game_depends_on_neither_its_batch_nor_the_threads(game):
     assert_same(play(game, game.reset(games=5), [(0, 1)]), play(one, one.reset(games=5), [(0, 1)]))
 
 
+def test_players_may_move_before_the_start(track):
+    """The first step takes no time, the second one 2 s; games of a batch that are at different moments keep to that."""
+    game = make_game(track, moves=3, step_seconds=3.0, first_steps=(0, 2))
+    start = game.reset([4, 5])
+    np.testing.assert_array_equal(start.race.tick, 0)
+    np.testing.assert_array_equal(game.observation(start)[:, 0, :2], game.points[start.policy[:, 0]].astype(np.float32))
+    actions = [(0, 3), (2, 1), (1, 1)]
+    ends = [play(game, start, actions[:k]) for k in range(4)]
+    assert [end.race.tick[0] for end in ends] == [0, 200, 500, 800]
+    np.testing.assert_array_equal(ends[1].policy, game.next_policy(start.policy, np.array(actions[0])))
+    assert game.done(ends[3]).all()
+    # The second game is a move ahead of the first one.
+    mixed = start.copy()
+    put_games(mixed, [1], take_games(ends[1], [1]))
+    after = play(game, mixed, actions[:1])
+    assert_same(take_games(after, [0]), take_games(ends[1], [0]))
+    assert after.race.tick.tolist() == [200, 500]
+    np.testing.assert_array_equal(after.race.cars[1], play(game, take_games(ends[1], [1]), actions[:1]).race.cars[0])
+
+
 def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
     """Line, side, both policies and the noise: no two go together, whatever the keys have in common."""
     game = make_game(track, step_seconds=0.1, moves=1)

@@ -27,12 +27,25 @@ def test_the_papers_game_and_the_contest():
 def test_the_race_lasts_for_a_step_more_than_there_are_moves_and_an_hour_at_most(moves, seconds):
     config = GameConfig(moves=moves, step_seconds=seconds)
     assert config.horizon == pytest.approx((moves + 1) * seconds)
-    assert config.step_ticks == round(100 * seconds)
+    assert config.ends[0] == pytest.approx(seconds)
     assert config.race_rules.duration == config.horizon
-    assert config.race_rules.ticks == (moves + 1) * config.step_ticks
+    assert config.race_rules.ticks == config.end_ticks[-1] == (moves + 1) * round(100 * seconds)
     assert dataclasses.replace(config.race_rules, duration=PAPER.duration) == PAPER
     assert GameConfig(moves=5, step_seconds=600.0).horizon == 3600.0
     refused("6 moves of 600 s", GameConfig, moves=6, step_seconds=600.0, error=ConfigError)
+
+
+def test_players_may_move_before_the_start():
+    config = GameConfig(moves=3, first_steps=[0, 2])
+    assert config.ends == (0.0, 2.0, 10.0, 18.0)
+    assert config.horizon == 18.0
+    for wrong, text in (
+        ((2.0, 0.0), "0.1 to 600 s"),
+        ((0.05,), "whole tenths"),
+        (2.0, "list of seconds"),
+        ((1.0,) * 4, "may have 3 lengths"),
+    ):
+        refused(f"first_steps.*{text}", GameConfig, moves=3, first_steps=wrong, error=ConfigError)
 
 
 def test_step_sizes_and_axes_are_kept_in_one_form_and_changed_by_name():

@@ -52,15 +52,15 @@ def test_policies_may_change_on_the_way(oval):
     state = start_races(setup, start, noise)
     for step in range(3):
         advance(setup, state, theta[step : step + 1], 200)
-    replay = record_drive(setup, start, noise[0], theta, names=("a", "b"), step_ticks=200, candidates=False)
+    replay = record_drive(setup, start, noise[0], theta, names=("a", "b"), ends=(200, 400), candidates=False)
     np.testing.assert_array_equal(replay.cars[-1], state.cars[0])
     np.testing.assert_array_equal(replay.progress[-1], state.progress[0])
     assert replay.car_names == ("a", "b")
     assert replay.candidates is None
     assert replay.paths is not None
-    refused("step_ticks is 15", record_drive, setup, start, noise[0], theta, names=("a", "b"), step_ticks=15)
+    refused("ends are", record_drive, setup, start, noise[0], theta, names=("a", "b"), ends=(15,))
     with pytest.raises(InputError, match="there are 2 starts"):
-        record_drive(setup, start.take([0, 0]), noise[0], theta, names=("a", "b"), step_ticks=200)
+        record_drive(setup, start.take([0, 0]), noise[0], theta, names=("a", "b"), ends=(200,))
 
 
 def test_what_a_replay_holds(oval):

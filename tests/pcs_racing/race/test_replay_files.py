@@ -86,7 +86,7 @@ def test_other_files_are_no_replays(tmp_path, text, suffix):
 WRONG = {
     "title": (["x"],),
     "frame_dt": (10**400,),
-    "half_sizes": ([[10**400, 1], [1, 1]],),
+    "half_sizes": ([[10**400, 1], [1, 1]], None, [None, None], [[None, 1], [1, 1]]),
     "events": ([[1.0, 0, "crash"]], [["soon", 0, "crash", ""]], [[float("nan"), 0, "crash", ""]], {}),
     "cars": ({"shape": [1]}, [[0.0]]),
     "walls": ({"points": 1, "counts": 2},),

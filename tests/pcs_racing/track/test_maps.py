@@ -15,6 +15,7 @@ from refusal import refused
 
 from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.track import maps
+from pcs_racing.track.building.centerline import centerline_from_grid
 from pcs_racing.track.maps import MapFolder, find_map, find_shipped, list_tracks, read_map, write_map
 
 
@@ -189,6 +190,33 @@ def test_impossible_yaml_values_are_refused(folder, changes, message):
     with pytest.raises(MapError, match=message) as caught:
         read_map(folder)
     assert str(folder) in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["centerline.csv", "raceline.csv", "track.yaml", "map.yaml"])
+def test_no_file_of_a_map_leads_out_of_its_folder_or_waits_for_ever(folder, kind):
+    (folder.parent / "secret").write_text("root:secret\n")
+    file = folder / f"Ring_{kind}"
+    for make, message in (
+        (lambda: file.symlink_to(folder.parent / "secret"), "link out of the map's folder"),
+        (lambda: file.symlink_to("nowhere"), "can't read .*No such file"),
+        (lambda: file.symlink_to(file.name), "can't read"),
+        (lambda: os.mkfifo(file), "no ordinary file"),
+    ):
+        file.unlink(missing_ok=True)
+        make()
+        with pytest.raises(MapError, match=message if kind != "map.yaml" else "link out|holds no map") as caught:
+            read_map(folder)
+        assert "root:secret" not in str(caught.value)
+
+
+def test_a_circuit_of_many_kilometres_is_refused_before_its_line_is_made(monkeypatch):
+    occupied = np.ones((4004, 4004), bool)
+    occupied[2:-2, 2:-2] = False
+    occupied[10:-10, 10:-10] = True
+    monkeypatch.setattr("pcs_racing.track.building.centerline.distance_to_walls", None)
+    refused(
+        r"at least 11\d\d\d m long.*resolution, 1 m", centerline_from_grid, occupied, 1.0, (0.0, 0.0), error=MapError
+    )
 
 
 def _png_header(width, height):

@@ -13,9 +13,10 @@ from zoo_games import toy_archive
 from pcs_racing import save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.benchmark.card import Card, board_page, board_rows, read_card, read_cards, write_card
+from pcs_racing_agents.benchmark.card_values import CardScore, Gain, ReplyLoss
 from pcs_racing_agents.benchmark.entrants import load_entrant
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
-from pcs_racing_agents.benchmark.scoring import CardScore, decision_cost, gain, play_protocol, rating, summarise
+from pcs_racing_agents.benchmark.scoring import decision_cost, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main
 
 SMALL = {
@@ -58,9 +59,9 @@ def test_scores_and_gains_are_means_over_the_same_races(results):
     assert scores[one.cell.opponent, one.cell.circuit].score == pytest.approx(one.races.score.mean())
     found = gain(results, "random-moves")
     means = {name: np.concatenate([one.races.score for one in cells]).mean() for name, cells in results.items()}
-    assert found["over"] == "never-switch"
-    assert found["gain"] == pytest.approx(means["random-moves"] - means["never-switch"])
-    assert found["low"] <= found["gain"] <= found["high"]
+    assert found.over == "never-switch"
+    assert found.gain == pytest.approx(means["random-moves"] - means["never-switch"])
+    assert found.low <= found.gain <= found.high
 
 
 def test_a_rating_explains_the_score(protocol, results, monkeypatch):
@@ -124,8 +125,14 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
 def card(name="mine", score=0.5, **changes):
     parts = (("all", "all"), ("all", "seen"), ("all", "unseen"), ("keeps", "seen"))
     scores = tuple(CardScore(*part, 10 + k, score, score - 0.1, score + 0.1, 0.1, 0.0) for k, part in enumerate(parts))
-    gains = {"all": {"over": "best-fixed", "gain": 0.1, "low": 0.0, "high": 0.2}}
-    values = {"protocol": "p-v1", "protocol_sha256": "ab" * 32, "agent": name, "agent_sha256": "c", "gains": gains}
+    gains = {"all": Gain("best-fixed", 0.1, 0.0, 0.2)}
+    values = {
+        "protocol": "p-v1",
+        "protocol_sha256": "ab" * 32,
+        "agent": name,
+        "agent_sha256": "cd" * 32,
+        "gains": gains,
+    }
     return Card(**{**values, "scores": scores, **changes})
 
 
@@ -143,6 +150,42 @@ def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_pa
         refused(r"card\.json", read_card, tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        *[({"score": value}, "score is .*from 0 to 1") for value in (5.0, -0.1, "1", None, True, [0.5])],
+        ({"score": float("nan")}, "NaN.*finite"),
+        ({"score": float("inf")}, "Infinity.*finite"),
+        ({"score": 0.9}, "score is 0.9, outside of its interval"),
+        *[({"own_crash": value}, "own_crash is") for value in (-5, 1.01, {})],
+        *[({"races": value}, "races is") for value in ([], 0, 2.5, 10**400)],
+        *[({"agent": value}, "name is") for value in (None, "", "a" * 201, "a\x1b[2J", 7, [])],
+        *[({"agent_sha256": value}, "hash is") for value in ("c", "AB" * 32, 64 * "g", None)],
+        *[({"scores": value}, "scores are") for value in (None, [], {}, 3)],
+        ({"scores": [[]]}, "must be a mapping of part"),
+        ({"gains": {"mine": {}}}, "gains are"),
+        ({"gains": {"all": {"gain": 0.1}}}, "must be a mapping of over"),
+        ({"best_reply": {"loss": 0.1}}, "must be a mapping of loss"),
+        ({"rating": 1e308}, "rating is"),
+        ({"cost_us": -1.0}, "cost_us is"),
+        ({"page": "x"}, "must be a mapping of protocol"),
+    ],
+)
+def test_no_value_of_a_strangers_card_is_believed(change, message, tmp_path):
+    write_card(card(), tmp_path)
+    values = json.loads((tmp_path / "card.json").read_text())
+    ((key, value),) = change.items()
+    (values["scores"][0] if key in values["scores"][0] else values)[key] = value
+    (tmp_path / "card.json").write_text(json.dumps(values))
+    refused(message, read_card, tmp_path)
+
+
+@pytest.mark.parametrize("text", ["[" * 200_000, '{"a": ' * 200_000, "9" * 5000, "1e999", "-Infinity", "\ud800", "1 2"])
+def test_what_is_no_json_is_no_card(text, tmp_path):
+    (tmp_path / "card.json").write_text(text, "utf-8", "surrogatepass")
+    refused(r"card\.json", read_card, tmp_path)
+
+
 def test_the_leaderboard_ranks_cards_of_one_protocol_and_tells_what_was_not_measured(tmp_path):
     def folder(name, value):
         (tmp_path / name).mkdir()
@@ -155,11 +198,11 @@ def test_the_leaderboard_ranks_cards_of_one_protocol_and_tells_what_was_not_meas
     assert "p-v1" in board_page(cards)
     for name, value in (
         ("v2", card("c", protocol="p-v2")),
-        ("hash", card("d", protocol_sha256="0")),
+        ("hash", card("d", protocol_sha256="0" * 64)),
         ("twice", card("a")),
     ):
         refused(name, read_cards, [*good, folder(name, value)])
-    reply = {"loss": 0.123, "low": 0.1, "high": 0.15, "starts": 8, "rounds": 1, "races": 40}
+    reply = ReplyLoss(0.123, 0.1, 0.15, 8, 1, 40)
     head, measured, other = board_rows([card("a", best_reply=reply), card("b")])
     column = head.index("best reply")
     assert (measured[column], other[column]) == ("+0.123 [+0.100, +0.150]", "not measured")
@@ -184,9 +227,9 @@ def test_a_full_card_has_the_loss_to_a_best_reply(protocol_file, tmp_path, monke
     out = tmp_path / "card"
     assert main(["benchmark", "always-restraint+", "--full", "--protocol", protocol_file, "--out", str(out)]) == 0
     reply = read_card(out).best_reply
-    assert {reply[key] for key in ("starts", "rounds")} == {8, 1}
-    assert reply["low"] <= reply["loss"] <= reply["high"]
-    assert -0.5 <= reply["loss"] <= 0.5
+    assert (reply.starts, reply.rounds) == (8, 1)
+    assert reply.low <= reply.loss <= reply.high
+    assert -0.5 <= reply.loss <= 0.5
     assert "Loss to a learned best reply (8 starts, 1 round)" in (out / "card.md").read_text()
 
 

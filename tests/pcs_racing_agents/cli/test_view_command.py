@@ -2,7 +2,9 @@
 
 import json
 import shutil
+import socket
 import threading
+import time
 from http.client import HTTPConnection
 
 import numpy as np
@@ -14,7 +16,7 @@ from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.view.race_replays import RaceRepeater, RepeatedRace
 from pcs_racing_agents.view.results_folder import open_results
-from pcs_racing_agents.view.view_server import MOST_KEPT, Answer, RaceService, make_server
+from pcs_racing_agents.view.view_server import AT_ONCE, MOST_KEPT, Answer, RaceService, make_server
 
 
 @pytest.fixture
@@ -207,6 +209,7 @@ def test_the_server_drives_what_it_is_asked_for(ask, tournament_folder):
         ("/", {"Host": "127.0.0.1:1"}, 403),
         ("/race/1", {"Sec_Fetch_Site": "cross-site"}, 403),
         ("/", {"Sec_Fetch_Site": "same-site"}, 403),
+        ("/race/1", {"Origin": "http://evil.example"}, 403),
     ],
 )
 def test_the_server_answers_nothing_else(ask, path, headers, status):
@@ -226,6 +229,37 @@ def test_a_race_that_can_not_be_driven_is_told(folder):
     answer = service.answer("/race/3")
     assert answer.status == 409
     assert "has changed since the races were driven" in json.loads(answer.body)["error"]
+
+
+def test_two_hosts_are_none_and_200_connections_at_once_are_answered():
+    busy, most, lock = 0, 0, threading.Lock()
+
+    def answer(path):
+        nonlocal busy, most
+        with lock:
+            busy += 1
+            most = max(most, busy)
+        time.sleep(0.01)
+        with lock:
+            busy -= 1
+        return Answer(200, b"{}")
+
+    with make_server("", answer) as server:
+        threading.Thread(target=server.serve_forever).start()
+        host = f"127.0.0.1:{server.server_address[1]}"
+        waiting = [socket.create_connection(server.server_address, 60) for _ in range(200)]
+        for one in waiting:
+            one.sendall(f"GET /race/1 HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n".encode())
+        answers = [one.makefile("rb").read() for one in waiting]
+        for one in waiting:
+            one.close()
+        with socket.create_connection(server.server_address, 60) as one:
+            one.sendall(f"GET / HTTP/1.1\r\nHost: {host}\r\nHost: evil\r\nConnection: close\r\n\r\n".encode())
+            twice = one.makefile("rb").read()
+        server.shutdown()
+    assert all(one.startswith(b"HTTP/1.1 200") for one in answers)
+    assert 1 <= most <= AT_ONCE
+    assert twice.startswith(b"HTTP/1.1 403")
 
 
 def test_answers_are_kept_but_not_for_ever():

@@ -249,6 +249,28 @@ def test_another_version_of_the_package_is_another_run(tmp_path, monkeypatch):
     refused(r"package version is '.*', not '99\.0'", open_job(tmp_path, "squares", SETTINGS).__enter__)
 
 
+@pytest.mark.parametrize("damage", ["cut", "bit", "empty", "gone", "digest", "no digest"])
+def test_a_damaged_manifest_is_written_again_by_the_same_command(tmp_path, damage):
+    with open_job(tmp_path, "squares", SETTINGS) as job:
+        job.run("square", square, range(3))
+    whole = contents(tmp_path)
+    file = tmp_path / (".job.sha256" if "digest" in damage else "job.yaml")
+    content = bytearray(file.read_bytes())
+    content[content.index(b"3" if "digest" not in damage else content[:1])] ^= 1  # the seed, of the manifest
+    if damage in ("gone", "no digest"):
+        file.unlink()
+    else:
+        file.write_bytes({"cut": content[:9], "empty": b""}.get(damage, content))
+    if "digest" not in damage:
+        refused("holds|manifest", open_job(tmp_path, "squares", {**SETTINGS, "seed": 9}).__enter__)
+    with open_job(tmp_path, "squares", SETTINGS) as job:
+        job.run("square", square, range(3))
+    found = contents(tmp_path)
+    assert {name: found[name] for name in found if "digest" not in damage or name != ".job.sha256"} == {
+        name: whole[name] for name in whole if "digest" not in damage or name != ".job.sha256"
+    }
+
+
 def test_settings_may_be_arrays_tuples_and_dataclasses(tmp_path):
     epsilon, race = (0.1, np.float64(0.2)), load_race_config("paper")
     settings = {"epsilon": epsilon, "race": race, "bounds": np.eye(2), "tiny": 1e-30}

@@ -137,6 +137,8 @@ def other_weights(folder: Path, change) -> None:
         (lambda f: edit(f, moves=[1, 2, 3, 4]), "it must be a list of texts"),
         (lambda f: edit(f, training=[]), "it must be a mapping"),
         (lambda f: edit(f, elements=["a"]), "has 7 inputs"),
+        (lambda f: edit(f, elements=["a"] * 7), "elements .*each once"),
+        *[(lambda f, e=e: edit(f, epsilon=e), "epsilon is") for e in ([float("nan")], [0.5, 0.5], [])],
         (
             lambda f: other_weights(f, lambda t: {**t, "input.mean": np.full(7, np.nan, "f")}),
             "it must be 7 finite numbers",

@@ -8,7 +8,11 @@ from pcs_racing import InputError, load_race_config
 from pcs_racing.game import characteristics
 from pcs_racing.game.characteristics import Characteristic
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.race.races import RaceSetup, advance
+from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.registry import parse_policy
+from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.races import RaceSetup, advance, start_races, winners
+from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import SUMS
 from pcs_racing_agents.synthesis import evaluate as evaluation
 from pcs_racing_agents.synthesis.evaluate import evaluate, race_policies, race_segments, summarise
@@ -99,6 +103,28 @@ def test_a_pooled_coordinate_is_that_of_all_races_together(scenarios):
         assert found.spread[k, 1] == pytest.approx(np.sqrt((len(races) - 1) * without.var()))
 
 
+def test_rivals_of_other_planners_are_met_as_often_as_opponents_and_scored(oval):
+    given = {"starts": 2, "segment_seconds": 2.0, "seed": 4}
+    rivals = ("pure-pursuit:pace=0", "lane-switcher", "pure-pursuit:pace=1")
+    scenarios = draw_scenarios([oval], SHORT, policies(1), AXES, rivals=rivals, **given)
+    assert np.bincount(scenarios.opponent).tolist() == [4, 4, 4, 4]
+    raced = race_policies((scenarios, policies(3)))
+    assert raced["rival"].sum(axis=1).tolist() == [12, 12, 12]
+    for number, rival in enumerate(rivals, start=1):
+        of = np.flatnonzero(scenarios.opponent == number)
+        driver = parse_policy(rival)
+        setup = RaceSetup(oval, SHORT, (LATTICE, driver.planner))
+        state = start_races(setup, Starts(scenarios.start_s[of], scenarios.side[of]), scenarios.seed[of])
+        pair = pad_parameters([Policy(LATTICE, policies(3)[1], "own"), driver], setup.theta_size)
+        advance(setup, state, np.tile(pair, (len(of), 1, 1)), SHORT.ticks)
+        np.testing.assert_array_equal(raced["winner"][1, of], winners(SHORT, state))
+    points = np.where(raced["winner"] == 0, 1.0, np.where((raced["winner"] < 0) & ~raced["crashed"], 0.5, 0.0))
+    np.testing.assert_allclose(summarise(raced).score, points[:, 4:].mean(axis=1))
+    refused(
+        "planner 'nobody' is unknown", draw_scenarios, [oval], SHORT, policies(1), AXES, rivals=("nobody",), **given
+    )
+
+
 @pytest.mark.parametrize("kind", ["serial", "threads", "processes"])
 def test_blocks_and_executors_change_nothing(scenarios, raced, kind, executor):
     expected = summarise(raced)
@@ -125,7 +151,8 @@ def test_the_spread_is_that_of_a_mean_over_races():
 
     def nobody(policies: int) -> dict[str, np.ndarray]:
         """Races without a winner."""
-        return {"winner": np.full((policies, 50), -1)}
+        none = np.zeros((policies, 50), bool)
+        return {"winner": np.full((policies, 50), -1), "crashed": none, "rival": none}
 
     rng = np.random.default_rng(0)
     totals = rng.normal(3.0, 2.0, (4, 50, 1))

@@ -53,6 +53,20 @@ def test_a_played_game_is_the_game_that_the_moves_make(contest, zoo, games_of):
     assert ((races.path >= 0).sum(axis=2)[~crashed] == 5).all()
 
 
+def test_a_game_whose_players_move_before_the_start_is_played_and_recorded(contest, zoo, games_of):
+    config = replace(contest.config, first_steps=(0.0, 1.0))
+    pairing = replace(games_of(zoo["random-moves"], zoo["never-switch"]), game=replace(contest, config=config))
+    races = played(pairing)
+    state = pairing.game.reset(pairing.noise, policies=pairing.variants, starts=pairing.starts)
+    for step in range(config.moves):
+        state = pairing.game.step(state, np.maximum(races.moves.codes[:, :, step], 0))
+    np.testing.assert_array_equal(races.lead, state.race.lead)
+    (whole, *_) = np.flatnonzero(~races.crashed)
+    assert races.duration[whole] == config.horizon
+    recorded = record_game(pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(whole))
+    np.testing.assert_array_equal(recorded.replay.cars[-1], state.race.cars[whole])
+
+
 @pytest.mark.parametrize(
     "pair",
     [

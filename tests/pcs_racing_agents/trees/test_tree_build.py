@@ -31,6 +31,18 @@ def test_the_leaves_are_the_races_of_all_sequences_of_moves(paper, played, numbe
     assert tree.statistics.crashed == ends.race.crashed.mean()
 
 
+def test_a_tree_may_begin_before_the_start(paper, played):
+    game = replace(paper, config=replace(paper.config, moves=2, first_steps=(0.0, 1.0)))
+    tree = build_tree(game, (2, 7), (float(game.start_lines[1]), 1), [5])
+    every = np.array(list(product(range(4), repeat=4))).reshape(-1, 2, 2)
+    ends = played(game, tree, 0, every)
+    np.testing.assert_array_equal(tree.payoffs[0], game.reward(ends)[:, 0].astype(np.float32))
+    assert (
+        tree.leads[0]
+        == game.reset(games=1, policies=(2, 7), starts=Starts(np.array([tree.start_s]), np.array([1]))).leads[0, 0]
+    ).all()
+
+
 @pytest.mark.parametrize(("name", "policies", "line", "side"), [("noisy", (7, 6), 1, 1), ("far", (7, 1), 0, 0)])
 def test_what_is_seen_on_the_way_is_what_the_game_shows(name, policies, line, side, request, played, number):
     game = request.getfixturevalue(name)

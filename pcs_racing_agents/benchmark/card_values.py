@@ -1,0 +1,81 @@
+"""What a score card may say: declared values, since cards are what strangers send in."""
+
+from dataclasses import MISSING, dataclass
+from typing import Any
+
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.settings import Settings, checked, number, setting, text, whole
+
+LONGEST_NAME = 200  # characters
+
+
+def _name(value: Any) -> str:
+    name: str = text().check("a name", value)
+    if len(name) > LONGEST_NAME or not name.isprintable():
+        raise ConfigError(f"a name is {name[:40]!r}...; it must have at most {LONGEST_NAME} printable characters")
+    return name
+
+
+NAME, COUNT = checked(_name, f"at most {LONGEST_NAME} printable characters"), whole(1, 10**9)
+SHARE, DIFFERENCE = number(0.0, 1.0), number(-1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class CardScore(Settings):
+    """The score over a part of the races.
+
+    The interval is robust to clusters of start policies and of opponents' variants; it holds for these circuits.
+    """
+
+    part: str = setting(MISSING, NAME, 'Opponents: "all", a kind of them, or one.')
+    circuits: str = setting(MISSING, NAME, 'Circuits: "seen", "unseen", "all", or one.')
+    races: int = setting(MISSING, COUNT, "Number of races.")
+    score: float = setting(MISSING, SHARE, "Mean score: 1 for a win, 0.5 for a tie, else 0.")
+    low: float = setting(MISSING, SHARE, "Lower limit of its 95 % interval.")
+    high: float = setting(MISSING, SHARE, "Upper limit.")
+    own_crash: float = setting(MISSING, SHARE, "Share of the races that ended in a crash by the agent's own fault.")
+    other_crash: float = setting(MISSING, SHARE, "Share that ended in another crash.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_ordered("score", self.low, self.score, self.high)
+
+    @property
+    def interval(self) -> str:
+        """Interval of the score as text."""
+        return f"[{self.low:.3f}, {self.high:.3f}]"
+
+
+@dataclass(frozen=True)
+class Gain(Settings):
+    """The adaptivity gain on some circuits."""
+
+    over: str = setting(MISSING, NAME, "The open-loop agent that it is a gain over.")
+    gain: float = setting(MISSING, DIFFERENCE, "Difference of the scores.")
+    low: float = setting(MISSING, DIFFERENCE, "Lower limit of its 95 % interval.")
+    high: float = setting(MISSING, DIFFERENCE, "Upper limit.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_ordered("gain", self.low, self.gain, self.high)
+
+
+@dataclass(frozen=True)
+class ReplyLoss(Settings):
+    """What an agent loses to a learned best reply."""
+
+    loss: float = setting(MISSING, DIFFERENCE, "Races lost per race.")
+    low: float = setting(MISSING, DIFFERENCE, "Lower limit of its 95 % interval.")
+    high: float = setting(MISSING, DIFFERENCE, "Upper limit.")
+    starts: int = setting(MISSING, COUNT, "Starts of the learner on each circuit.")
+    rounds: int = setting(MISSING, COUNT, "Rounds of the learner.")
+    races: int = setting(MISSING, COUNT, "Races in which the loss was measured.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_ordered("loss", self.low, self.loss, self.high)
+
+
+def _check_ordered(name: str, low: float, value: float, high: float) -> None:
+    if not low <= value <= high:
+        raise ConfigError(f"{name} is {value:g}, outside of its interval from {low:g} to {high:g}")
