@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_array, check_facts, check_names, check_text, check_whole_array
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.game.learned import LearnedCharacteristics, register_learned
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 
@@ -76,8 +75,6 @@ class PolicyArchive:
     #: shape (K,): Share of the races behind the coordinates that ended by a crash of the policy's own fault, 0 to 1.
     own_crash: Floats | None = None
     explored_own_crash: Floats | None = None  #: shape (E,): The same for everything that was evaluated on the way.
-    #: Learned axes that the archive brings with it; they are registered when the archive is made.
-    learned: LearnedCharacteristics | None = None
 
     def __post_init__(self) -> None:
         for key in ("name", "planner", "preset"):
@@ -85,11 +82,6 @@ class PolicyArchive:
         where = f"archive {self.name!r}"
         for key in ("parameter_names", "characteristics"):
             object.__setattr__(self, key, check_names(f"{where}: {key}", getattr(self, key)))
-        if self.learned is not None:
-            if not isinstance(self.learned, LearnedCharacteristics):
-                raise InputError(f"{where}: learned is {self.learned!r:.80}; it must be LearnedCharacteristics")
-            # Before its axes are looked up by name.
-            register_learned(self.learned)
         get_characteristics(self.characteristics)
         object.__setattr__(self, "settings", check_facts(f"{where}: settings", self.settings))
         theta, axes = len(self.parameter_names), len(self.characteristics)
@@ -150,8 +142,6 @@ class PolicyArchive:
         for key in ("parameters", "coordinates", "ideal", "nadir"):
             array = getattr(self, key)
             digest.update(f"{key} {array.shape};".encode() + array.astype("<f8").tobytes())
-        if self.learned is not None:
-            digest.update(self.learned.content_hash.encode())
         return digest.hexdigest()
 
     # Coordinates

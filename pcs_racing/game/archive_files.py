@@ -11,7 +11,6 @@ from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, shipped_folder
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import unpack_arrays
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.learned import LearnedCharacteristics
 
 _TEXTS = ("name", "planner", "preset")
 _NAMES = ("parameter_names", "characteristics")
@@ -26,7 +25,6 @@ ARCHIVE_FORMAT = ArtifactFormat(
     digest_key="arrays_sha256",
     max_bytes=256_000_000,
     shipped=shipped_folder(Path(__file__).resolve().parents[1], "archives"),
-    optional=("learned",),
 )
 
 
@@ -39,7 +37,6 @@ def save_archive(archive: PolicyArchive, folder: str | Path) -> Path:
         **{key: getattr(archive, key) for key in _TEXTS},
         **{key: list(getattr(archive, key)) for key in _NAMES},
         "settings": dict(archive.settings),
-        "learned": None if archive.learned is None else archive.learned.to_plain(),
     }
     return ARCHIVE_FORMAT.save(folder, fields, buffer.getvalue())
 
@@ -80,8 +77,6 @@ def load_archive(source: str | os.PathLike[str] | PolicyArchive) -> PolicyArchiv
             f"{', '.join(_OPTIONAL_ARRAYS)}"
         )
     try:
-        if fields["learned"] is not None:
-            fields["learned"] = LearnedCharacteristics.from_plain(fields["learned"])
         return PolicyArchive(**fields, **arrays)
     except InputError as error:
         raise type(error)(f"{folder}: {error}") from None

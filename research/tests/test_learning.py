@@ -9,7 +9,7 @@ from research.axes.coordinates import payoff_coordinates
 from research.axes.learn import LearnSettings, fit_characteristics
 from research.axes.pools import best_of_intervals
 from research.axes.ridge import fit_ridge, term_names, term_values
-from research.axes.validation import DRAWS, draw_rows, explained, judge
+from research.axes.validation import DRAWS, draw_rows, explained
 
 POLICIES, TRACKS, PIECES = 24, 2, 64
 SETTINGS = LearnSettings(name="world", inputs=("speed", "restraint"), degree=1, folds=6)
@@ -56,22 +56,6 @@ def test_weights_of_a_linear_world_are_recovered():
     assert (learning.scores[16].r2 > learning.scores[1].r2).all()
     assert (learning.scores[16].r2 > 0.9).all()
     assert [axis.name for axis in learning.characteristics.axes] == ["world_rating", "world_cycle_1", "world_cycle_2"]
-
-
-def test_other_policies_of_the_world_are_estimated_as_well():
-    world, other = World(0), World(1)
-    learning = fit_characteristics(world.payoffs, world.behaviour, SETTINGS)
-    x, y = 0.2 * world.traits.T
-    against = (
-        other.rating[:, None] - world.rating
-        + 0.2 * other.traits[:, :1] * y
-        - 0.2 * other.traits[:, 1:] * x
-    )  # fmt: skip
-    scores = judge(
-        learning.characteristics, learning.coordinates, other.behaviour, against[None].repeat(TRACKS, 0), (1, 16)
-    )
-    assert (scores[16].r2 > 0.9).all()
-    assert (scores[1].r2 < scores[16].r2).all()
 
 
 def test_behaviour_that_says_nothing_explains_nothing():
