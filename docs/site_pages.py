@@ -123,7 +123,7 @@ def _to_markdown(text: str, defaults: dict[str, str] | None = None) -> str:
     """Turn what is reStructuredText in a docstring into Markdown; add the defaults of parameters."""
     text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text)
     text = text.replace("``", "`")
-    parts = re.split(r"^(Parameters|Raises|Examples|Returns)\n-+\n", text, flags=re.MULTILINE)
+    parts = re.split(r"^(Parameters|Examples|Returns)\n-+\n", text, flags=re.MULTILINE)
     made = [parts[0]]
     for heading, body in zip(parts[1::2], parts[2::2], strict=True):
         numpydoc, mark, after = body.partition("\n## ")

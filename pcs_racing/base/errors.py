@@ -1,8 +1,7 @@
 """Errors for bad input, and the rule which of them is raised where.
 
 A message is one line that names the value and the correct form, and it comes before any long work. All functions of
-both packages follow one rule; only those of the public face (what ``import pcs_racing`` offers, and
-:mod:`pcs_racing.testing`) repeat it under "Raises" in their docstrings.
+both packages follow one rule, which their docstrings do not repeat.
 
 =============================  =========================================================================================
 what is wrong                  error

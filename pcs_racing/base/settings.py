@@ -251,7 +251,7 @@ def _attributes(cls: type[Settings]) -> str:
     lines = ["Attributes", "----------"]
     for name, (kind, field) in _declared(cls).items():
         lines += [f"{name} : {kind}", *wrap(_sentence(field), 108, initial_indent="    ", subsequent_indent="    ")]
-    return "\n".join([*lines, "", "Raises", "------", "ConfigError", "    If a value is out of its range.", ""])
+    return "\n".join([*lines, ""])
 
 
 def _declared(cls: type) -> dict[str, tuple[str, "Field[Any]"]]:

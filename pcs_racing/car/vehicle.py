@@ -377,11 +377,6 @@ def simulate(
     ndarray, shape (T + 1, 7) or (B, T + 1, 7)
         The states, the initial one first; psi is brought into [0, 2 pi) after each step.
 
-    Raises
-    ------
-    InputError
-        If a shape, a value or the mode is not allowed.
-
     Examples
     --------
     >>> import numpy as np

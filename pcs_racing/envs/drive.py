@@ -168,13 +168,6 @@ class DriveEnv(ScalarEnv):
     render_size : tuple of int
         Width and height of a frame in pixels.
 
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
-
     ## Vectorized environment
 
     ``gym.make_vec("pcs_racing/Drive-v1", num_envs=256)`` gives :class:`pcs_racing.envs.drive.DriveVectorEnv`:

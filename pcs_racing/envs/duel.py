@@ -113,13 +113,6 @@ class DuelEnv(ScalarEnv):
     **settings
         Fields of :class:`pcs_racing.game.config.GameConfig`: ``moves``, ``step_seconds``, ``epsilon``, ``stay``...
 
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
-
     ## Vectorized environment
 
     ``gym.make_vec("pcs_racing/Duel-v1", num_envs=256)`` gives :class:`pcs_racing.envs.duel.DuelVectorEnv`: one

@@ -107,13 +107,6 @@ class MatchEnv(DuelEnv):
         Fields of :class:`pcs_racing.game.config.GameConfig` but ``utility``, ``fault_penalty`` and ``discount``:
         ``moves``, ``step_seconds``, ``characteristics``...
 
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
-
     ## Vectorized environment
 
     ``gym.make_vec("pcs_racing/Match-v0", num_envs=256)`` gives :class:`pcs_racing.envs.match.MatchVectorEnv`: the races

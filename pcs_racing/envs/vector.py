@@ -49,13 +49,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         Threads that may share a step, all cores by default; the result does not depend on it.
     render_mode, view, render_size, **arguments
         As for the environment of one episode; `render` returns a frame for each environment.
-
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
     """
 
     metadata: dict[str, Any] = {**OverBatch.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012

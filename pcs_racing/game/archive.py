@@ -37,16 +37,7 @@ class Explored(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PolicyArchive:
-    """Policies of one planner and where they lie in the Policy Characteristic Space (Section IV of the paper).
-
-    Raises
-    ------
-    InputError
-        If an array is not finite or has another shape, an axis has no extent, a name is no text, or the name of a
-        learned axis is taken by another characteristic.
-    UnknownNameError
-        If a characteristic is unknown.
-    """
+    """Policies of one planner and where they lie in the Policy Characteristic Space (Section IV of the paper)."""
 
     name: str
     planner: str  #: Name of the planner that all policies belong to.

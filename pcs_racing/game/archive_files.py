@@ -47,15 +47,7 @@ def list_archives() -> list[str]:
 
 
 def load_archive(source: str | os.PathLike[str] | PolicyArchive) -> PolicyArchive:
-    """Return an archive from the name of a shipped one, from its folder, or as it is.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name and no such folder.
-    InputError
-        If a file of the folder is missing, damaged, from another version, or its contents do not fit each other.
-    """
+    """Return an archive from the name of a shipped one, from its folder, or as it is."""
     if isinstance(source, PolicyArchive):
         return source
     folder = ARCHIVE_FORMAT.find(source)

@@ -130,11 +130,6 @@ def hazard_scan(
     Returns
     -------
     ndarray, shape (at most len(scales),)
-
-    Raises
-    ------
-    InputError
-        If ``cars`` is odd or below 2.
     """
     if cars < 2 or cars % 2:
         raise InputError(f"cars is {cars}; it must be an even number from 2")
@@ -178,13 +173,8 @@ def calibrate(
     pace asks for more than the friction of the tyres: the vehicle model would give it, a road would not.
 
     Start places are those from which pairs of drivers get away (`pcs_racing.race.start_places`). Where none is left
-    with the configuration's distance across the track, the nearest distance that works is taken.
-
-    Raises
-    ------
-    InputError
-        If even the slowest scale is beyond the hazard allowed (then the circuit is too tight for these cars), or two
-        cars can't start anywhere.
+    with the configuration's distance across the track, the nearest distance that works is taken. A circuit that is too
+    tight for these cars is an error.
     """
     noisy = config.steering_noise > 0.0
     allowed = HAZARD_WITH_NOISE if noisy else HAZARD_WITHOUT_NOISE
@@ -213,11 +203,6 @@ def calibration_of(track: Track, config: RaceConfig) -> Calibration:
     """The calibration of a circuit for a race configuration: the circuit's own, a cached one, or a new one.
 
     A configuration takes the calibration of the preset that it changes, or of one that is as noisy (:func:`preset_of`).
-
-    Raises
-    ------
-    InputError
-        If the circuit can't be calibrated, see :func:`calibrate`.
     """
     preset = preset_of(config)
     own = track.calibration.get(preset.name)
@@ -234,11 +219,6 @@ def starts_for(track: Track, config: RaceConfig) -> Calibration:
 
     It is the preset's if the configuration starts as its preset does; another kind of start is tried out by driving,
     once, and kept in the cache.
-
-    Raises
-    ------
-    InputError
-        If two cars can't start so anywhere on the circuit.
     """
     calibration = calibration_of(track, config)
     if start_layout(config) == start_layout(preset_of(config)):

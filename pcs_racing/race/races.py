@@ -124,13 +124,7 @@ def starts_of(
 def start_races(
     setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64], conditions: RaceConditions = AS_THE_SETUP
 ) -> RaceState:
-    """Put the cars of every race on the grid, as :func:`pcs_racing.race.start_grid.place_on_grid` says.
-
-    Raises
-    ------
-    InputError
-        If a start lies off the track, or the cars would stand in a wall or in each other; the race's index is named.
-    """
+    """Put the cars of every race on the grid, as :func:`pcs_racing.race.start_grid.place_on_grid` says."""
     if len(starts) != len(seeds):
         raise InputError(f"there are {len(starts)} starts but {len(seeds)} seeds; give one seed for each race")
     track, config, spacing = setup.track, setup.config, setup.start_spacing
@@ -175,11 +169,6 @@ def advance(
         ``ITTC_SAMPLES`` is the same, in less time.
     conditions : RaceConditions
         Cars and tracks of single races.
-
-    Raises
-    ------
-    InputError
-        If ``ticks`` is odd or negative, or ``theta`` or the conditions do not fit the batch.
     """
     if ticks < 0 or ticks % CONTROL_EVERY:
         raise InputError(f"ticks is {ticks}; it must be an even number from 0")
@@ -321,11 +310,6 @@ def run_races(
         The cars.
     threads : int, optional
         Threads to share the races; all cores by default. It does not change the result.
-
-    Raises
-    ------
-    InputError
-        If the numbers of egos, opponents and starts do not fit, or a start is impossible.
     """
     counts = [len(one) for one in (egos, opponents) if not isinstance(one, Policy)]
     if len(set(counts)) > 1:

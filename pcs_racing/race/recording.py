@@ -66,11 +66,6 @@ def record_race(
     -------
     Replay
         With 25 frames a second; it ends with the race, which may be a crash.
-
-    Raises
-    ------
-    InputError
-        If the index is outside its range, or the start is impossible.
     """
     check_whole("index", index, 0, LAST_INDEX)
     drivers = [ego, opponent] if isinstance(opponent, Policy) else [ego, *opponent]

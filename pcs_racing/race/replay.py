@@ -24,13 +24,7 @@ class ReplayEvent:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """A race as it was driven: nothing but values, checked and copied when it is made; the arrays are read-only.
-
-    Raises
-    ------
-    InputError
-        If a shape does not fit, a number is not finite where it must be, or a text is too long.
-    """
+    """A race as it was driven: nothing but values, checked and copied when it is made; the arrays are read-only."""
 
     title: str  #: Shown in the page's header, as is the track's name.
     track_name: str

@@ -32,11 +32,6 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
     """Write a race as a page (``.html``) or as bare JSON (``.json``), in one step; `read_replay` reads both.
 
     Numbers are rounded: to 1 mm, 1 mm/s, 1 mrad and 1 ms for cars, plans and line, to 1 cm for candidates and walls.
-
-    Raises
-    ------
-    InputError
-        If the name ends differently or its folder does not exist.
     """
     path = Path(path)
     if path.suffix == ".html":
@@ -68,13 +63,7 @@ def replay_page(replay: Replay) -> str:
 
 
 def read_replay(path: str | os.PathLike[str]) -> Replay:
-    """Read a race back from what `save_replay` wrote. Nothing in the file is run, and all of it is checked.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it does not hold a race.
-    """
+    """Read a race back from what `save_replay` wrote. Nothing in the file is run, and all of it is checked."""
     path = Path(path)
     try:
         text = read_limited(path, _LARGEST_FILE, "a replay", InputError).decode("utf-8")

@@ -164,13 +164,7 @@ def save_state(state: RaceState, path: str | Path) -> None:
 
 
 def load_state(path: str | Path) -> RaceState:
-    """Read a state that :func:`save_state` wrote.
-
-    Raises
-    ------
-    InputError
-        If the file is no race state, or its arrays do not fit each other.
-    """
+    """Read a state that :func:`save_state` wrote."""
     try:
         arrays = unpack_arrays(read_limited(path, MAX_BYTES, "a race state"))
     except (OSError, InputError) as error:

@@ -54,13 +54,6 @@ def load_track(name_or_path: str | os.PathLike[str]) -> Track:
     -------
     Track
         The same object for the same map.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is neither a folder nor a shipped circuit of that name.
-    MapError
-        If the folder, or a file in it, is not a valid map.
     """
     files = find_map(_resolve(name_or_path))
     with _lock:

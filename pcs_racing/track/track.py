@@ -157,11 +157,6 @@ def build_track(
         Speed range and start positions for each race preset, as far as they are known.
     folder : Path, optional
         The map folder of the circuit.
-
-    Raises
-    ------
-    MapError
-        If a value is not allowed, or if the lines and the grid do not fit together.
     """
     label = f"track {name}"
     grid, resolution, corner = checked_grid(occupied, resolution, origin, label)
