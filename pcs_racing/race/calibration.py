@@ -19,12 +19,11 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import CONTEST, DT, PAPER, PRESETS, RaceConfig
 from pcs_racing.race.contacts import END
-from pcs_racing.race.driving import default_threads, drive, kernel_settings, pad_parameters
+from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
-from pcs_racing.race.start_places import fit_places, places_of, seconds_driven
+from pcs_racing.race.start_places import fit_places, places_of
 from pcs_racing.race.state import empty_state
 from pcs_racing.track.cache import CALIBRATION, cache_folder, cache_key, load_cached, store
 from pcs_racing.track.frenet import SPEED, X, Y
@@ -37,32 +36,18 @@ HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.50, 0.40
 SPACING_STEP, SPACING_STEPS = 0.1, 4  # m; other distances across the track are tried in such steps up and down
 NARROWEST = {"side-by-side": 0.5, "staggered": 0.0, "rolling": 0.0}  # m between the cars' centres
 SCAN_CARS, SCAN_SECONDS = 160, 40.0
-SIMULATED_PER_SECOND = 9000.0  # s of racing that a core drives in a second, for the forecast (benchmarks/race_speed.py)
 
 
 @dataclass(frozen=True)
 class CalibrationReport:
-    """A calibration, and the hazard scan that its speed range was read off.
+    """A calibration, and the hazard scan that its speed range was read off."""
 
-    Attributes
-    ----------
-    track : str
-        Name of the circuit.
-    preset : str
-        Name of the race configuration.
-    scales : tuple of float
-        Speed scales driven: up to the first whose hazard is too large.
-    hazard : tuple of float
-        Probability that a car alone crashes within 40 s at each of them, made non-decreasing.
-    calibration : Calibration
-        The speed range and the start places.
-    """
-
-    track: str
-    preset: str
-    scales: tuple[float, ...]
+    track: str  #: Name of the circuit.
+    preset: str  #: Name of the race configuration.
+    scales: tuple[float, ...]  #: Speed scales driven: up to the first whose hazard is too large.
+    #: Probability that a car alone crashes within 40 s at each of them, made non-decreasing.
     hazard: tuple[float, ...]
-    calibration: Calibration
+    calibration: Calibration  #: The speed range and the start places.
 
     def table(self) -> str:
         """Return the scan as text, one line for each scale."""
@@ -95,7 +80,6 @@ def hazard_scan(
     config: RaceConfig,
     scales: Sequence[float] = SCALES,
     *,
-    policy: Policy | None = None,
     cars: int = 80,
     seconds: float = SCAN_SECONDS,
     seed: int = 0,
@@ -114,8 +98,6 @@ def hazard_scan(
         Its steering noise is what makes the hazard smooth.
     scales : sequence of float
         Speed scales, ascending.
-    policy : Policy, optional
-        A lattice policy; its pace is overridden. The default driver if absent.
     cars : int
         Cars per scale, even.
     seconds : float
@@ -133,9 +115,8 @@ def hazard_scan(
     """
     if cars < 2 or cars % 2:
         raise InputError(f"cars is {cars}; it must be an even number from 2")
-    driver = policy or LATTICE.policy()
     races = cars // 2
-    theta = pad_parameters([driver], len(LATTICE.parameters))
+    theta = pad_parameters([LATTICE.policy()], len(LATTICE.parameters))
     theta = np.ascontiguousarray(np.broadcast_to(theta[:, None], (races, 2, theta.shape[1])))
     hazards: list[float] = []
     for scale in scales:
@@ -265,7 +246,7 @@ def _cached(track: Track, config: RaceConfig, what: str, find: Callable[[], Cali
     folder = cache_folder()
     kept = f"once; kept in {folder}" if folder is not None else "there is no folder to keep it in"
     start = time.monotonic()
-    _say(f"finding {what} of track {track.name!r} for {preset.name!r} by driving, {_forecast(track, preset)} ({kept})")
+    _say(f"finding {what} of track {track.name!r} for {preset.name!r} by driving ({kept})")
     calibration = find()
     seconds = time.monotonic() - start
     low, high = calibration.speed_range
@@ -276,12 +257,6 @@ def _cached(track: Track, config: RaceConfig, what: str, find: Callable[[], Cali
     )
     store(CALIBRATION, key, {"values": np.array(json.dumps(calibration_values(calibration)))})
     return calibration
-
-
-def _forecast(track: Track, preset: RaceConfig) -> str:
-    """About how long it takes: a hazard scan that ends half-way up its scales, and the start places."""
-    simulated = 0.5 * len(SCALES) * SCAN_CARS // 2 * SCAN_SECONDS + seconds_driven(track, preset)
-    return f"about {max(1, round(simulated / SIMULATED_PER_SECOND / default_threads()))} s"
 
 
 def _say(line: str) -> None:

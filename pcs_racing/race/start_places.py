@@ -110,14 +110,6 @@ def drive_away(
     return crashes, favour
 
 
-def seconds_driven(track: Track, config: RaceConfig) -> float:
-    """About how many seconds of racing :func:`fit_places` simulates if the first spacing works."""
-    races = 2 * (len(PACES) + RANDOM_PAIRS) * (REPEATS if config.steering_noise > 0.0 else 1)
-    away = races * FIRST_SECONDS * track.length / PLACE_EVERY
-    balance = 2 * 2 * BALANCE_PLACES * BALANCE_PAIRS * config.duration if config.start == "side-by-side" else 0.0
-    return away + balance
-
-
 def fit_places(
     track: Track,
     config: RaceConfig,
