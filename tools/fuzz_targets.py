@@ -30,7 +30,6 @@ from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing.envs.opponents import parse_opponents
 from pcs_racing.f1tenth.env import GenerationA, GenerationB
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
-from pcs_racing.game.state import load_game, save_game
 from pcs_racing.planners.trained import DRIVER_FORMAT, read_driver
 from pcs_racing.race.recording import record_race
 from pcs_racing.race.replay_files import save_replay
@@ -528,11 +527,6 @@ TARGETS: dict[str, Target] = {
     ),
     "race state": Target(
         as_file(load_state, "race.npz"), saved(lambda path: save_state(empty_state(2, 3), path), "race-seed.npz"), "npz"
-    ),
-    "game state": Target(
-        as_file(load_game, "game.npz"),
-        saved(lambda path: save_game(small_game().reset(games=2), path), "game-seed.npz"),
-        "npz",
     ),
     "replay json": Target(as_file(read_replay, "race.json"), lambda: [replay("seed.json")], "json"),
     "replay page": Target(as_file(read_replay, "race.html"), lambda: [replay("seed.html")], "binary"),
