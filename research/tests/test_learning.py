@@ -83,13 +83,6 @@ def test_the_learned_set_is_the_same_whenever_it_is_learned():
     assert first.characteristics.content_hash == second.characteristics.content_hash
 
 
-def test_a_policy_of_the_pool_is_placed_where_it_is():
-    world = World(0)
-    frame = payoff_coordinates(world.payoffs[0], world.behaviour[0, :, :, 0].mean(axis=1))
-    np.testing.assert_allclose(frame.place(world.payoffs[0, 0]), frame.standard, atol=1e-9)
-    np.testing.assert_allclose(frame.standard.std(axis=0), 1.0, rtol=1e-6)
-
-
 def test_the_first_coordinate_of_the_plane_grows_with_behaviour_and_the_second_does_not():
     world, rng = World(2), np.random.default_rng(0)
     trend = world.traits @ [0.6, 0.8] + 0.1 * rng.normal(size=POLICIES)
