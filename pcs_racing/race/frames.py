@@ -51,10 +51,9 @@ def _frames(replay: Replay, renderer: Renderer, step: float, candidates: bool) -
         plan = int(time / replay.plan_dt + 1e-6)
         if replay.paths is not None and len(replay.paths):
             shown["plans"] = replay.paths[min(plan, len(replay.paths) - 1)]
-        if candidates and replay.candidates is not None and replay.costs is not None:
-            row = int(np.searchsorted(np.asarray(replay.candidate_steps), plan, side="right")) - 1
-            if row >= 0:
-                shown |= {"candidates": replay.candidates[row], "costs": replay.costs[row]}
+        if candidates and replay.candidates is not None and replay.costs is not None and len(replay.costs):
+            row = min(plan, len(replay.costs) - 1)
+            shown |= {"candidates": replay.candidates[row], "costs": replay.costs[row]}
         frame = renderer.render(
             replay.cars[i],
             trails=replay.cars[since : i + 1, :, :2],

@@ -121,8 +121,7 @@ def _to_values(replay: Replay) -> dict[str, Any]:
         values["ittc"] = packing.pack(np.minimum(replay.ittc, LONGEST_ITTC), packing.COARSE, [0])
     if replay.paths is not None:
         values["paths"] = packing.pack_paths(replay.paths, packing.FINE)
-    if replay.candidates is not None and replay.costs is not None and replay.candidate_steps is not None:
-        values["candidate_steps"] = packing.pack(replay.candidate_steps, 1, [0])
+    if replay.candidates is not None and replay.costs is not None:
         values["candidates"] = packing.pack_paths(replay.candidates, packing.COARSE)
         values["costs"] = packing.pack_costs(replay.costs)
     return values
@@ -134,7 +133,7 @@ def _from_values(values: object) -> Replay:
         raise InputError(f"it must say format {FORMAT!r}")
     needed = {"format", "title", "track_name", "car_names", "outcome", "frame_dt", "plan_dt", "half_sizes", "events"}
     needed |= {"walls", "line", "cars", "progress"}
-    optional = {"line_speed", "ittc", "paths", "candidate_steps", "candidates", "costs"}
+    optional = {"line_speed", "ittc", "paths", "candidates", "costs"}
     if not needed <= values.keys() <= needed | optional:
         missing, unknown = sorted(needed - values.keys()), sorted(values.keys() - needed - optional)
         raise InputError(f"missing parts {missing}, unknown parts {unknown!r:.100}")
@@ -145,8 +144,6 @@ def _from_values(values: object) -> Replay:
     fields: dict[str, Any] = {name: values[name] for name in plain}
     fields |= {name: packing.unpack(values[name], name) for name in arrays if name in values}
     fields |= {name: packing.unpack_paths(values[name], name) for name in ("paths", "candidates") if name in values}
-    if "candidate_steps" in values:
-        fields["candidate_steps"] = packing.unpack(values["candidate_steps"], "candidate_steps").astype(np.int64)
     if "costs" in values:
         fields["costs"] = packing.unpack_costs(values["costs"], "costs")
     fields["walls"] = packing.unpack_segments(values["walls"], "walls")

@@ -199,13 +199,13 @@ def test_frames_of_a_replay_show_the_candidates_that_were_kept(race):
     assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=10.0, speed=0.5))) == 21
     # Candidates that were not kept are not missed.
     assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=5.0, candidates=True))) == 6
-    # From the plan on for which they were kept; before, there are none.
     fan = np.stack([race.cars[10, :, None, :2] + [[0.0, 0.0], [4.0, slope]] for slope in (-1.0, 0.0, 1.0)], axis=1)
-    kept = dataclasses.replace(race, candidate_steps=[5], candidates=fan[None], costs=np.array([[[1.0, 2.0, 3.0]] * 2]))
+    costs = np.tile([1.0, 2.0, 3.0], (len(race.paths), 2, 1))
+    kept = dataclasses.replace(race, candidates=np.tile(fan, (len(race.paths), 1, 1, 1, 1)), costs=costs)
     with_them, without = (
         list(replay_frames(kept, Renderer(kept, 160, 100), fps=10.0, candidates=shown)) for shown in (True, False)
     )
-    assert [bool((a != b).any()) for a, b in zip(with_them, without, strict=True)] == [False] * 5 + [True] * 6
+    assert all((a != b).any() for a, b in zip(with_them, without, strict=True))
 
 
 def test_a_gif_plays_the_race(race, tmp_path):
