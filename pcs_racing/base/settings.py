@@ -49,6 +49,10 @@ class Rule:
     several: bool = False  #: Whether the value is a list.
 
 
+ANYTHING = Rule(lambda name, value: value)
+"""What is checked where it is used, by one who knows more of it."""
+
+
 def whole(least: int, most: int) -> Rule:
     """A whole number from ``least`` to ``most``."""
     return Rule(partial(check_whole, least=least, most=most, error=ConfigError), within(least, most).strip(), int)
@@ -248,10 +252,23 @@ def _check_keys(kind: str, settings: Settings, changes: Mapping[Any, Any], where
 
 def _attributes(cls: type[Settings]) -> str:
     """The attributes of a class of settings as a section of its docstring."""
-    lines = ["Attributes", "----------"]
+    return "\n".join(["Attributes", "----------", *listed_settings(cls, defaults=True), ""])
+
+
+def listed_settings(cls: type[Settings], *without: str, defaults: bool = False) -> list[str]:
+    """Return lines of a docstring, two or more for each setting of a class: its name and type, and its meaning."""
+    lines: list[str] = []
     for name, (kind, field) in _declared(cls).items():
-        lines += [f"{name} : {kind}", *wrap(_sentence(field), 108, initial_indent="    ", subsequent_indent="    ")]
-    return "\n".join([*lines, ""])
+        if name not in without:
+            lines += listed_argument(name, kind, _sentence(field, defaults))
+    return lines
+
+
+def listed_argument(name: str, kind: str, meaning: str) -> list[str]:
+    """Return lines of a docstring about one argument."""
+    indent = " " * 4
+    first = name if kind == "Any" else f"{name} : {kind}"
+    return [first, *wrap(meaning, 108, initial_indent=indent, subsequent_indent=indent)]
 
 
 def _declared(cls: type) -> dict[str, tuple[str, "Field[Any]"]]:
@@ -263,13 +280,18 @@ def _declared(cls: type) -> dict[str, tuple[str, "Field[Any]"]]:
         for name, kind in get_annotations(base).items():
             field = made.get(name, base.__dict__.get(name))
             if isinstance(field, Field) and "rule" in field.metadata:
-                plain = kind.__name__ if isinstance(kind, type) and get_origin(kind) is None else str(kind)
-                declared[name] = plain.replace("collections.abc.", "").replace("typing.", ""), field
+                declared[name] = type_name(kind), field
     return declared
 
 
-def _sentence(field: "Field[Any]") -> str:
+def type_name(kind: Any) -> str:
+    """Return a type as a docstring writes it."""
+    plain = kind.__name__ if isinstance(kind, type) and get_origin(kind) is None else str(kind)
+    return plain.replace("collections.abc.", "").replace("typing.", "")
+
+
+def _sentence(field: "Field[Any]", with_default: bool = True) -> str:
     rule, meaning = field.metadata["rule"], field.metadata["meaning"].rstrip(".")
     default = field.default if field.default_factory is MISSING else field.default_factory()
-    said = "" if default is None or default is MISSING else f" (default: {default!r})"
+    said = f" (default: {default!r})" if with_default and default is not None and default is not MISSING else ""
     return f"{meaning}{f'; {rule.words}' if rule.words else ''}{said}."

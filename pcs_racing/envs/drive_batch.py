@@ -99,8 +99,7 @@ class DriveBatch:
         given = (options.opponent,) if options.opponents is None else options.opponents
         given = () if given == (None,) else given
         self.cars = players + len(given)  #: In each race.
-        varied = options.track, options.vehicle, options.randomize, options.obstacles
-        self.variety = Variety(self.episodes, *varied, cars=self.cars)
+        self.variety = Variety(self.episodes, options, cars=self.cars)
         changes: dict[str, Any] = {"start_lines": options.start_lines}
         if options.duration is not None:
             changes["duration"] = options.duration

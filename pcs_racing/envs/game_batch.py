@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.recently_used import RecentlyUsed
-from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.base.settings import ANYTHING, flag, setting
 from pcs_racing.envs.batch import BatchStep, check_batch_size
 from pcs_racing.envs.infos import Result, common_codes, of_players, race_info, race_infos, race_results
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
 from pcs_racing.envs.reset_options import start_option
-from pcs_racing.envs.variety import Variety
+from pcs_racing.envs.variety import EpisodeOptions, Variety
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.competitor import ask_moves
@@ -50,18 +50,32 @@ class DrivenStep(NamedTuple):
     moves: NDArray[np.int64]  #: shape (2,): Moves that began it.
 
 
-@dataclass(frozen=True)
-class GameOptions:
-    """Arguments of the environments at the level of strategy; :class:`pcs_racing.envs.duel.DuelEnv` describes them."""
+@dataclass(frozen=True, eq=False)
+class GameOptions(EpisodeOptions):
+    """Arguments of the environments at the level of strategy."""
 
-    track: Any = "Tarnfjord"
-    archive: PolicyArchive | str | Path = "default"
-    opponent: Any = "random-moves"
-    race: GameConfig | RaceConfig | str | Path = "paper"
-    deterministic_opponent: bool = True
-    vehicle: Any = F1TENTH
-    randomize: Any = None
-    obstacles: Any = None
+    archive: PolicyArchive | str | Path = setting("default", ANYTHING, "The policies: an archive, its name or folder.")
+    opponent: Any = setting(
+        "random-moves",
+        ANYTHING,
+        'By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each episode and kept); '
+        '"always-<move>", for instance "always-aggressiveness +"; a driver such as "lane-switcher:3", which makes no '
+        'moves; or any agent of :mod:`pcs_racing_agents`, such as "cfr-argmax". As an object: an agent, a driver or a '
+        "policy; a model of Stable-Baselines3 or any object with its ``predict(observation, state, episode_start, "
+        "deterministic)``; an object with ``decide(game, state, car)``; or a function ``f(observation, generator) -> "
+        "move``. Of a list, in which entries may be (weight, opponent), one is drawn for each episode. The opponent "
+        "observes what car 1 observes, and may also stay, whatever moves the rules offer. With None a second agent "
+        "drives car 1, where the environment has one.",
+    )
+    race: GameConfig | RaceConfig | str | Path = setting(
+        "paper", ANYTHING, 'Rules: "paper", "contest", a YAML file or a configuration.'
+    )
+    deterministic_opponent: bool = setting(
+        True,
+        flag(),
+        "Whether models take their best move; if not, they draw with a generator of their own, which no seed of this "
+        "environment reaches.",
+    )
 
 
 KEPT = 64  # games on circuits that no episode is on
@@ -111,7 +125,7 @@ class GameBatch:
                 + ("name one, for instance 'random-moves'" if players == 1 else "both cars belong to players here")
             )
         self.episodes, self.players = int(episodes), players
-        self.variety = Variety(self.episodes, options.track, options.vehicle, options.randomize, options.obstacles)
+        self.variety = Variety(self.episodes, options)
         if "lidar_noise" in self.variety.drawn:
             raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
         rules = load_game_config(options.race, **{name: value for name, value in arguments.items() if name not in own})
