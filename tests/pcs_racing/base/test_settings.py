@@ -52,7 +52,7 @@ def test_values_are_kept_in_one_form_and_are_the_documentation():
     written = inspect.getdoc(Soup)
     assert "bowls : int\n    How many bowls; from 1 to 9 (default: 2)." in written
     assert "herbs : tuple[str, ...]\n" in written
-    assert "bread : str | None\n    What is eaten with it; None for nothing.\n" in written
+    assert "bread : str | None\n    What is eaten with it; None for nothing." in written
     inherited = inspect.getdoc(FishSoup)
     assert "(default: 'Ben')" in inherited
     assert "(default: 'Ann')" not in inherited
