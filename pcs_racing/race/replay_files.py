@@ -32,30 +32,20 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
     """Write a race as a page (``.html``) or as bare JSON (``.json``), in one step; `read_replay` reads both.
 
     Numbers are rounded: to 1 mm, 1 mm/s, 1 mrad and 1 ms for cars, plans and line, to 1 cm for candidates and walls.
+    The page is one file, needs no network, and opens from a disk. A link may name a moment:
+    ``race.html#t=12.5&follow=1&candidates=1`` (``follow``: ``0``, ``1``, ``both`` or ``track``; also ``play=1``,
+    ``speed=0.5``, ``plans=0``, ``zoom=2``, ``theme=dark``).
     """
     path = Path(path)
-    if path.suffix == ".html":
-        return write_html(replay, path)
-    if path.suffix != ".json":
+    if path.suffix not in (".html", ".json"):
         raise InputError(f"a replay is saved as .html or .json, got {path.name!r}")
-    write_atomically(path, lambda file: file.write(safe_json(_to_values(replay)).encode()))
-    return path
-
-
-def write_html(replay: Replay, path: str | os.PathLike[str]) -> Path:
-    """Write the page that plays a race: one file, no network, opens from a disk; it is replaced in one step.
-
-    A link may name a moment: ``race.html#t=12.5&follow=1&candidates=1`` (``follow``: ``0``, ``1``, ``both`` or
-    ``track``; also ``play=1``, ``speed=0.5``, ``plans=0``, ``zoom=2``, ``theme=dark``).
-    """
-    path = Path(path)
-    page = replay_page(replay)
-    write_atomically(path, lambda file: file.write(page.encode()))
+    content = replay_page(replay) if path.suffix == ".html" else safe_json(_to_values(replay))
+    write_atomically(path, lambda file: file.write(content.encode()))
     return path
 
 
 def replay_page(replay: Replay) -> str:
-    """Return the page that :func:`write_html` writes, to be put into another one."""
+    """Return the page that :func:`save_replay` writes, to be put into another one."""
     template = files("pcs_racing.race").joinpath("replay.html").read_text(encoding="utf-8")
     parts = {"<!--title-->": html.escape(replay.title), "<!--replay-->": safe_json(_to_values(replay))}
     # In one pass: a title that spells a placeholder is not one.
