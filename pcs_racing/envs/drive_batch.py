@@ -75,8 +75,6 @@ class Course(NamedTuple):
 class DriveBatch:
     """Races side by side; the first cars of each are driven by agents, the others by opponents.
 
-    Implements :class:`pcs_racing.envs.batch.Batch`.
-
     Parameters
     ----------
     episodes : int
@@ -89,8 +87,8 @@ class DriveBatch:
         Of :class:`DriveOptions`.
     """
 
-    reset_options: tuple[str, ...] = ("start", "poses", "obstacles")
-    film_rate: int | None = None
+    reset_options: tuple[str, ...] = ("start", "poses", "obstacles")  #: That :meth:`restart` takes.
+    film_rate: int | None = None  #: Frames for each second in :meth:`film`: here a step is a single frame.
 
     def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
         check_batch_size(episodes, threads)
@@ -122,7 +120,9 @@ class DriveBatch:
         delay = self.variety.randomization.most_delay
         self.setup = RaceSetup(self.variety.circuits.track(0), config, tuple(planners), self.variety.cars, delay)
         self._ticks = options.ticks
+        #: Steps of an episode that does not end early.
         self.horizon = -(-self.setup.config.ticks // self._ticks)
+        #: Steps in a second of racing.
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
             **common_codes(opponent.name for opponent in self.opponents),

@@ -94,8 +94,6 @@ def check_shapes(names: Sequence[str], given: Sequence[Any], wanted: Sequence[An
 class GameBatch:
     """Games of moves; car 0 belongs to a player, car 1 to an opponent or to a second player.
 
-    Implements :class:`pcs_racing.envs.batch.Batch`.
-
     Parameters
     ----------
     episodes : int
@@ -110,7 +108,7 @@ class GameBatch:
 
     options_type: ClassVar[type[GameOptions]] = GameOptions
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
-    frame_rate = 1
+    frame_rate = 1  #: Of single frames: a step is longer than a second.
     film_rate: int | None = FILM_RATE
 
     cars = 2

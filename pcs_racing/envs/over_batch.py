@@ -5,16 +5,22 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property
 from inspect import Parameter, Signature, signature
-from typing import Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, Union
 
 from gymnasium.envs.registration import EnvSpec
 
 from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import InputError, UnknownNameError, choices, unknown_argument
 from pcs_racing.base.settings import listed_argument, listed_settings, type_name
-from pcs_racing.envs.batch import Batch
 from pcs_racing.race.rendering import MODES, Renderer, views
 from pcs_racing.track.track import Track
+
+if TYPE_CHECKING:  # so that an environment imports its own batch alone
+    from pcs_racing.envs.drive_batch import DriveBatch
+    from pcs_racing.envs.game_batch import GameBatch
+
+Batch = Union["DriveBatch", "GameBatch"]
+"""What environments are views of."""
 
 FILM = "rgb_array_list"
 """Render mode in which `render` returns all frames since it was last called, of steps that last many."""
