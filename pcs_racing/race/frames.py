@@ -1,4 +1,4 @@
-"""Frames of a recorded race, one after the other, and animated GIFs of them."""
+"""Frames of a recorded race, one after the other, animated GIFs of them, and pictures of circuits."""
 
 import os
 from collections.abc import Iterator
@@ -11,8 +11,11 @@ from PIL import Image
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.replay import Replay
+from pcs_racing.track.frenet import PSI, X, Y
+from pcs_racing.track.track import Track
 
 _TRAIL = 2.0  # s
 
@@ -93,4 +96,20 @@ def write_gif(
             file, "GIF", save_all=True, append_images=rest, duration=round(100 / fps) * 10, loop=0, optimize=False
         ),
     )
+    return path
+
+
+def write_track_picture(track: Track, path: str | os.PathLike[str]) -> Path:
+    """Write a circuit as a PNG: road, walls, race line coloured by speed, and a car at the start, as it drives."""
+    path = Path(path)
+    if path.suffix != ".png":
+        raise InputError(f"write_track_picture writes .png files, got {path.name!r}")
+    low, high = (of(track.arrays.walls.reshape(-1, 2), axis=0) for of in (np.min, np.max))
+    width, height = np.clip(960.0 * (high - low + 2.0) / (high - low + 2.0).max(), 320.0, 960.0).astype(int).tolist()
+    car = np.zeros((1, _vehicle.STATE_SIZE))
+    car[0, [_vehicle.X, _vehicle.Y, _vehicle.PSI]] = track.line[0, [X, Y, PSI]]
+    frame = Renderer(track, width, height).render(car, text=f"{track.name}: {track.length:.0f} m")
+    # A palette makes the file three times smaller.
+    image = Image.fromarray(frame).quantize(128, dither=Image.Dither.NONE)
+    write_atomically(path, lambda file: image.save(file, "PNG", optimize=True))
     return path

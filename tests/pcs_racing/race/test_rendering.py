@@ -7,7 +7,7 @@ from PIL import Image
 from recorded_races import race_on_a_straight
 from refusal import refused
 
-from pcs_racing.race.frames import replay_frames, write_gif
+from pcs_racing.race.frames import replay_frames, write_gif, write_track_picture
 from pcs_racing.race.painting import COLOURS
 from pcs_racing.race.rendering import Renderer, views
 from pcs_racing.race.state import MOST_CARS
@@ -129,6 +129,7 @@ def test_impossible_wishes_are_named(race, tmp_path):
         refused("cars", renderer.render, cars)
     refused("fps", replay_frames, race, fps=0.0)
     refused("gif", write_gif, race, tmp_path / "race.mp4")
+    refused("png", write_track_picture, None, tmp_path / "track.svg")
     refused(r"fps .* 60", write_gif, race, tmp_path / "race.gif", fps=60)
     refused("folder", write_gif, race, tmp_path / "none" / "race.gif")
     renderer.mode = "human"
@@ -216,3 +217,11 @@ def test_a_gif_plays_the_race(race, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["race.gif"]
     again = write_gif(race, tmp_path / "b.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0)
     assert again.read_bytes() == path.read_bytes()
+
+
+def test_a_picture_of_a_circuit_shows_its_start(oval, tmp_path):
+    with Image.open(write_track_picture(oval, tmp_path / "oval.png")) as picture:
+        pixels = np.asarray(picture.convert("RGB")).astype(int)
+    blue = np.abs(pixels - COLOURS["car0"]).sum(axis=-1) < 40
+    assert pixels.shape[1] == 960
+    assert 20 < np.count_nonzero(blue) < 2000
