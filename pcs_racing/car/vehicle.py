@@ -108,10 +108,6 @@ def load_vehicle(source: VehicleParams | Mapping[str, Any] | str | os.PathLike[s
     >>> load_vehicle({"mu": 0.8}).mu
     0.8
     """
-    if isinstance(source, Mapping):
-        if not all(isinstance(name, str) for name in source):
-            raise ConfigError(f"vehicle is {source!r:.200}; it must be a mapping of parameters' names to numbers")
-        return load_settings("vehicle", F1TENTH, None, **source)
     return load_settings("vehicle", F1TENTH, source, {"f1tenth": F1TENTH})
 
 

@@ -110,6 +110,6 @@ def write_track_picture(track: Track, path: str | os.PathLike[str]) -> Path:
     car[0, [_vehicle.X, _vehicle.Y, _vehicle.PSI]] = track.line[0, [X, Y, PSI]]
     frame = Renderer(track, width, height).render(car, text=f"{track.name}: {track.length:.0f} m")
     # A palette makes the file three times smaller.
-    image = Image.fromarray(frame).quantize(128, dither=Image.Dither.NONE)
+    image = Image.fromarray(np.asarray(frame)).quantize(128, dither=Image.Dither.NONE)
     write_atomically(path, lambda file: image.save(file, "PNG", optimize=True))
     return path
