@@ -11,7 +11,7 @@ from pettingzoo.utils import parallel_to_aec
 
 from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.opponents import Opponent
-from pcs_racing.envs.over_batch import FILM, Declared, described
+from pcs_racing.envs.over_batch import FILM, Declared, OverBatch, described
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.characteristics import get_characteristics
@@ -27,8 +27,20 @@ _MOVES = GameConfig().moves
 _TABLE = observation_table(observation_elements(AXES, _MOVES), _MOVES)
 
 
+class OverGames(OverBatch):
+    """What environments of the game of moves have in common."""
+
+    batch_type = GameBatch
+    batch: GameBatch
+
+    @property
+    def game(self) -> RaceGame:
+        """The rules."""
+        return self.batch.game
+
+
 @described(_TABLE)
-class DuelEnv(ScalarEnv):
+class DuelEnv(OverGames, ScalarEnv):
     """Play the game of moves in Policy Characteristic Space against an opponent.
 
     ## Description
@@ -107,14 +119,7 @@ class DuelEnv(ScalarEnv):
     """
 
     metadata: dict[str, Any] = {**ScalarEnv.metadata, "render_modes": [*MODES, FILM]}  # noqa: RUF012
-    batch_type = GameBatch
-    batch: GameBatch
     declared = Declared(GameOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig)
-
-    @property
-    def game(self) -> RaceGame:
-        """The rules."""
-        return self.batch.game
 
     @property
     def opponents(self) -> list[Opponent]:
@@ -126,7 +131,7 @@ class DuelEnv(ScalarEnv):
         return self.batch.action_masks()[0]
 
 
-class DuelVectorEnv(BatchVectorEnv):
+class DuelVectorEnv(OverGames, BatchVectorEnv):
     """Many :class:`DuelEnv` in one, with the same numbers for the same seeds.
 
     The arguments are those of :class:`DuelEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`.
@@ -139,14 +144,7 @@ class DuelVectorEnv(BatchVectorEnv):
     (4, 31)
     """
 
-    batch_type = GameBatch
-    batch: GameBatch
     declared = replace(DuelEnv.declared, positional=())
-
-    @property
-    def game(self) -> RaceGame:
-        """The rules."""
-        return self.batch.game
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Moves that each player may make, shape (num_envs, M), as sb3-contrib's MaskablePPO asks for them."""
@@ -166,7 +164,7 @@ class SelfPlayVectorEnv(DuelVectorEnv):
 
 
 @described(_TABLE)
-class HeadToHeadEnv(ParallelBatchEnv):
+class HeadToHeadEnv(OverGames, ParallelBatchEnv):
     """Two cars race each other; their players change, move by move, how aggressive and how restrained they drive.
 
     ## Description
@@ -225,16 +223,9 @@ class HeadToHeadEnv(ParallelBatchEnv):
         "name": "head_to_head_v1",
         "is_parallelizable": True,
     }
-    batch_type = GameBatch
-    batch: GameBatch
     declared = Declared(
         GameOptions, positional=("track", "archive", "race"), more=GameConfig, changed={"opponent": None}
     )
-
-    @property
-    def game(self) -> RaceGame:
-        """The rules."""
-        return self.batch.game
 
     def frames(self) -> Iterator[NDArray[np.uint8] | None]:
         """Drive the last step again and draw 25 moments of each second: what `render` gives, for videos."""

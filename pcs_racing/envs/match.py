@@ -8,15 +8,27 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.envs.duel import AXES, DuelEnv, DuelVectorEnv, HeadToHeadEnv
+from pcs_racing.envs.duel import AXES, DuelEnv, DuelVectorEnv, HeadToHeadEnv, OverGames
 from pcs_racing.envs.match_batch import UNUSED, MatchBatch, MatchOptions
 from pcs_racing.envs.over_batch import described
 from pcs_racing.game.match import MatchGame
 from pcs_racing.game.observation import match_elements, observation_table
 
 
+class OverMatches(OverGames):
+    """What environments of matches have in common."""
+
+    batch_type = MatchBatch
+    batch: MatchBatch
+
+    @property
+    def match(self) -> MatchGame:
+        """The rules; ``game`` holds those of the races."""
+        return self.batch.match
+
+
 @described(observation_table(match_elements(AXES, MatchOptions().races)))
-class MatchEnv(DuelEnv):
+class MatchEnv(OverMatches, DuelEnv):
     """Play a match: several races against the same opponent, with a policy to choose before each of them.
 
     ## Description
@@ -94,17 +106,10 @@ class MatchEnv(DuelEnv):
     ((23,), True)
     """
 
-    batch_type = MatchBatch
-    batch: MatchBatch
     declared = replace(DuelEnv.declared, options=MatchOptions, without=UNUSED)
 
-    @property
-    def match(self) -> MatchGame:
-        """The rules; ``game`` holds those of the races."""
-        return self.batch.match
 
-
-class MatchVectorEnv(DuelVectorEnv):
+class MatchVectorEnv(OverMatches, DuelVectorEnv):
     """Many :class:`MatchEnv` in one, with the same numbers for the same seeds.
 
     The arguments are those of :class:`MatchEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`.
@@ -117,14 +122,7 @@ class MatchVectorEnv(DuelVectorEnv):
     (4, 16)
     """
 
-    batch_type = MatchBatch
-    batch: MatchBatch
     declared = replace(MatchEnv.declared, positional=())
-
-    @property
-    def match(self) -> MatchGame:
-        """The rules; ``game`` holds those of the races."""
-        return self.batch.match
 
 
 class SelfPlayMatchVectorEnv(MatchVectorEnv):
@@ -146,7 +144,7 @@ class SelfPlayMatchVectorEnv(MatchVectorEnv):
 
 
 @described()
-class HeadToHeadMatchEnv(HeadToHeadEnv):
+class HeadToHeadMatchEnv(OverMatches, HeadToHeadEnv):
     """Two players race each other several times; before each race both choose the policy that their car drives with.
 
     ## Description
@@ -197,14 +195,7 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
     """
 
     metadata: dict[str, Any] = {**HeadToHeadEnv.metadata, "name": "head_to_head_match_v0"}  # noqa: RUF012
-    batch_type = MatchBatch
-    batch: MatchBatch
     declared = replace(HeadToHeadEnv.declared, options=MatchOptions, without=UNUSED)
-
-    @property
-    def match(self) -> MatchGame:
-        """The rules."""
-        return self.batch.match
 
 
 parallel_env = HeadToHeadMatchEnv
