@@ -224,21 +224,6 @@ class RaceResult:
         """How long each race lasted, s, shape (B,)."""
         return self.state.tick.astype(np.float64) * DT
 
-    @property
-    def laps(self) -> NDArray[np.int64]:
-        """Complete laps of each car, shape (B, N): from one forward crossing of s = 0 to the next."""
-        return self.state.lap_count
-
-    @property
-    def lap_time(self) -> NDArray[np.float64]:
-        """Time of each car's last complete lap, s, shape (B, N); -1 if there is none."""
-        return self.state.lap_time
-
-    @property
-    def best_lap(self) -> NDArray[np.float64]:
-        """Time of each car's shortest complete lap, s, shape (B, N); -1 if there is none."""
-        return self.state.best_lap
-
 
 def _merit(state: RaceState) -> NDArray[np.int64]:
     """How each car came through, shape (B, N): 0 without a crash, 1 in a crash that others caused, 2 at fault."""
