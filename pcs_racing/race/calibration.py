@@ -86,32 +86,11 @@ def hazard_scan(
     threads: int | None = None,
     enough: float = 1.0,
 ) -> NDArray[np.float64]:
-    """Probability that a car alone crashes within 40 s, at each speed scale.
+    """Probability that a car alone crashes within 40 s, at each of some ascending speed scales.
 
-    Cars start on the race line at its speed, spread evenly around the circuit; each race holds two of them, half a
-    lap apart.
-
-    Parameters
-    ----------
-    track : Track
-    config : RaceConfig
-        Its steering noise is what makes the hazard smooth.
-    scales : sequence of float
-        Speed scales, ascending.
-    cars : int
-        Cars per scale, even.
-    seconds : float
-        How long they drive.
-    seed : int
-        Root of the noise.
-    threads : int, optional
-        Threads to use; they do not change the result.
-    enough : float
-        The scan ends after the first scale whose hazard is larger.
-
-    Returns
-    -------
-    ndarray, shape (at most len(scales),)
+    Cars with the default lattice policy start on the race line at its speed, spread evenly around the circuit, and
+    drive for some seconds; each race holds two of them, half a lap apart, so their number is even. The steering noise
+    of the rules is what makes the hazard smooth. The scan ends after the first scale whose hazard is above ``enough``.
     """
     if cars < 2 or cars % 2:
         raise InputError(f"cars is {cars}; it must be an even number from 2")
