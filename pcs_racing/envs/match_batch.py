@@ -43,14 +43,8 @@ class MatchBatch(GameBatch):
     """Matches of several races; car 0 belongs to a player, car 1 to an opponent or to a second player.
 
     A step is a whole race, unless the players make the moves of the races, too. Circuit, cars and obstacles are drawn
-    for the match and stay the same in its races.
-
-    Parameters
-    ----------
-    episodes : int
-        Number of matches.
-    **arguments
-        As for :class:`pcs_racing.envs.game_batch.GameBatch`, with those of :class:`MatchOptions`.
+    for the match and stay the same in its races. The arguments are those of
+    :class:`pcs_racing.envs.game_batch.GameBatch`, with those of :class:`MatchOptions`.
     """
 
     options_type = MatchOptions
@@ -81,11 +75,9 @@ class MatchBatch(GameBatch):
         generators: Sequence[np.random.Generator],
         options: Mapping[str, Any] = {},
     ) -> None:
-        """Begin new matches in some places, each drawn from its own generator.
+        """Begin new matches in some places, each drawn from its own generator, with options for each or for all.
 
-        Options: "policies", two indices of the archive for each match or for all: what the cars start the races with if
-        their players do not choose (-1 draws one); "start", arc length of the line of all races (m) and side of the
-        first race; and "obstacles", boxes (x, y, heading, length, width); each for every match or for all.
+        :class:`pcs_racing.envs.match.MatchEnv` describes the options.
         """
         starts, policies, boxes = self._read(options, len(rows))
         self.variety.draw(rows, generators)

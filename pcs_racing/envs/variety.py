@@ -92,13 +92,8 @@ class Variety:
     ) -> None:
         """Put obstacles on the circuits of new episodes: given ones, or drawn ones away from where the cars start.
 
-        Parameters
-        ----------
-        rows : ndarray of int
-        starts : ndarray, shape (len(rows), cars)
-            Arc lengths at which the cars start, m.
-        given : sequence of ndarray, shape (K, 5), optional
-            Boxes of each episode, in place of drawn ones.
+        ``starts``, shape (len(rows), cars), are the arc lengths at which the cars start, m, and ``given`` the boxes of
+        each episode, each of shape (K, 5).
         """
         if given is None and self.obstacles is None and not self._blocked:
             return
