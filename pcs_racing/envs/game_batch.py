@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -11,7 +12,6 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.base.settings import ANYTHING, flag, setting
 from pcs_racing.envs.batch import BatchStep, check_batch_size
 from pcs_racing.envs.infos import Result, common_codes, of_players, race_info, race_infos, race_results
@@ -92,18 +92,10 @@ def check_shapes(names: Sequence[str], given: Sequence[Any], wanted: Sequence[An
 
 
 class GameBatch:
-    """Games of moves; car 0 belongs to a player, car 1 to an opponent or to a second player.
+    """Games of moves; car 0 belongs to a player, car 1 to an opponent, or to a second one of two ``players``.
 
-    Parameters
-    ----------
-    episodes : int
-        Number of games.
-    threads : int, optional
-        Threads that share a step.
-    players : int
-        2 where there is no opponent.
-    **arguments
-        Of :class:`GameOptions` and, to change the rules, of :class:`pcs_racing.game.config.GameConfig`.
+    The arguments are those of :class:`GameOptions` and, to change the rules, of
+    :class:`pcs_racing.game.config.GameConfig`.
     """
 
     options_type: ClassVar[type[GameOptions]] = GameOptions
@@ -128,7 +120,8 @@ class GameBatch:
             raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
         rules = load_game_config(options.race, **{name: value for name, value in arguments.items() if name not in own})
         self._made_of = load_archive(options.archive), rules, options.opponent, threads
-        self._games: RecentlyUsed[int, tuple[RaceGame, list[Opponent]]] = RecentlyUsed(KEPT + self.episodes)
+        #: The game on a circuit, by its number, and the opponents in it.
+        self.game_on = lru_cache(maxsize=KEPT + self.episodes)(self._make_game)
         # The game on the first circuit; the rules are the same on the others.
         self.game, self.opponents = self.game_on(0)
         weights = np.array([each.weight for each in self.opponents] or [1.0])
@@ -165,10 +158,6 @@ class GameBatch:
         """The circuit of the first episode."""
         return self.game.track if self.state is None else self.variety.track(0)
 
-    def game_on(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
-        """Return the game on a circuit, by its number, and the opponents in it; made when it is first asked for."""
-        return self._games.get(circuit, lambda: self._make_game(circuit))
-
     def _make_game(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
         archive, rules, opponent, threads = self._made_of
         game = RaceGame(
@@ -201,11 +190,9 @@ class GameBatch:
         generators: Sequence[np.random.Generator],
         options: Mapping[str, Any] = {},
     ) -> None:
-        """Begin new games in some places, each drawn from its own generator.
+        """Begin new games in some places, each drawn from its own generator, with options for each or for all.
 
-        Options: "policies", two indices of the archive for each game or for all (-1 draws one); "start", arc length of
-        the line (m) and side (0 puts car 0 on the left or in front); and "obstacles", boxes (x, y, heading, length,
-        width), for each game or for all.
+        :class:`pcs_racing.envs.duel.DuelEnv` describes the options.
         """
         starts, policies, boxes = self._read(options, len(rows))
         self.variety.draw(rows, generators)
