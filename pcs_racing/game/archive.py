@@ -236,27 +236,23 @@ class PolicyArchive:
             values[key] = None if values[key] is None else values[key][..., axes]
         return PolicyArchive(**values)
 
-    def to_dataframe(self, explored: bool = False) -> "pandas.DataFrame":
+    def to_dataframe(self) -> "pandas.DataFrame":
         """Return a table with a row for each policy: parameters, coordinates, and what else is known of it.
 
-        Standard errors stand in columns like ``"restraint_error"``. With ``explored`` the rows are all policies that
-        were evaluated on the way instead. Needs pandas: ``pip install "pcs-racing[tables]"``.
+        Standard errors stand in columns like ``"restraint_error"``. Needs pandas: ``pip install "pcs-racing[tables]"``.
         """
         try:
             import pandas
         except ModuleNotFoundError:
             raise ModuleNotFoundError('a table needs pandas: pip install "pcs-racing[tables]"') from None
-        parameters, coordinates, own_crash = self.parameters, self.coordinates, self.own_crash
-        if explored:
-            parameters, coordinates, own_crash = self.explored
-        columns = dict(zip(self.parameter_names, parameters.T, strict=True))
-        columns |= dict(zip(self.characteristics, coordinates.T, strict=True))
-        if self.spread is not None and not explored:
+        columns = dict(zip(self.parameter_names, self.parameters.T, strict=True))
+        columns |= dict(zip(self.characteristics, self.coordinates.T, strict=True))
+        if self.spread is not None:
             columns |= {
                 f"{name}_error": values for name, values in zip(self.characteristics, self.spread.T, strict=True)
             }
-        if own_crash is not None:
-            columns["own_crash"] = own_crash
+        if self.own_crash is not None:
+            columns["own_crash"] = self.own_crash
         return pandas.DataFrame(columns).rename_axis("policy")
 
     def _axis(self, name: str) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.centerline import centerline_from_grid
 from pcs_racing.track.building.curves import signed_area
-from pcs_racing.track.building.raceline import CLEARANCE, minimum_curvature_raceline, raceline_rows
+from pcs_racing.track.building.raceline import minimum_curvature_raceline, raceline_rows
 from pcs_racing.track.mapping.circuits import generate_circuit
 from pcs_racing.track.maps import MapFolder, read_map, write_map
 from pcs_racing.track.track import Track, build_track
@@ -52,7 +52,6 @@ def import_map(
     seed_point: Sequence[float] | None = None,
     direction: str | float | None = None,
     name: str | None = None,
-    clearance: float = CLEARANCE,
 ) -> Track:
     """Complete a map folder: centre line from the grid, race line from the centre line.
 
@@ -63,8 +62,6 @@ def import_map(
         write, whose own name is the default of ``name``.
     seed_point, direction
         As for ``centerline_from_grid``. Default: those of the source's own centre line, if it has one.
-    clearance : float
-        Distance in m that the race line keeps from the walls.
     """
     target = Path(destination)
     if target.resolve() == Path(source).resolve():
@@ -78,7 +75,7 @@ def import_map(
     center = centerline_from_grid(
         content.occupied, content.resolution, content.origin, seed_point=seed_point, direction=direction
     )
-    race = minimum_curvature_raceline(center, content.occupied, content.resolution, content.origin, clearance=clearance)
+    race = minimum_curvature_raceline(center, content.occupied, content.resolution, content.origin)
     values = (content.occupied, content.resolution, content.origin, center, raceline_rows(race), dict(content.info))
     return _save(target, name, values)
 

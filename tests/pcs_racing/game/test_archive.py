@@ -172,10 +172,7 @@ def test_an_archive_as_a_table():
     np.testing.assert_array_equal(table[list(AXES)], COORDINATES)
     assert table.loc[3, "own_crash"] == 0.3
     assert list(archive().to_dataframe().columns) == ["a", "b", *AXES]
-    explored = archive(explored_parameters=[[0.1, 0.2]], explored_coordinates=[[1.0, 2.0]], spread=np.ones((5, 2)))
-    assert explored.to_dataframe(explored=True).to_dict("records") == [
-        {"a": 0.1, "b": 0.2, "aggressiveness": 1.0, "restraint": 2.0}
-    ]
+    explored = archive(explored_parameters=[[0.1, 0.2]], explored_coordinates=[[1.0, 2.0]])
     np.testing.assert_array_equal(explored.explored.coordinates, [[1.0, 2.0]])
     assert explored.explored.own_crash is None
 
