@@ -5,7 +5,6 @@ in the cache folder (see `pcs_racing.track.cache`) and depends on nothing but th
 """
 
 import json
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.elementary import exponential
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, say
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
@@ -225,21 +224,15 @@ def _cached(track: Track, config: RaceConfig, what: str, find: Callable[[], Cali
     folder = cache_folder()
     kept = f"once; kept in {folder}" if folder is not None else "there is no folder to keep it in"
     start = time.monotonic()
-    _say(f"finding {what} of track {track.name!r} for {preset.name!r} by driving ({kept})")
+    say(f"finding {what} of track {track.name!r} for {preset.name!r} by driving ({kept})")
     calibration = find()
     seconds = time.monotonic() - start
     low, high = calibration.speed_range
     moved = "" if calibration.start_spacing == config.start_spacing else f", not {config.start_spacing:g} m,"
     apart = f"cars start {calibration.start_spacing:g} m{moved} apart"
-    _say(
-        f"track {track.name!r}: pace 0 to 1 is {low:.2f} to {high:.2f} of its speed profile; {apart} ({seconds:.1f} s)"
-    )
+    say(f"track {track.name!r}: pace 0 to 1 is {low:.2f} to {high:.2f} of its speed profile; {apart} ({seconds:.1f} s)")
     store(CALIBRATION, key, {"values": np.array(json.dumps(calibration_values(calibration)))})
     return calibration
-
-
-def _say(line: str) -> None:
-    print(f"pcs-racing: {line}", file=sys.stderr, flush=True)
 
 
 def _crossing(scales: NDArray[np.float64], hazard: NDArray[np.float64], level: float) -> float:
