@@ -45,10 +45,7 @@ class Obstacles(Settings):
     def draw(self, track: Track, starts: Sequence[float], generator: np.random.Generator) -> NDArray[np.float64]:
         """Draw the obstacles of an episode, shape (K, 5); one that finds no room is left out.
 
-        Parameters
-        ----------
-        starts : sequence of float
-            Arc lengths at which the cars stand, m: from 3 m before them to 8 m after them nothing is put.
+        From 3 m before to 8 m after the ``starts``, arc lengths at which the cars stand (m), nothing is put.
         """
         line, length = track.arrays.line, track.length
         boxes: list[list[float]] = []

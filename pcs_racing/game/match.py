@@ -125,17 +125,11 @@ class MatchGame:
     ) -> MatchState:
         """Return matches before their first race, drawn from a key each, whatever the size of the batch.
 
-        Parameters
-        ----------
-        keys : ndarray of uint64, shape (B,)
-        policies : array of int, shape (B, 2) or (2,), optional
-            Policies of cars whose players do not choose; -1 draws one, uniformly from the archive.
-        lines : array, shape (B, R) or (B, 1), optional
-            Arc length of the start line of each race, or of all races of a match, m; drawn by default.
-        sides : array of int, shape (B,), optional
-            0 where car 0 starts the first race on the left or in front, 1 where car 1 does; drawn by default.
-        opponents : Policy or sequence of B (Policy or None), optional
-            Drivers of car 1 from outside the archive, as in :meth:`RaceGame.reset`.
+        What is not given is drawn: the ``policies`` of cars whose players do not choose, shape (B, 2) or (2,), where -1
+        draws one, uniformly from the archive; the ``lines``, shape (B, R) or (B, 1), arc lengths of the start line of
+        each race, or of all races of a match, m; and the ``sides``, shape (B,), 0 where car 0 starts the first race on
+        the left or in front, 1 where car 1 does. ``opponents`` are drivers of car 1 from outside the archive, as in
+        :meth:`RaceGame.reset`.
         """
         game, races, count = self.game, self.config.races, len(keys)
         first = check_policies(game.archive, policies, count)
@@ -182,11 +176,8 @@ class MatchGame:
     ) -> MatchState:
         """Start the next race of every match that is between two races, or of some, and drive its first step.
 
-        Parameters
-        ----------
-        choices : array of int, shape (B, 2)
-            Policy of the archive that each car starts with, or :data:`KEEP`. That of a driver from outside the archive
-            does nothing.
+        Choices, shape (B, 2), are the policies of the archive that the cars start with, or :data:`KEEP`. That of a
+        driver from outside the archive does nothing.
         """
         new = state.copy()
         between = np.flatnonzero(~state.racing & ~self.done(state))

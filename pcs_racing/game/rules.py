@@ -279,12 +279,8 @@ class RaceGame:
     def step(self, state: GameState, actions: ArrayLike) -> GameState:
         """Let both players of every game move, and drive on for a step.
 
-        Games that are over stand still. The argument stays as it is.
-
-        Parameters
-        ----------
-        actions : array of int, shape (B, 2)
-            Index of each car's move in :attr:`move_names`; that of a driver from outside the archive does nothing.
+        Actions, shape (B, 2), are indices of each car's move in :attr:`move_names`; that of a driver from outside the
+        archive does nothing. Games that are over stand still. The state that is given stays as it is.
         """
         return self.apply(state, check_moves(actions, self.move_names, (state.games, 2), ("game", "car")))
 

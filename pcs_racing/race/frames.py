@@ -25,14 +25,9 @@ def replay_frames(
 ) -> Iterator[np.ndarray]:
     """Yield frames of a recorded race, (height, width, 3) of uint8, one after the other, for any video writer.
 
-    Parameters
-    ----------
-    renderer : Renderer, optional
-        In mode ``"rgb_array"``; one of the whole track if left out.
-    fps, speed : float
-        Frames per second of the video, and race seconds per video second.
-    candidates : bool
-        Whether to draw the paths considered, where they were kept.
+    A renderer must be in mode ``"rgb_array"``; by default it is one of the whole track. ``fps`` are the frames per
+    second of the video, ``speed`` the race seconds per video second. With ``candidates`` the paths considered are
+    drawn, where they were kept.
     """
     check_number("fps", fps, most=1000.0, above=0.0)
     check_number("speed", speed, most=1000.0, above=0.0)

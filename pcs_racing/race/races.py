@@ -285,14 +285,10 @@ def run_races(
     egos, opponents : Policy or sequence of Policy
         Drivers of car 0 and car 1 in each race; a single policy drives in all of them. Planners may differ from race to
         race.
-    config : RaceConfig
-        The rules.
     seed : int
         Root of the start lines and of every race's noise.
     starts : Starts, optional
         Where to start; drawn from the seed by default (:func:`draw_starts`).
-    vehicles : tuple of VehicleParams, optional
-        The cars.
     threads : int, optional
         Threads to share the races; all cores by default. It does not change the result.
     """
@@ -314,10 +310,7 @@ def run_field(
 ) -> RaceResult:
     """Run races between 1 to 8 policies, from the start to the end.
 
-    Parameters
-    ----------
-    drivers : sequence of Policy or of sequences of Policy
-        Driver of each car, or its drivers in all races. The others are those of :func:`run_races`, and so are errors.
+    ``drivers`` holds the driver of each car, or its drivers in all races; the others are those of :func:`run_races`.
     """
     given = [len(one) for one in drivers if not isinstance(one, Policy)]
     races = given[0] if given else 1 if starts is None else len(starts)

@@ -52,13 +52,9 @@ def record_race(
     ----------
     ego, opponent : Policy
         Drivers of car 0 and car 1; a sequence of opponents, up to seven, drives as many cars.
-    config : RaceConfig
-        The rules.
     seed, index : int
         The race number ``index`` (0 to :data:`LAST_INDEX`) of ``run_field(..., seed=seed)``: same start, same noise,
         same end to the last bit. No race before it is drawn.
-    vehicles : tuple of VehicleParams, optional
-        The cars.
     candidates : bool
         Whether to keep the paths that each planner chose from (if it can tell).
 
@@ -89,18 +85,10 @@ def record_drive(
 ) -> Replay:
     """Drive one race, whose policies may change on the way, and keep what is needed to watch it.
 
-    Parameters
-    ----------
-    start : Starts
-        Of one race.
-    noise : uint64
-        Key of its noise: what ``RaceState.seed`` holds.
-    theta : ndarray, shape (S, N, P)
-        Parameters of the cars in each of S steps, padded to the setup's ``theta_size``; the last go on to the end.
-    names : tuple of str
-        What the replay calls the cars; equal names get the number of the car (:func:`tell_apart`).
-    step_ticks : int, optional
-        Length of a step in ticks of 0.01 s; a multiple of 10, as plans are made. Not needed for a single step.
+    ``noise`` is the key of its noise: what ``RaceState.seed`` holds. ``theta``, shape (S, N, P), holds the parameters
+    of the cars in each of S steps, padded to the setup's ``theta_size``; the last go on to the end. A step lasts
+    ``step_ticks`` of 0.01 s, a multiple of 10, as plans are made; not needed for a single step. The cars are called by
+    their ``names``; equal ones get the number of the car (:func:`tell_apart`).
     """
     if len(start) != 1:
         raise InputError(f"there are {len(start)} starts; a recording is of one race")

@@ -55,13 +55,9 @@ def import_map(
 ) -> Track:
     """Complete a map folder: centre line from the grid, race line from the centre line.
 
-    Parameters
-    ----------
-    source, destination : path-like
-        The map folder to read, of which ``NAME_map.yaml`` and the picture named there are enough, and another one to
-        write, whose own name is the default of ``name``.
-    seed_point, direction
-        As for ``centerline_from_grid``. Default: those of the source's own centre line, if it has one.
+    Of the source, ``NAME_map.yaml`` and the picture named there are enough; the destination, another folder, gives the
+    default of ``name``. ``seed_point`` and ``direction`` are as for ``centerline_from_grid``; by default those of the
+    source's own centre line, if it has one.
     """
     target = Path(destination)
     if target.resolve() == Path(source).resolve():
