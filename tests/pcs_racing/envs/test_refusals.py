@@ -133,6 +133,7 @@ def test_an_impossible_action_is_one_error_and_changes_nothing(kinds, wrong, mes
         (DriveEnv, [[0.0, 0.0], [0.0, 0.0], [0.0, np.nan]], "environment 2"),
         (DriveEnv, np.zeros((2, 2)), r"\(3, 2\)"),
         (DuelEnv, [0, 9, 0], "environment 1: move 9"),
+        (DuelEnv, [0, 1], r"of shape \(2,\) and type int64"),
         (MatchEnv, [0, 7, 0], "environment 1: move 7"),
     ],
 )

@@ -58,13 +58,6 @@ def begin(track, config, egos, opponents, seed=0):
     return setup, state, theta
 
 
-@pytest.mark.parametrize("config", [SHORT, NOISY], ids=lambda config: config.name)
-def test_a_race_does_not_depend_on_the_batch_it_is_in(oval, config):
-    many = run_races(oval, [lattice(pace=0.1 * k) for k in range(8)], lattice(), config, seed=5)
-    few = run_races(oval, [lattice(pace=0.1 * k) for k in range(3)], lattice(), config, seed=5)
-    assert_same(few.state, RaceState._make(array[:3] for array in many.state))
-
-
 @pytest.mark.parametrize(("ticks", "size"), [(4000, 4), (100, 28), (2, 100)])
 def test_threads_get_pieces_of_whole_groups_or_of_equal_size(oval, ticks, size):
     """200 races on two circuits: many pieces of a few milliseconds, or few equal ones; each race is in one piece."""
