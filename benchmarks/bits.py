@@ -107,7 +107,6 @@ def vehicles(folders: list[Path]) -> Digests:
     rng = np.random.default_rng(0)
     targets = np.stack([rng.uniform(-0.4, 0.4, (20, 400)), rng.uniform(-2.0, 12.0, (20, 400))], axis=-1)
     yield "vehicle, target", simulate(np.zeros((20, 7)), targets)
-    yield "vehicle, f1tenth_gym", simulate(np.zeros((20, 7)), targets, control_mode="f1tenth_gym")
 
 
 def lidar(folders: list[Path]) -> Digests:

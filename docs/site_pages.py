@@ -110,7 +110,7 @@ def environment_page(name: str) -> str:
     described = getattr(importlib.import_module(module), class_name)
     text = inspect.getdoc(described) or ""
     defaults = {
-        name: f", default `{parameter.default!r}`"
+        name: f"default `{parameter.default!r}`"
         for name, parameter in inspect.signature(described).parameters.items()
         if parameter.default is not parameter.empty
     }
@@ -123,7 +123,7 @@ def _to_markdown(text: str, defaults: dict[str, str] | None = None) -> str:
     """Turn what is reStructuredText in a docstring into Markdown; add the defaults of parameters."""
     text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text)
     text = text.replace("``", "`")
-    parts = re.split(r"^(Parameters|Raises|Examples|Returns)\n-+\n", text, flags=re.MULTILINE)
+    parts = re.split(r"^(Parameters|Examples|Returns)\n-+\n", text, flags=re.MULTILINE)
     made = [parts[0]]
     for heading, body in zip(parts[1::2], parts[2::2], strict=True):
         numpydoc, mark, after = body.partition("\n## ")
@@ -137,10 +137,11 @@ def _numpydoc_section(heading: str, body: str, defaults: dict[str, str]) -> str:
     items = [f"**{heading}**\n"]
     for entry in re.split(r"\n(?=\S)", body.strip("\n")):
         first, _, meaning = entry.partition("\n")
-        names, colon, kind = first.partition(" : ")
+        names, _, kind = first.partition(" : ")
         kind = kind.strip().removesuffix(", optional")
         names = ", ".join(f"`{name}`" for name in names.split(", "))
-        told = names + (f" ({kind}{defaults.get(names.strip('`'), '')})" if colon else "")
+        known = [part for part in (kind, defaults.get(names.strip("`"), "")) if part]
+        told = names + (f" ({', '.join(known)})" if known else "")
         meaning = " ".join(inspect.cleandoc(f"\n{meaning}").split()).replace("<", r"\<")
         items.append(f"- {told}: {meaning}" if meaning else f"- {told}")
     return "\n".join(["", *items, ""])

@@ -32,7 +32,7 @@ from pcs_racing.race.recording import record_race
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.replay_files import read_replay, save_replay
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import RaceState, load_state, save_state
+from pcs_racing.race.state import RaceState
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track, build_track
@@ -73,7 +73,6 @@ __all__ = [
     "load_archive",
     "load_game_config",
     "load_race_config",
-    "load_state",
     "load_track",
     "make_game",
     "parallel_env",
@@ -86,7 +85,6 @@ __all__ = [
     "run_races",
     "save_archive",
     "save_replay",
-    "save_state",
     "simulate",
     "start_races",
 ]

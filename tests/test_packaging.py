@@ -67,6 +67,7 @@ pcs_racing.save_replay(replay, "race.html")
 agents = ("cfr-argmax", "never-switch", "lane-switcher")
 assert main(["tournament", "--track", "Pipkin", "--agents", *agents, "--races", "2", "--out", "zoo"]) == 0
 assert main(["race", "--track", "Pipkin", "--ego", "lattice", "--opponent", "gap-follower"]) == 0
+assert main(["track", "show", "Pipkin", "--out", "circuit.png"]) == 0
 
 agent = pcs_racing_agents.make("cfr-argmax")
 duel = gym.make("pcs_racing/Duel-v1", opponent=pcs_racing_agents.make("response"), stay=True)
@@ -87,7 +88,6 @@ NEEDS = {
     "training": ("from pcs_racing_agents.networks.training import train_layers; train_layers(None, None)", "learning"),
     "a study": ('main(["study", "quick", "--out", "study"])', "learning"),
     "a study's archive": ('main(["study", "paper", "--out", "study"])', "synthesis"),
-    "a picture of a circuit": ('main(["track", "show", "Pipkin", "--out", "out.png"])', "plots"),
     "a picture": ("from pcs_racing_agents.pictures.style import picture; picture(print)()", "plots"),
     "the command synthesize": ('main(["synthesize", "--out", "archive"])', "synthesis"),
     "a hypervolume": (

@@ -20,7 +20,7 @@ import yaml
 from fuzz_inputs import Draw
 from PIL import Image
 
-from pcs_racing import RaceGame, load_game_config, load_race_config, load_state, load_track, parse_policy, read_replay
+from pcs_racing import RaceGame, load_game_config, load_race_config, load_track, parse_policy, read_replay
 from pcs_racing.base.artifacts import ArtifactFormat
 from pcs_racing.base.files import plain_yaml, unpack_arrays
 from pcs_racing.base.settings import Settings, load_settings
@@ -30,11 +30,9 @@ from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing.envs.opponents import parse_opponents
 from pcs_racing.f1tenth.env import GenerationA, GenerationB
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
-from pcs_racing.game.state import load_game, save_game
 from pcs_racing.planners.trained import DRIVER_FORMAT, read_driver
 from pcs_racing.race.recording import record_race
 from pcs_racing.race.replay_files import save_replay
-from pcs_racing.race.state import empty_state, save_state
 from pcs_racing.track.map_files import (
     CENTERLINE_COLUMNS,
     RACELINE_COLUMNS,
@@ -525,14 +523,6 @@ TARGETS: dict[str, Target] = {
     "ego tree chunk, signed": Target(partial(read_trees, True, False), lambda: [trees(True)[2]], "npz"),
     "job manifest": Target(
         in_folder(job_folder, "job.yaml", job), lambda: [(job_folder() / "job.yaml").read_bytes()], "yaml"
-    ),
-    "race state": Target(
-        as_file(load_state, "race.npz"), saved(lambda path: save_state(empty_state(2, 3), path), "race-seed.npz"), "npz"
-    ),
-    "game state": Target(
-        as_file(load_game, "game.npz"),
-        saved(lambda path: save_game(small_game().reset(games=2), path), "game-seed.npz"),
-        "npz",
     ),
     "replay json": Target(as_file(read_replay, "race.json"), lambda: [replay("seed.json")], "json"),
     "replay page": Target(as_file(read_replay, "race.html"), lambda: [replay("seed.html")], "binary"),

@@ -155,7 +155,6 @@ def cut(replay: Replay, time: float) -> Replay:
         progress=replay.progress[first:last],
         ittc=None,
         paths=None,
-        candidate_steps=None,
         candidates=None,
         costs=None,
         events=(),

@@ -39,8 +39,6 @@ class ManifestFormat:
     keys: tuple[str, ...]  #: All fields, beside ``format`` ("pcs-racing NOUN") and ``version``.
     writer: str  #: The function that writes it, for messages.
     version: int = 1  #: Manifests of other versions are refused.
-    #: Fields that a manifest may lack; they are read as None then, and not written if they are None.
-    optional: tuple[str, ...] = ()
 
     @property
     def a_noun(self) -> str:
@@ -62,19 +60,17 @@ class ManifestFormat:
             raise InputError(
                 f"{file} has version {manifest.get('version')!r}; this release reads version {self.version}"
             )
-        # Unknown fields are refused as well: a misspelt optional one would count as absent.
-        odd = (set(manifest) - set(self.optional)) ^ {"format", "version", *self.keys}
+        odd = set(manifest) ^ {"format", "version", *self.keys}
         if odd:
             names = ", ".join(sorted(map(str, odd)))
             raise InputError(f"{file}: unknown or missing {names}; a manifest holds {', '.join(self.keys)}")
-        return {key: manifest[key] for key in self.keys} | {key: manifest.get(key) for key in self.optional}
+        return {key: manifest[key] for key in self.keys}
 
     def _manifest(self, fields: Mapping[str, Any]) -> bytes:
         values = {
             "format": f"pcs-racing {self.noun}",
             "version": self.version,
             **{key: fields[key] for key in self.keys},
-            **{key: fields[key] for key in self.optional if fields.get(key) is not None},
         }
         return yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110).encode("utf-8")
 

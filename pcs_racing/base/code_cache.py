@@ -14,13 +14,14 @@ may end with a line of one that points to the code of the other. Here they take 
 import glob
 import hashlib
 import os
-import sys
 from contextlib import ExitStack, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from numba.core.caching import FunctionCache
+
+from pcs_racing.base.errors import say
 
 SIMULATOR = ("base", "track", "car", "planners", "race")
 """The lowest floors of ``pcs_racing``, which import nothing from the others: they have a digest of their own, so that
@@ -107,6 +108,4 @@ def sources_digest(folder: Path, deep: bool = True) -> bytes:
     return found.digest()
 
 
-@cache
-def _say_once(line: str) -> None:
-    print(f"pcs-racing: {line}", file=sys.stderr, flush=True)
+_say_once = cache(say)

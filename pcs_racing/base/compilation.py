@@ -1,7 +1,6 @@
 """Compilation with numba: decorators for compiled functions, and a message when compilation takes a while."""
 
 import gc
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -11,6 +10,7 @@ from numba import njit
 from numba.core.registry import CPUDispatcher
 
 from pcs_racing.base.code_cache import CodeCache
+from pcs_racing.base.errors import say
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -119,7 +119,7 @@ def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
             _wait_for_turn(turn, dispatcher, what)
         # Asked once more: another process may have compiled it while this one waited.
         if not _on_disk(dispatcher):
-            _say(f"compiling {what} (about {seconds} s, once; it is cached on disk)")
+            say(f"compiling {what} (about {seconds} s, once; it is cached on disk)")
         turn.enter_context(_without_collecting_garbage())
         yield True
 
@@ -145,7 +145,7 @@ def _wait_for_turn(turn: ExitStack, dispatcher: Any, what: str) -> None:
     try:
         turn.enter_context(lock.acquire(timeout=0))
     except Timeout:
-        _say(f"waiting for another process that compiles {what}")
+        say(f"waiting for another process that compiles {what}")
         turn.enter_context(lock.acquire())
 
 
@@ -157,7 +157,3 @@ def _on_disk(dispatcher: Any) -> bool:
 def _cached_name(dispatcher: Any) -> str:
     """How the names of a function's cached files begin."""
     return f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__qualname__}-"
-
-
-def _say(line: str) -> None:
-    print(f"pcs-racing: {line}", file=sys.stderr, flush=True)

@@ -1,8 +1,7 @@
 """Errors for bad input, and the rule which of them is raised where.
 
 A message is one line that names the value and the correct form, and it comes before any long work. All functions of
-both packages follow one rule; only those of the public face (what ``import pcs_racing`` offers, and
-:mod:`pcs_racing.testing`) repeat it under "Raises" in their docstrings.
+both packages follow one rule, which their docstrings do not repeat.
 
 =============================  =========================================================================================
 what is wrong                  error
@@ -22,6 +21,7 @@ A function that raises anything else says so in its docstring.
 """
 
 import difflib
+import sys
 from collections.abc import Iterable
 from importlib.util import find_spec
 
@@ -69,6 +69,11 @@ def choices(name: str, known: Iterable[str]) -> str:
     names = list(known)
     near = difflib.get_close_matches(name, names, n=1)
     return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names)}"
+
+
+def say(line: str) -> None:
+    """Tell whoever waits what takes so long, or what is done again; on stderr, so that output stays output."""
+    print(f"pcs-racing: {line}", file=sys.stderr, flush=True)
 
 
 def require(*modules: str, extra: str = "mapping") -> None:

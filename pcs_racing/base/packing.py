@@ -165,29 +165,19 @@ def unpack_paths(packed: object, name: str) -> np.ndarray:
 
 
 def pack_costs(costs: np.ndarray) -> dict[str, Any]:
-    """Return packed costs as steps above the smallest cost, three digits for a medium one; 0 stands for infinity."""
-    finite = costs[np.isfinite(costs)]
-    offset = float(finite.min()) if finite.size else 0.0
-    middle = float(np.median(finite - offset)) if finite.size else 0.0
-    reach = float(finite.max() - offset) if finite.size else 0.0
-    digits = min(2 - _exponent(middle), 9 - _exponent(reach), 9)
-    per_unit = float(f"1e{digits}")
-    steps = np.zeros(costs.shape)
-    steps[np.isfinite(costs)] = 1.0 + np.rint((finite - offset) * per_unit)
-    return {"offset": offset, "per_unit": per_unit, "steps": pack(steps, 1)}
+    """Return packed costs as steps of 1/1000 above the smallest one; 0 stands for infinity."""
+    finite = np.isfinite(costs)
+    offset = float(costs[finite].min()) if finite.any() else 0.0
+    steps = np.where(finite, 1.0 + np.rint((np.where(finite, costs, offset) - offset) * FINE), 0.0)
+    return {"offset": offset, "steps": pack(steps, 1)}
 
 
 def unpack_costs(packed: object, name: str) -> np.ndarray:
     """Return the costs that `pack_costs` packed."""
-    offset, per_unit, steps = _parts(packed, name, ("offset", "per_unit", "steps"))
+    offset, steps = _parts(packed, name, ("offset", "steps"))
     offset = check_number(f"{name}.offset", offset, -1e15, 1e15)
-    per_unit = check_number(f"{name}.per_unit", per_unit, 1e-15, 1e9)
     steps = unpack(steps, f"{name}.steps")
-    return np.where(steps > 0.0, offset + (steps - 1.0) / per_unit, np.inf)
-
-
-def _exponent(value: float) -> int:
-    return math.floor(math.log10(max(value, 1e-9)))
+    return np.where(steps > 0.0, offset + (steps - 1.0) / FINE, np.inf)
 
 
 def _parts(packed: object, name: str, keys: tuple[str, ...]) -> list[Any]:

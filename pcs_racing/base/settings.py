@@ -5,11 +5,10 @@
         salt: float = setting(0.5, number(0.0, 1.0), "Salt, g.")
 
 Everything else follows from the declaration: the checks when settings are made, the attributes in the docstring,
-loading from YAML (:func:`load_settings`), the plain form for manifests (:func:`plain_settings`) and options of a
-command line (:func:`add_setting_options`). A setting whose default is None may be None.
+loading from YAML (:func:`load_settings`), the plain form for manifests (:func:`plain_settings`) and the words of a
+command line (:func:`setting_words`). A setting whose default is None may be None.
 """
 
-import argparse
 import dataclasses
 import os
 from collections.abc import Callable, Iterable, Mapping
@@ -47,6 +46,10 @@ class Rule:
     words: str = ""  #: The range, for docstrings and help texts: ``from 0 to 1``; empty where the type says all.
     read: Callable[[str], Any] = str  #: Turns a word of a command line into a value.
     several: bool = False  #: Whether the value is a list.
+
+
+ANYTHING = Rule(lambda name, value: value)
+"""What is checked where it is used, by one who knows more of it."""
 
 
 def whole(least: int, most: int) -> Rule:
@@ -166,23 +169,26 @@ class Settings:
 def load_settings(
     kind: str,
     default: S,
-    source: "str | os.PathLike[str] | Settings | None" = None,
+    source: "str | os.PathLike[str] | Mapping[str, Any] | Settings | None" = None,
     named: Mapping[str, "S | Path"] | None = None,
     base_key: str | None = None,
     /,
     **changes: Any,
 ) -> S:
-    """Return settings from a name out of ``named``, a YAML file or settings, with some fields changed.
+    """Return settings from a name out of ``named``, a YAML file, a mapping or settings, with some fields changed.
 
     ``default`` is what a field is that a file leaves out, or all of them without a source; a file's key ``base_key``
     names other settings, out of ``named``, that take its place. ``kind`` ("race") is for messages.
     """
     known = dict(named or {})
+    if isinstance(source, Mapping):
+        changes = {**source, **changes}
+        source = None
     if source is None or isinstance(source, type(default)):
         _check_keys(kind, default, changes, "the arguments")
         return replace(default if source is None else source, **changes)
     if not isinstance(source, str | os.PathLike):
-        raise ConfigError(f"{kind} settings are {source!r:.80}; use a name or the path of a YAML file")
+        raise ConfigError(f"{kind} settings are {source!r:.80}; use a name, a mapping or the path of a YAML file")
     place = known.get(source, Path(source)) if isinstance(source, str) else Path(source)
     if not isinstance(place, str | os.PathLike):
         return load_settings(kind, default, place, **changes)
@@ -218,26 +224,6 @@ def plain_settings(settings: Settings) -> dict[str, Any]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
 
 
-def add_setting_options(parser: argparse.ArgumentParser, cls: type[Settings], *keys: str) -> None:
-    """Add an option to a command line for each of some settings; :func:`stated_options` returns what was stated."""
-    declared = {field.name: field for field in fields(cls)}
-    for name in keys:
-        rule = declared[name].metadata["rule"]
-        parser.add_argument(
-            f"--{name.replace('_', '-')}",
-            type=rule.read,
-            nargs="+" if rule.several else None,
-            metavar={int: "N", float: "X"}.get(rule.read, name.upper()),
-            help=_sentence(declared[name]).replace("%", "%%"),
-        )
-
-
-def stated_options(arguments: argparse.Namespace, cls: type[Settings]) -> dict[str, Any]:
-    """Return the settings that a command line states, for the changes of :func:`load_settings`."""
-    stated = {field.name: getattr(arguments, field.name, None) for field in fields(cls)}
-    return {name: value for name, value in stated.items() if value is not None}
-
-
 def _check_keys(kind: str, settings: Settings, changes: Mapping[Any, Any], where: str) -> None:
     known = [field.name for field in fields(settings)]
     for key in changes:
@@ -248,10 +234,23 @@ def _check_keys(kind: str, settings: Settings, changes: Mapping[Any, Any], where
 
 def _attributes(cls: type[Settings]) -> str:
     """The attributes of a class of settings as a section of its docstring."""
-    lines = ["Attributes", "----------"]
+    return "\n".join(["Attributes", "----------", *listed_settings(cls, defaults=True), ""])
+
+
+def listed_settings(cls: type[Settings], *without: str, defaults: bool = False) -> list[str]:
+    """Return lines of a docstring, two or more for each setting of a class: its name and type, and its meaning."""
+    lines: list[str] = []
     for name, (kind, field) in _declared(cls).items():
-        lines += [f"{name} : {kind}", *wrap(_sentence(field), 108, initial_indent="    ", subsequent_indent="    ")]
-    return "\n".join([*lines, "", "Raises", "------", "ConfigError", "    If a value is out of its range.", ""])
+        if name not in without:
+            lines += listed_argument(name, kind, setting_words(field, defaults))
+    return lines
+
+
+def listed_argument(name: str, kind: str, meaning: str) -> list[str]:
+    """Return lines of a docstring about one argument."""
+    indent = " " * 4
+    first = name if kind == "Any" else f"{name} : {kind}"
+    return [first, *wrap(meaning, 108, initial_indent=indent, subsequent_indent=indent)]
 
 
 def _declared(cls: type) -> dict[str, tuple[str, "Field[Any]"]]:
@@ -263,13 +262,19 @@ def _declared(cls: type) -> dict[str, tuple[str, "Field[Any]"]]:
         for name, kind in get_annotations(base).items():
             field = made.get(name, base.__dict__.get(name))
             if isinstance(field, Field) and "rule" in field.metadata:
-                plain = kind.__name__ if isinstance(kind, type) and get_origin(kind) is None else str(kind)
-                declared[name] = plain.replace("collections.abc.", "").replace("typing.", ""), field
+                declared[name] = type_name(kind), field
     return declared
 
 
-def _sentence(field: "Field[Any]") -> str:
+def type_name(kind: Any) -> str:
+    """Return a type as a docstring writes it."""
+    plain = kind.__name__ if isinstance(kind, type) and get_origin(kind) is None else str(kind)
+    return plain.replace("collections.abc.", "").replace("typing.", "")
+
+
+def setting_words(field: "Field[Any]", with_default: bool = True) -> str:
+    """Return the meaning, the range and the default of a setting as a sentence."""
     rule, meaning = field.metadata["rule"], field.metadata["meaning"].rstrip(".")
     default = field.default if field.default_factory is MISSING else field.default_factory()
-    said = "" if default is None or default is MISSING else f" (default: {default!r})"
+    said = f" (default: {default!r})" if with_default and default is not None and default is not MISSING else ""
     return f"{meaning}{f'; {rule.words}' if rule.words else ''}{said}."

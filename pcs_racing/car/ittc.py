@@ -132,14 +132,9 @@ def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, 
 
     Walls hidden by the opponent count too. Rotation of either car is left out: a beam is taken to keep its direction.
 
-    Parameters
-    ----------
-    x, y, vx, vy, s : float
-        Position (m), velocity in the frame of the map (m/s) and arc length (m) of the lidar.
-    ox, oy, opsi, half_length, half_width, ovx, ovy : float
-        Pose (m and rad) of the opponent's centre, half the sides of its rectangle (m), and its velocity (m/s).
-    horizon : float
-        Cap of the result, s.
+    (x, y), (vx, vy) and s are the position (m), the velocity in the frame of the map (m/s) and the arc length (m) of
+    the lidar; (ox, oy, opsi) and (ovx, ovy) the pose (m and rad) of the opponent's centre and its velocity (m/s). The
+    result is at most the horizon, s.
     """
     stretch = int(wrap_s(track, s) / track.seen_stretch) % track.seen_middle.shape[0]
     best = walls_ittc(WallArrays(*track[WALLS_BEGIN:WALLS_END]), stretch, x, y, vx, vy, horizon)

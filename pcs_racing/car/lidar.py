@@ -101,11 +101,6 @@ class Lidar(Settings):
         -------
         ndarray, shape (..., beams)
             Ranges in [0, max_range], m; all 0 for a pose inside a wall or off the map.
-
-        Raises
-        ------
-        InputError
-            If a shape is wrong, a pose is not finite, or a generator is needed and missing.
         """
         at = _poses(poses, "poses")
         others = at

@@ -33,8 +33,7 @@ STATE_SIZE = 7
 GRAVITY = 9.81
 KINEMATIC_BELOW = 0.5  # m/s; the dynamic branch divides by the speed
 
-ControlMode = Literal["rates", "target", "f1tenth_gym"]
-
+ControlMode = Literal["rates", "target"]
 
 COMMAND_PERIOD = 0.02  # s between two steering commands of a race
 MOST_DELAYED = 25  # of them
@@ -109,10 +108,6 @@ def load_vehicle(source: VehicleParams | Mapping[str, Any] | str | os.PathLike[s
     >>> load_vehicle({"mu": 0.8}).mu
     0.8
     """
-    if isinstance(source, Mapping):
-        if not all(isinstance(name, str) for name in source):
-            raise ConfigError(f"vehicle is {source!r:.200}; it must be a mapping of parameters' names to numbers")
-        return load_settings("vehicle", F1TENTH, None, **source)
     return load_settings("vehicle", F1TENTH, source, {"f1tenth": F1TENTH})
 
 
@@ -311,22 +306,7 @@ def step_to_target(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
     step(state, rate, acceleration, p, dt)
 
 
-@inner_kernel
-def _gym_inputs(state, steer, speed, p):  # type: ignore[no-untyped-def]
-    """Inputs of the established simulator's controllers: bang-bang steering, and a speed gain for each case."""
-    error = steer - state[DELTA]
-    rate = np.sign(error) * p[STEER_RATE_MAX] if abs(error) > 1e-4 else 0.0
-    v = state[V]
-    difference = speed - v
-    if v > 0.0:
-        gain = 10.0 * p[A_MAX] / p[V_MAX] if difference > 0.0 else 10.0 * p[A_MAX] / -p[V_MIN]
-    else:
-        gain = 2.0 * p[A_MAX] / p[V_MAX] if difference > 0.0 else 2.0 * p[A_MAX] / -p[V_MIN]
-    return rate, gain * difference
-
-
-_MODES: dict[str, int] = {"rates": 0, "target": 1, "f1tenth_gym": 2}
-_GYM_DELAY = 2  # steps by which that simulator delays its steering targets
+_MODES: dict[str, int] = {"rates": 0, "target": 1}
 
 
 @compiled
@@ -341,9 +321,6 @@ def _simulate(states, controls, mode, dt, params):  # type: ignore[no-untyped-de
             second = controls[b, k, 1]
             if mode == 1:
                 first, second = target_inputs(state[DELTA], state[V], first, second, handling(p), dt)
-            elif mode == 2:
-                delayed = controls[b, k - _GYM_DELAY, 0] if k >= _GYM_DELAY else 0.0
-                first, second = _gym_inputs(state, delayed, second, p)
             step(state, first, second, p, dt)
 
 
@@ -362,11 +339,9 @@ def simulate(
     initial_state : array_like, shape (7,) or (B, 7)
         x, y (m), delta (rad), v (m/s), psi (rad), psi_dot (rad/s), beta (rad).
     controls : array_like, shape (T, 2) or (B, T, 2)
-        ``"rates"``: steering rate (rad/s) and acceleration (m/s^2). Otherwise: target steering angle (rad) and speed
-        (m/s).
-    control_mode : {"target", "rates", "f1tenth_gym"}
-        ``"target"`` steers at full rate and arrives without overshoot; ``"f1tenth_gym"`` reproduces the controllers of
-        that simulator, its two-step steering delay included.
+        ``"rates"``: steering rate (rad/s) and acceleration (m/s^2). ``"target"``: steering angle (rad), reached at full
+        rate without overshoot, and speed (m/s).
+    control_mode : {"target", "rates"}
     dt : float
         Length of a step in s, in (0, 0.05].
     params : VehicleParams or list of B VehicleParams
@@ -376,11 +351,6 @@ def simulate(
     -------
     ndarray, shape (T + 1, 7) or (B, T + 1, 7)
         The states, the initial one first; psi is brought into [0, 2 pi) after each step.
-
-    Raises
-    ------
-    InputError
-        If a shape, a value or the mode is not allowed.
 
     Examples
     --------

@@ -17,15 +17,10 @@ RANDOM = "random"
 
 
 class Circuits:
-    """The circuits of a batch of episodes.
+    """The circuits of a batch of episodes, from the argument ``track`` of an environment.
 
-    Parameters
-    ----------
-    source : str, Path, Track, a list of these, "random" or RandomCircuits
-        Of a list, one is drawn for each episode. With "random", or the settings of random circuits, each environment
-        gets a newly generated circuit after so many episodes; the next one is built while this one is driven. It
-        follows from the number that the environment's generator draws when it begins, and from how many episodes it has
-        had since.
+    A random circuit follows from the number that the environment's generator draws when it begins, and from how many
+    episodes it has had since; the next one is built while this one is driven.
     """
 
     def __init__(self, source: Any, episodes: int) -> None:

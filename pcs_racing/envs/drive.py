@@ -13,14 +13,14 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import setting, whole
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions, drive_elements
-from pcs_racing.envs.over_batch import Declared, with_table
+from pcs_racing.envs.over_batch import Declared, described
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.observation import observation_table
 from pcs_racing.race.state import MOST_CARS
 
 
-@with_table(observation_table(drive_elements(DriveOptions(beams=1))))
+@described(observation_table(drive_elements(DriveOptions(beams=1))))
 class DriveEnv(ScalarEnv):
     """Drive one car against motion planners, or alone.
 
@@ -97,83 +97,7 @@ class DriveEnv(ScalarEnv):
 
     ## Arguments
 
-    Parameters
-    ----------
-    track : str, Path or Track, a list of these, "random" or RandomCircuits
-        Name of a shipped circuit, a map folder, or a track. Of a list one is drawn for each episode; with "random" each
-        episode is driven on a newly generated circuit, or as
-        :class:`pcs_racing.race.random_circuits.RandomCircuits` says.
-    opponent : str, competitor, None, or a list of them
-        "lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a driver; a model that was trained here, or its
-        file "model.zip" (:func:`pcs_racing.envs.models.model_policy`). Or an agent of the game of moves
-        (:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an object, such as "cfr-argmax": it changes its policy of
-        the archive every 8 s. Of a list, in which entries may be (weight, opponent), one is drawn for each episode; all
-        must drive with the same planner. With None the agent is alone on the track: the second car is not simulated,
-        can't be touched or seen, and its elements are 0.
-    opponents : list, optional
-        One driver for each other car, up to seven, in place of `opponent`; they may have different planners. `opponent`
-        in the infos is -1 if there are several.
-    race : str, Path or RaceConfig
-        Rules of the race: "paper", "contest", a YAML file or a configuration.
-    duration : float, optional
-        Length of an episode in s, a multiple of 0.1 s; the preset's by default.
-    laps : int, optional
-        Laps from the start line after which the first car ends the race; none by default.
-    time_step : float
-        Length of a step in s, a multiple of 0.01 s up to 1 s.
-    top_speed : float
-        Target speed of the action 1, m/s.
-    normalized : bool
-        Whether actions are in [-1, 1]; else they are a steering angle in rad and a speed in m/s.
-    beams : int
-        Beams of the lidar; 0 for none.
-    fov : float
-        Angle from the first beam to the last, rad.
-    max_range : float
-        Longest range that is reported, m.
-    lidar_noise : float
-        Standard deviation of the ranges, m; a function of the race's key, the time and the beam.
-    look_ahead : tuple of float
-        Distances at which curvature, speed and widths are reported, m; () for none.
-    own_state : bool
-        Whether the elements 0 to 7 are observed.
-    own_pose : bool
-        Whether x, y (m) and heading (rad) of the own car on the map follow them.
-    see_opponent : {"always", "in sight", "never"}
-        When the opponent's elements are filled in. "in sight": they are 0 while a wall stands between the centres of
-        the two cars, or they are further apart than `max_range`. "never": there are no such elements.
-    time_left : bool
-        Whether an element before the beams tells the share of the race that is left.
-    normalize : bool
-        Whether to map every element to [-1, 1].
-    progress_reward, rivalry, crash_penalty, win_reward : float
-        See *Rewards*.
-    start_lines : int
-        Number of start lines to draw from.
-    archive : str, Path or PolicyArchive
-        Policies of an opponent that moves.
-    vehicle : VehicleParams, dict, str or Path, or a list with one for each car
-        Parameters of all cars, or of each one: a dict or a YAML file names those that differ from F1TENTH's
-        (:class:`pcs_racing.VehicleParams`), such as ``{"mu": 0.8}``.
-    randomize : Randomization, dict, str or Path, optional
-        Ranges from which each episode draws friction, mass, steering delay, steering noise and noise of the lidar
-        (:class:`pcs_racing.envs.randomization.Randomization`), such as ``{"friction": [0.7, 1.1]}``.
-    obstacles : Obstacles, int, dict, str or Path, optional
-        Boxes that stand on the track, drawn for each episode: how many, or their settings
-        (:class:`pcs_racing.envs.obstacles.Obstacles`).
-        The lidar sees them, a car that touches one has crashed as into a wall, and the lattice planner avoids most.
-    render_mode : {"rgb_array", "human"}, optional
-    view : {"track", "both", "car_0", ..., "car_7"}
-        What a frame shows; "both" keeps all cars in sight.
-    render_size : tuple of int
-        Width and height of a frame in pixels.
-
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
+    {arguments}
 
     ## Vectorized environment
 
@@ -238,6 +162,7 @@ class _SeveralAgents:
         return own, cars - opponents
 
 
+@described()
 class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     """Two to eight cars race each other; each agent steers one, fifty times a second.
 
@@ -265,33 +190,22 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     | share of the race that is left | 1 | `time_left` |
     | lidar, which sees the opponent as well | `beams` | `beams`; 0 for none |
 
-    With `see_opponent="in sight"` the nine numbers are 0 while a wall stands between the centres of the two cars, or
-    they are further apart than `max_range`. Of several opponents the nearest comes first. `state()` is the observation
-    of `car_0` followed by those of all others.
+    Of several opponents the nearest comes first. `state()` is the observation of `car_0` followed by those of all
+    others.
 
     ## Rewards
 
-    The rewards of `DriveEnv`, for each agent from its own side. Progress is in m along the race line.
-
-    - `progress_reward` (1) times (own progress in the step less `rivalry` (1) times the opponents' mean): with the
-      defaults the return is the lead that was gained, and the agents' rewards add up to zero;
-    - less `crash_penalty` (10) for a crash by own fault: into a wall, or into another car;
-    - plus `win_reward` (0) at the end of a race that was won, less as much after a defeat. Who is ahead wins; after a
-      crash, the preset decides: in `contest` the car to blame loses, in `paper` nobody wins.
-
-    The reward of winning alone is `progress_reward=0, crash_penalty=0, win_reward=1`.
+    Those of `DriveEnv`, for each agent from its own side. With the defaults (`progress_reward=1`, `rivalry=1`) the
+    return is the lead that was gained, and the agents' rewards add up to zero but for the `crash_penalty` (10). The
+    reward of winning alone is `progress_reward=0, crash_penalty=0, win_reward=1`.
 
     ## Starting State
 
-    Start line, side and the key of the race's noise are drawn from the generator. `reset(options=...)` takes the
-    options of `pcs_racing/Drive-v1`.
+    As in `DriveEnv`, and so are the options of `reset(options=...)`.
 
     ## Episode End
 
-    All agents terminate when a car crashes, unless the rules' `contact` says that cars drive on: the race is over then.
-    All are truncated after the race's duration
-    (40 s), which with a `win_reward` is a termination, since the race is decided and nothing follows; and after
-    `max_cycles` steps. `agents` is empty from then on.
+    As in `DriveEnv`, for all agents at once, and truncated after `max_cycles` steps. `agents` is empty from then on.
 
     ## Information
 
@@ -300,15 +214,10 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
 
     ## Arguments
 
-    Those of `DriveEnv`, with their meaning and default there, such as `track`, `race`, `render_mode`, `view` and
-    `render_size`; but:
+    Agents are `car_0` to `car_7`. What opponents drive, no agent does: `opponent` takes the last car, and `opponents`
+    as many.
 
-    - `cars` (2): cars in a race, 1 to 8. Agents are `car_0` to `car_7`.
-    - `opponent` (`None`): what drives `car_1` in place of a second agent, as for `pcs_racing/Drive-v1`. Then `car_0` is
-      the only agent. With more cars it drives the last one, and `opponents` as many.
-    - `time_step` (0.02): length of a step in s, a multiple of 0.01 s up to 1 s.
-    - `rivalry` (1.0): see *Rewards*.
-    - `max_cycles` (`None`): steps after which an episode is truncated.
+    {arguments}
 
     ## Vectorized environment
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import compiled_for, first_call
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.car.lidar import WORK_SHAPE
 from pcs_racing.envs.batch import BatchStep, check_batch_size
 from pcs_racing.envs.drive_kernel import (
@@ -73,24 +73,14 @@ class Course(NamedTuple):
 
 
 class DriveBatch:
-    """Races side by side; the first cars of each are driven by agents, the others by opponents.
+    """Races side by side; the first cars of each are driven by agents, as many as ``players``, the others by opponents.
 
-    Implements :class:`pcs_racing.envs.batch.Batch`.
-
-    Parameters
-    ----------
-    episodes : int
-        Number of races.
-    threads : int, optional
-        Threads that may share a step; as many as there are cores by default.
-    players : int
-        Cars that agents drive; the opponents' come after them.
-    **arguments
-        Of :class:`DriveOptions`.
+    ``threads`` may share a step, as many as there are cores by default. The arguments are those of
+    :class:`pcs_racing.envs.drive_options.DriveOptions`.
     """
 
-    reset_options: tuple[str, ...] = ("start", "poses", "obstacles")
-    film_rate: int | None = None
+    reset_options: tuple[str, ...] = ("start", "poses", "obstacles")  #: That :meth:`restart` takes.
+    film_rate: int | None = None  #: Frames for each second in :meth:`film`: here a step is a single frame.
 
     def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
         check_batch_size(episodes, threads)
@@ -99,8 +89,7 @@ class DriveBatch:
         given = (options.opponent,) if options.opponents is None else options.opponents
         given = () if given == (None,) else given
         self.cars = players + len(given)  #: In each race.
-        varied = options.track, options.vehicle, options.randomize, options.obstacles
-        self.variety = Variety(self.episodes, *varied, cars=self.cars)
+        self.variety = Variety(self.episodes, options, cars=self.cars)
         changes: dict[str, Any] = {"start_lines": options.start_lines}
         if options.duration is not None:
             changes["duration"] = options.duration
@@ -123,7 +112,9 @@ class DriveBatch:
         delay = self.variety.randomization.most_delay
         self.setup = RaceSetup(self.variety.circuits.track(0), config, tuple(planners), self.variety.cars, delay)
         self._ticks = options.ticks
+        #: Steps of an episode that does not end early.
         self.horizon = -(-self.setup.config.ticks // self._ticks)
+        #: Steps in a second of racing.
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
             **common_codes(opponent.name for opponent in self.opponents),
@@ -166,10 +157,6 @@ class DriveBatch:
         sight = make_sight(options, self.cars, self.players, self.setup.track)
         return sight._replace(end_tick=self.setup.config.ticks, noise=noise)
 
-    def course(self, circuit: int) -> Course:
-        """Return the course on a circuit, by its number; made when a race is first on it."""
-        return self._courses.get(circuit, lambda: self._make_course(circuit))
-
     def _make_course(self, circuit: int) -> Course:
         setup = replace(self.setup, track=self.variety.circuits.track(circuit))
         lines = start_lines(setup.track, setup.config, 0, split="train")
@@ -185,8 +172,8 @@ class DriveBatch:
 
     def _prepare_races(self, threads: int | None) -> None:
         setup, races, options = self.setup, self.episodes, self.options
-        # As many circuits can be in use at once as there are races.
-        self._courses: RecentlyUsed[int, Course] = RecentlyUsed(KEPT + races)
+        #: The course on a circuit, by its number. As many can be in use at once as there are races.
+        self.course = lru_cache(maxsize=KEPT + races)(self._make_course)
         course = self.course(0)
         self._scenes = [course.scene] * races  # of each race: what it is driven on, and what its players observe
         #: All races; written to by `restart` and `step`.
@@ -238,11 +225,9 @@ class DriveBatch:
         generators: Sequence[np.random.Generator],
         options: Mapping[str, Any] = {},
     ) -> None:
-        """Begin new episodes in some races, each drawn from its own generator.
+        """Begin new episodes in some races, each drawn from its own generator, with options for each or for all.
 
-        Options, for each race or for all: "start", arc length of the line (m) and side (0 puts car 0 on the left or in
-        front); or "poses", x, y (m), heading (rad) and optionally speed (m/s) of all cars; and "obstacles", boxes (x,
-        y, heading, length, width).
+        :class:`pcs_racing.envs.drive.DriveEnv` describes the options.
         """
         count = len(rows)
         starts, poses = start_option(options, count, self.cars), poses_option(options, count, self.cars)

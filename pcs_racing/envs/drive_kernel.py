@@ -374,24 +374,12 @@ def _end_step(length, state, end_tick, weights, sight, results, first, last):  #
 def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions, limits, weights, sight, rows, first, last, buffers, results):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
     """One step of races ``first`` to ``last - 1``: drive ``ticks`` steps on, pay, and observe.
 
-    Parameters
-    ----------
-    track, state, theta, vehicles, drivers, settings, ticks
-        As in :func:`pcs_racing.race.kernel.advance_races`.
-    actions : ndarray, shape (B, players, 2)
-        Steering and speed, clipped to [-1, 1].
-    limits : tuple of float
-        Largest steering angle (rad) and top speed (m/s).
-    weights : tuple
-        Reward for a metre, share of the opponent's progress that is taken off, penalty
-        (:func:`pcs_racing.game.reward.step_reward`); reward of a win, whether a fault loses the race, and the laps
-        that end it.
-    rows : ndarray of int64
-        The numbers from 0 to B - 1.
-    buffers : tuple of ndarray
-        ``scratch`` and ``work`` of the races, ``row``, ``seen`` and ``work`` of the observations; contents undefined
-        afterwards.
-    results : StepResults
+    What is not named here is as in :func:`pcs_racing.race.kernel.advance_races`. Actions, shape (B, players, 2), are
+    steering and speed, clipped to [-1, 1]; their limits the largest steering angle (rad) and the top speed (m/s). The
+    weights are the reward for a metre, the share of the opponent's progress that is taken off, the penalty
+    (:func:`pcs_racing.game.reward.step_reward`), the reward of a win, whether a fault loses the race, and the laps that
+    end it. Rows are the numbers from 0 to B - 1, buffers ``scratch`` and ``work`` of the races, ``row``, ``seen`` and
+    ``work`` of the observations, their contents undefined afterwards; results are :class:`StepResults`.
     """
     scratch, work, row, seen, scan_work = buffers
     set_commands(actions, limits, state, vehicles, first, last)

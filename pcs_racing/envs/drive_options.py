@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Rule, Settings, checked, choice, flag, number, setting, whole
+from pcs_racing.base.settings import ANYTHING, Rule, checked, choice, flag, number, setting, whole
 from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_RANGE, MOST_BEAMS, Lidar
 from pcs_racing.car.lidar_kernel import Beams
-from pcs_racing.car.vehicle import F1TENTH, load_vehicle
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive_kernel import Sight
-from pcs_racing.envs.obstacles import Obstacles, load_obstacles
-from pcs_racing.envs.randomization import Randomization, load_randomization
+from pcs_racing.envs.variety import EpisodeOptions
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import ObservationElement as Element
 from pcs_racing.race.config import DT, RaceConfig
@@ -39,11 +38,6 @@ def _source(kind: type) -> Rule:
     return Rule(check)
 
 
-def _anything(name: str, value: Any) -> Any:
-    """What is checked where it is used, by one who knows more of it."""
-    return value
-
-
 def _time_step(value: Any) -> float:
     step = check_number("time_step", value, DT, 1.0)
     if abs(step / DT - round(step / DT)) > 1e-9:
@@ -58,10 +52,6 @@ def _look_ahead(value: Any) -> tuple[float, ...]:
     return tuple(check_number("look_ahead", distance, 0.0, 1000.0) for distance in value)
 
 
-def _vehicles(value: Any) -> Any:
-    return tuple(map(load_vehicle, value)) if isinstance(value, list | tuple) else load_vehicle(value)
-
-
 def _opponents(value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple) or len(value) >= MOST_CARS:
         raise InputError(
@@ -71,47 +61,72 @@ def _opponents(value: Any) -> tuple[Any, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class DriveOptions(Settings):
-    """Arguments of the control-level environments; :class:`pcs_racing.envs.drive.DriveEnv` describes them."""
+class DriveOptions(EpisodeOptions):
+    """Arguments of the control-level environments."""
 
-    track: Any = setting("Tarnfjord", Rule(_anything), "Circuit or circuits (`pcs_racing.envs.circuits`).")
-    opponent: Any = setting("lattice", Rule(_anything), "Opponents (`pcs_racing.envs.opponents`).")
-    opponents: tuple[Any, ...] | None = setting(
-        None, checked(_opponents, "at most 7"), "Drivers of the other cars, in place of `opponent`."
+    opponent: Any = setting(
+        "lattice",
+        ANYTHING,
+        '"lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a driver; a model that was trained here, or '
+        'its file "model.zip" (:func:`pcs_racing.envs.models.model_policy`). Or an agent of the game of moves '
+        '(:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an object, such as "cfr-argmax": it changes its policy '
+        "of the archive every 8 s. Of a list, in which entries may be (weight, opponent), one is drawn for each "
+        "episode; all must drive with the same planner. With None there is none: the agent is alone on the track, and "
+        "the elements of the second car are 0. With two agents or more it takes the last one's place.",
     )
-    race: str | Path | RaceConfig = setting("paper", _source(RaceConfig), "Rules of the race.")
-    duration: float | None = setting(None, Rule(_anything), "Length of a race, s; by default that of the rules.")
-    laps: int | None = setting(None, whole(1, 1000), "Laps from the start after which the first car ends a race.")
+    opponents: tuple[Any, ...] | None = setting(
+        None,
+        checked(_opponents, "at most 7"),
+        "One driver for each other car, in place of `opponent`; they may have different planners. `opponent` in the "
+        "infos is -1 if there are several.",
+    )
+    race: str | Path | RaceConfig = setting(
+        "paper", _source(RaceConfig), 'Rules of the race: "paper", "contest", a YAML file or a configuration.'
+    )
+    duration: float | None = setting(
+        None, ANYTHING, "Length of a race, s, a multiple of 0.1; by default that of the rules."
+    )
+    laps: int | None = setting(
+        None, whole(1, 1000), "Laps from the start line after which the first car ends a race; none by default."
+    )
     time_step: float = setting(0.1, checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s.")
     top_speed: float = setting(8.0, number(0.1, F1TENTH.v_max), "Target speed that the action 1 asks for, m/s.")
-    normalized: bool = setting(True, flag(), "Whether actions are in [-1, 1]; else they are in rad and m/s.")
+    normalized: bool = setting(
+        True, flag(), "Whether actions are in [-1, 1]; else they are a steering angle in rad and a speed in m/s."
+    )
     beams: int = setting(0, whole(0, MOST_BEAMS), "Beams of the lidar; 0 for none.")
-    fov: float = setting(4.7, FIELD_OF_VIEW, "Field of view of the lidar, rad.")
-    max_range: float = setting(30.0, MAX_RANGE, "Range of the lidar, m.")
-    lidar_noise: float = setting(0.0, number(0.0, 10.0), "Standard deviation of the lidar's noise, m.")
+    fov: float = setting(4.7, FIELD_OF_VIEW, "Angle from the first beam to the last, rad.")
+    max_range: float = setting(30.0, MAX_RANGE, "Longest range that is reported, m.")
+    lidar_noise: float = setting(
+        0.0,
+        number(0.0, 10.0),
+        "Standard deviation of the ranges, m; a function of the race's key, the time and the beam.",
+    )
     look_ahead: tuple[float, ...] = setting(
         (0.0, 1.0, 2.0, 4.0, 6.0, 9.0),
         checked(_look_ahead, "at most 100 distances from 0 to 1000"),
-        "Distances at which the race line is observed, m.",
+        "Distances at which curvature, speed and widths of the race line are observed, m; () for none.",
     )
     own_state: bool = setting(True, flag(), "Whether the numbers about the own car are observed.")
-    own_pose: bool = setting(False, flag(), "Whether the own place and heading are observed.")
-    see_opponent: str = setting("always", choice(SEE_OPPONENT), "When the opponent is observed.")
-    time_left: bool = setting(False, flag(), "Whether the share of the race that is left is observed.")
+    own_pose: bool = setting(False, flag(), "Whether x, y (m) and heading (rad) of the own car on the map follow them.")
+    see_opponent: str = setting(
+        "always",
+        choice(SEE_OPPONENT),
+        'When the opponent is observed. "in sight": its elements are 0 while a wall stands between the centres of the '
+        'two cars, or they are further apart than `max_range`; "never": there are none',
+    )
+    time_left: bool = setting(
+        False, flag(), "Whether an element before the beams tells the share of the race that is left."
+    )
     normalize: bool = setting(False, flag(), "Whether observations are scaled to [-1, 1].")
     progress_reward: float = setting(1.0, number(-1e6, 1e6), "Reward for a metre of progress.")
     rivalry: float = setting(0.0, number(-1e6, 1e6), "Share of the opponent's progress that is taken off.")
     crash_penalty: float = setting(10.0, number(0.0, 1e6), "Penalty of a crash by own fault.")
     win_reward: float = setting(0.0, number(0.0, 1e6), "Reward of a win, and penalty of a defeat.")
-    start_lines: int = setting(100, Rule(_anything), "Start lines to draw from.")
+    start_lines: int = setting(100, ANYTHING, "Number of start lines to draw from.")
     archive: str | Path | PolicyArchive = setting(
         "default", _source(PolicyArchive), "Archive of opponents that move between policies."
     )
-    vehicle: Any = setting(F1TENTH, checked(_vehicles), "The cars (`pcs_racing.car.vehicle.load_vehicles`).")
-    randomize: Randomization | None = setting(
-        None, checked(load_randomization), "Ranges from which each episode draws."
-    )
-    obstacles: Obstacles | None = setting(None, checked(load_obstacles), "Obstacles on the track.")
 
     def __post_init__(self) -> None:
         super().__post_init__()

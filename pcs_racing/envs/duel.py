@@ -11,7 +11,7 @@ from pettingzoo.utils import parallel_to_aec
 
 from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.opponents import Opponent
-from pcs_racing.envs.over_batch import FILM, Declared, with_table
+from pcs_racing.envs.over_batch import FILM, Declared, OverBatch, described
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.characteristics import get_characteristics
@@ -27,41 +27,58 @@ _MOVES = GameConfig().moves
 _TABLE = observation_table(observation_elements(AXES, _MOVES), _MOVES)
 
 
-@with_table(_TABLE)
-class DuelEnv(ScalarEnv):
+class OverGames(OverBatch):
+    """What environments of the game of moves have in common."""
+
+    batch_type = GameBatch
+    batch: GameBatch
+
+    @property
+    def game(self) -> RaceGame:
+        """The rules."""
+        return self.batch.game
+
+
+@described(_TABLE)
+class DuelEnv(OverGames, ScalarEnv):
     """Play the game of moves in Policy Characteristic Space against an opponent.
 
     ## Description
 
-    The view that the player of car 0 has of :class:`pcs_racing.envs.duel.HeadToHeadEnv`. Both cars are driven
-    by a motion planner with a policy from an archive. The players watch one step of 8 s, then make 4 moves; each asks
-    for a bit more or less of one characteristic, the car goes on with the nearest policy of the archive, and 8 s are
-    driven.
+    Each car is driven by a motion planner with a policy from an archive. A policy is a point in the Policy
+    Characteristic Space: its coordinates say how it drives, for instance how much lead it gains (aggressiveness, m)
+    and how much time it keeps to a collision (restraint, s). The players watch one step of 8 s, then make 4 moves;
+    each move asks for a bit more or less of one characteristic, the car continues with the nearest policy of the
+    archive, and 8 s are driven. This is the game of Section V of the paper, seen by the player of car 0.
 
     ## Action Space
 
     ``Discrete(2 G)`` for G characteristics: move ``2 i`` asks for more of characteristic ``i``, move ``2 i + 1`` for
     less. With the default archive: 0 ``aggressiveness +``, 1 ``aggressiveness -``, 2 ``restraint +``, 3 ``restraint
-    -``; with ``stay`` the last move keeps the policy. ``action_masks()`` and ``info["action_mask"]`` say which may be
-    made.
+    -``. With several step sizes (``epsilon``) the moves of each follow one another; with ``stay`` the last move keeps
+    the policy. A move may lead to the policy in use: then nothing changes. ``action_masks()`` and
+    ``info["action_mask"]`` say which moves may be made: all of them, unless ``mask_duplicates`` is set.
 
     ## Observation Space
 
     ``Box(float32)`` with ``(moves + 1) (2 G + 2) + 1`` elements, 31 by default; ``env.unwrapped.elements`` holds name,
     unit, bounds and meaning of each. Step 0 is the one in which the players only watch, step ``k`` follows move ``k``.
-    "Range" means that 0 is the archive's smallest and 1 its largest value.
+    "Range" means that 0 is the archive's smallest and 1 its largest value; values beyond the bounds are clipped.
 
     {observation_table}
 
     ## Rewards
 
-    0 until the game ends; then the utility: by default the own lead in m, and 0 after a crash. ``utility``,
-    ``fault_penalty`` and ``discount`` change it (:class:`pcs_racing.game.config.GameConfig`).
+    0 until the game ends; then the utility: by default the own lead in m, and 0 after a crash (``utility="lead"``); or
+    the lead even after a crash (``"lead-at-crash"``); or 1 for a win and -1 for a defeat (``"win"``). A
+    ``fault_penalty`` goes from the car to blame for a crash to the other one. A ``discount`` multiplies the utility
+    once for each move that was made.
 
     ## Starting State
 
     Start line, side, both policies, the steering noise (none in "paper") and the opponent are drawn from the
-    environment's generator; then the first step is driven. Should it end in a crash, the game is drawn again.
+    environment's generator; then the first step is driven. Should it end in a crash, the game is drawn again; if
+    policies and start were given, the first call of ``step`` ends it instead.
 
     ``reset(options=...)`` takes ``policies`` (two indices of the archive; -1 draws one), ``start`` (arc length of the
     line in m, and side: 0 puts car 0 on the left or in front), ``obstacles`` (boxes: x, y, heading, length and width in
@@ -80,45 +97,7 @@ class DuelEnv(ScalarEnv):
 
     ## Arguments
 
-    Parameters
-    ----------
-    track : str, Path or Track, a list of these, "random" or RandomCircuits
-        As for :class:`pcs_racing.envs.drive.DriveEnv`.
-    archive : str, Path or PolicyArchive
-    opponent : str, competitor, or list
-        By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each game and kept);
-        "always-<move>", for instance "always-aggressiveness +"; a driver such as "lane-switcher:3", which makes no
-        moves; or any agent of :mod:`pcs_racing_agents`, such as "cfr-argmax". As an object: an agent, a driver or a
-        policy; a model of Stable-Baselines3 or any object with its ``predict(observation, state, episode_start,
-        deterministic)``; an object with ``decide(game, state, car)``; or a function ``f(observation, generator) ->
-        move``. Of a list, in which entries may be (weight, opponent), one is drawn for each game. The opponent
-        observes what car 1 observes, and may also stay, whatever moves the rules offer.
-    race : str, Path, RaceConfig or GameConfig
-        Rules: "paper", "contest", a YAML file or a configuration.
-    deterministic_opponent : bool
-        Whether models take their best move; if not, they draw with a generator of their own, which no seed of this
-        environment reaches.
-    vehicle : VehicleParams, dict, str or Path, or a list of two
-    randomize : Randomization, dict, str or Path, optional
-    obstacles : Obstacles, int, dict, str or Path, optional
-        As for :class:`pcs_racing.envs.drive.DriveEnv`; there is no lidar to draw the noise of.
-    render_mode : {"rgb_array", "rgb_array_list", "human"}, optional
-        With "rgb_array" a frame shows how a step ended; with "rgb_array_list" `render` returns all frames since it was
-        last called, or since the reset, 25 for each second of racing
-        (:class:`pcs_racing.envs.video.RecordRaces` makes a video of them).
-    view : {"track", "both", "car_0", "car_1"}
-        What a frame shows.
-    render_size : tuple of int
-        Width and height of a frame in pixels.
-    **settings
-        Fields of :class:`pcs_racing.game.config.GameConfig`: ``moves``, ``step_seconds``, ``epsilon``, ``stay``...
-
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
+    {arguments}
 
     ## Vectorized environment
 
@@ -140,14 +119,7 @@ class DuelEnv(ScalarEnv):
     """
 
     metadata: dict[str, Any] = {**ScalarEnv.metadata, "render_modes": [*MODES, FILM]}  # noqa: RUF012
-    batch_type = GameBatch
-    batch: GameBatch
     declared = Declared(GameOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig)
-
-    @property
-    def game(self) -> RaceGame:
-        """The rules."""
-        return self.batch.game
 
     @property
     def opponents(self) -> list[Opponent]:
@@ -159,7 +131,7 @@ class DuelEnv(ScalarEnv):
         return self.batch.action_masks()[0]
 
 
-class DuelVectorEnv(BatchVectorEnv):
+class DuelVectorEnv(OverGames, BatchVectorEnv):
     """Many :class:`DuelEnv` in one, with the same numbers for the same seeds.
 
     The arguments are those of :class:`DuelEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`.
@@ -172,14 +144,7 @@ class DuelVectorEnv(BatchVectorEnv):
     (4, 31)
     """
 
-    batch_type = GameBatch
-    batch: GameBatch
     declared = replace(DuelEnv.declared, positional=())
-
-    @property
-    def game(self) -> RaceGame:
-        """The rules."""
-        return self.batch.game
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Moves that each player may make, shape (num_envs, M), as sb3-contrib's MaskablePPO asks for them."""
@@ -198,31 +163,22 @@ class SelfPlayVectorEnv(DuelVectorEnv):
     players = 2
 
 
-@with_table(_TABLE)
-class HeadToHeadEnv(ParallelBatchEnv):
+@described(_TABLE)
+class HeadToHeadEnv(OverGames, ParallelBatchEnv):
     """Two cars race each other; their players change, move by move, how aggressive and how restrained they drive.
 
     ## Description
 
-    Each car is driven by a motion planner with a policy from an archive. A policy is a point in the Policy
-    Characteristic Space: its coordinates say how it drives, for instance how much lead it gains (aggressiveness, m)
-    and how much time it keeps to a collision (restraint, s). The players watch one step of 8 s, then make 4 moves;
-    each move asks for a bit more or less of one characteristic, the car continues with the nearest policy of the
-    archive, and 8 s are driven. This is the game of Section V of the paper.
+    :class:`pcs_racing.envs.duel.DuelEnv` with a player for each car: the same rules, and both moves are made at the
+    same time.
 
     ## Action Space
 
-    `Discrete(2 G)` for G characteristics: move `2 i` asks for more of characteristic `i`, move `2 i + 1` for less.
-    With the default archive: 0 `aggressiveness +`, 1 `aggressiveness -`, 2 `restraint +`, 3 `restraint -`. With
-    several step sizes (`epsilon`) the moves of each follow one another; with `stay` the last move keeps the policy. A
-    move may lead to the policy in use: then nothing changes. `info["action_mask"]` (int8) says which moves may be
-    made: all of them, unless `mask_duplicates` is set.
+    `Discrete(2 G)` for G characteristics: the moves of `DuelEnv`. `info["action_mask"]` (int8) says which may be made.
 
     ## Observation Space
 
-    `Box(float32)` with `(moves + 1) (2 G + 2) + 1` elements; 31 by default. Step 0 is the one in which the players
-    only watch, step `k` follows move `k`. The unit "range" means that 0 is the archive's smallest and 1 its largest
-    value of that characteristic; values beyond the bounds are clipped.
+    `Box(float32)` with `(moves + 1) (2 G + 2) + 1` elements, 31 by default: those of `DuelEnv`, seen from the own car.
 
     {observation_table}
 
@@ -230,16 +186,11 @@ class HeadToHeadEnv(ParallelBatchEnv):
 
     ## Rewards
 
-    Zero until the game ends. Then each car gets its utility, and the two add up to zero: by default its lead in m,
-    and 0 after a crash (`utility="lead"`); or the lead even after a crash (`"lead-at-crash"`); or 1 for a win and -1
-    for a defeat (`"win"`). A `fault_penalty` goes from the car to blame for a crash to the other one. A `discount`
-    multiplies the utility once for each move that was made.
+    Those of `DuelEnv`. The two cars' add up to zero.
 
     ## Starting State
 
-    Start line, side, both policies and the steering noise (none in the preset `paper`) are drawn at random; then the
-    first step is driven. Should it end in a crash, the game is drawn again; if policies and start were given, the first
-    call of `step` ends it instead. `reset(options=...)` takes the options of `pcs_racing/Duel-v1`.
+    As in `DuelEnv`, and so are the options of `reset(options=...)`.
 
     ## Episode End
 
@@ -253,15 +204,7 @@ class HeadToHeadEnv(ParallelBatchEnv):
 
     ## Arguments
 
-    Those of `DuelEnv`, with their meaning and default there: `track`, `archive`, `race`, `deterministic_opponent`,
-    `vehicle`, `randomize`, `obstacles`, `render_mode`, `view`, `render_size`; and:
-
-    - `opponent` (`None`): what drives `car_1` in place of a second agent: as for `pcs_racing/Duel-v1`. Then `car_0` is
-      the only agent.
-    - `max_cycles` (`None`): moves after which an episode is truncated.
-    - every field of `GameConfig`: `moves` (4), `step_seconds` (8.0), `first_steps` (none), `epsilon` (0.5; one number,
-      or several), `stay` (as the race's rules say), `utility`, `fault_penalty` (0), `discount` (1), `characteristics`
-      (the archive's), `mask_duplicates` (False).
+    {arguments}
 
     ## Vectorized environment
 
@@ -280,16 +223,9 @@ class HeadToHeadEnv(ParallelBatchEnv):
         "name": "head_to_head_v1",
         "is_parallelizable": True,
     }
-    batch_type = GameBatch
-    batch: GameBatch
     declared = Declared(
         GameOptions, positional=("track", "archive", "race"), more=GameConfig, changed={"opponent": None}
     )
-
-    @property
-    def game(self) -> RaceGame:
-        """The rules."""
-        return self.batch.game
 
     def frames(self) -> Iterator[NDArray[np.uint8] | None]:
         """Drive the last step again and draw 25 moments of each second: what `render` gives, for videos."""

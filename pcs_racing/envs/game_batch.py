@@ -3,6 +3,7 @@
 import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -11,14 +12,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.recently_used import RecentlyUsed
-from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.base.settings import ANYTHING, flag, setting
 from pcs_racing.envs.batch import BatchStep, check_batch_size
 from pcs_racing.envs.infos import Result, common_codes, of_players, race_info, race_infos, race_results
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
 from pcs_racing.envs.reset_options import start_option
-from pcs_racing.envs.variety import Variety
+from pcs_racing.envs.variety import EpisodeOptions, Variety
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.competitor import ask_moves
@@ -50,18 +50,32 @@ class DrivenStep(NamedTuple):
     moves: NDArray[np.int64]  #: shape (2,): Moves that began it.
 
 
-@dataclass(frozen=True)
-class GameOptions:
-    """Arguments of the environments at the level of strategy; :class:`pcs_racing.envs.duel.DuelEnv` describes them."""
+@dataclass(frozen=True, eq=False)
+class GameOptions(EpisodeOptions):
+    """Arguments of the environments at the level of strategy."""
 
-    track: Any = "Tarnfjord"
-    archive: PolicyArchive | str | Path = "default"
-    opponent: Any = "random-moves"
-    race: GameConfig | RaceConfig | str | Path = "paper"
-    deterministic_opponent: bool = True
-    vehicle: Any = F1TENTH
-    randomize: Any = None
-    obstacles: Any = None
+    archive: PolicyArchive | str | Path = setting("default", ANYTHING, "The policies: an archive, its name or folder.")
+    opponent: Any = setting(
+        "random-moves",
+        ANYTHING,
+        'By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each episode and kept); '
+        '"always-<move>", for instance "always-aggressiveness +"; a driver such as "lane-switcher:3", which makes no '
+        'moves; or any agent of :mod:`pcs_racing_agents`, such as "cfr-argmax". As an object: an agent, a driver or a '
+        "policy; a model of Stable-Baselines3 or any object with its ``predict(observation, state, episode_start, "
+        "deterministic)``; an object with ``decide(game, state, car)``; or a function ``f(observation, generator) -> "
+        "move``. Of a list, in which entries may be (weight, opponent), one is drawn for each episode. The opponent "
+        "observes what car 1 observes, and may also stay, whatever moves the rules offer. With None a second agent "
+        "drives car 1, where the environment has one.",
+    )
+    race: GameConfig | RaceConfig | str | Path = setting(
+        "paper", ANYTHING, 'Rules: "paper", "contest", a YAML file or a configuration.'
+    )
+    deterministic_opponent: bool = setting(
+        True,
+        flag(),
+        "Whether models take their best move; if not, they draw with a generator of their own, which no seed of this "
+        "environment reaches.",
+    )
 
 
 KEPT = 64  # games on circuits that no episode is on
@@ -78,25 +92,15 @@ def check_shapes(names: Sequence[str], given: Sequence[Any], wanted: Sequence[An
 
 
 class GameBatch:
-    """Games of moves; car 0 belongs to a player, car 1 to an opponent or to a second player.
+    """Games of moves; car 0 belongs to a player, car 1 to an opponent, or to a second one of two ``players``.
 
-    Implements :class:`pcs_racing.envs.batch.Batch`.
-
-    Parameters
-    ----------
-    episodes : int
-        Number of games.
-    threads : int, optional
-        Threads that share a step.
-    players : int
-        2 where there is no opponent.
-    **arguments
-        Of :class:`GameOptions` and, to change the rules, of :class:`pcs_racing.game.config.GameConfig`.
+    The arguments are those of :class:`GameOptions` and, to change the rules, of
+    :class:`pcs_racing.game.config.GameConfig`.
     """
 
     options_type: ClassVar[type[GameOptions]] = GameOptions
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
-    frame_rate = 1
+    frame_rate = 1  #: Of single frames: a step is longer than a second.
     film_rate: int | None = FILM_RATE
 
     cars = 2
@@ -111,12 +115,13 @@ class GameBatch:
                 + ("name one, for instance 'random-moves'" if players == 1 else "both cars belong to players here")
             )
         self.episodes, self.players = int(episodes), players
-        self.variety = Variety(self.episodes, options.track, options.vehicle, options.randomize, options.obstacles)
+        self.variety = Variety(self.episodes, options)
         if "lidar_noise" in self.variety.drawn:
             raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
         rules = load_game_config(options.race, **{name: value for name, value in arguments.items() if name not in own})
         self._made_of = load_archive(options.archive), rules, options.opponent, threads
-        self._games: RecentlyUsed[int, tuple[RaceGame, list[Opponent]]] = RecentlyUsed(KEPT + self.episodes)
+        #: The game on a circuit, by its number, and the opponents in it.
+        self.game_on = lru_cache(maxsize=KEPT + self.episodes)(self._make_game)
         # The game on the first circuit; the rules are the same on the others.
         self.game, self.opponents = self.game_on(0)
         weights = np.array([each.weight for each in self.opponents] or [1.0])
@@ -153,10 +158,6 @@ class GameBatch:
         """The circuit of the first episode."""
         return self.game.track if self.state is None else self.variety.track(0)
 
-    def game_on(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
-        """Return the game on a circuit, by its number, and the opponents in it; made when it is first asked for."""
-        return self._games.get(circuit, lambda: self._make_game(circuit))
-
     def _make_game(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
         archive, rules, opponent, threads = self._made_of
         game = RaceGame(
@@ -189,11 +190,9 @@ class GameBatch:
         generators: Sequence[np.random.Generator],
         options: Mapping[str, Any] = {},
     ) -> None:
-        """Begin new games in some places, each drawn from its own generator.
+        """Begin new games in some places, each drawn from its own generator, with options for each or for all.
 
-        Options: "policies", two indices of the archive for each game or for all (-1 draws one); "start", arc length of
-        the line (m) and side (0 puts car 0 on the left or in front); and "obstacles", boxes (x, y, heading, length,
-        width), for each game or for all.
+        :class:`pcs_racing.envs.duel.DuelEnv` describes the options.
         """
         starts, policies, boxes = self._read(options, len(rows))
         self.variety.draw(rows, generators)

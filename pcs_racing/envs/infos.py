@@ -157,10 +157,7 @@ def one_info(infos: Mapping[str, NDArray[Any]], environment: int) -> dict[str, A
 def words(info: Mapping[str, Any], names: Mapping[str, Mapping[int, str]]) -> dict[str, Any]:
     """Replace the codes in the info of one environment by their words; masks and arrays are left out.
 
-    Parameters
-    ----------
-    names : Mapping of str to Mapping
-        Words by number, for each entry that is a code: ``env.metadata["codes"]``.
+    The names are ``env.metadata["codes"]``: words by number, for each entry that is a code.
     """
     return {
         name: names[name][int(value)] if name in names else value

@@ -8,23 +8,35 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.envs.duel import AXES, DuelEnv, DuelVectorEnv, HeadToHeadEnv
-from pcs_racing.envs.match_batch import MatchBatch, MatchOptions
-from pcs_racing.envs.over_batch import with_table
+from pcs_racing.envs.duel import AXES, DuelEnv, DuelVectorEnv, HeadToHeadEnv, OverGames
+from pcs_racing.envs.match_batch import UNUSED, MatchBatch, MatchOptions
+from pcs_racing.envs.over_batch import described
 from pcs_racing.game.match import MatchGame
 from pcs_racing.game.observation import match_elements, observation_table
 
 
-@with_table(observation_table(match_elements(AXES, MatchOptions().races)))
-class MatchEnv(DuelEnv):
+class OverMatches(OverGames):
+    """What environments of matches have in common."""
+
+    batch_type = MatchBatch
+    batch: MatchBatch
+
+    @property
+    def match(self) -> MatchGame:
+        """The rules; ``game`` holds those of the races."""
+        return self.batch.match
+
+
+@described(observation_table(match_elements(AXES, MatchOptions().races)))
+class MatchEnv(OverMatches, DuelEnv):
     """Play a match: several races against the same opponent, with a policy to choose before each of them.
 
     ## Description
 
-    The view that the player of car 0 has of :class:`pcs_racing.envs.match.HeadToHeadMatchEnv`. The
-    opponent is drawn for the match and stays the same. Before each race the player chooses the policy of the archive
-    that its car drives with; it knows how the opponent drove in the earlier races. In each race the cars start on
-    another line, and they swap their places on the grid. The rules are in :mod:`pcs_racing.game.match`.
+    A match is a series of races against the same opponent, which is drawn for the match. Before each race the player
+    of car 0 chooses the policy of the archive that its car drives with; it knows how both cars drove in the earlier
+    races, and who won them. In each race the cars start on another line, and they swap their places on the grid. The
+    rules are in :mod:`pcs_racing.game.match`.
 
     ## Action Space
 
@@ -75,44 +87,7 @@ class MatchEnv(DuelEnv):
 
     ## Arguments
 
-    Parameters
-    ----------
-    track : str, Path or Track, a list of these, "random" or RandomCircuits
-        As for :class:`pcs_racing.envs.duel.DuelEnv`; all races of a match are driven on the same circuit.
-    archive : str, Path or PolicyArchive
-    opponent : str, competitor, or list
-        As for :class:`pcs_racing.envs.duel.DuelEnv`; one is drawn for each match. One that makes moves starts every
-        race of the match with the same policy of the archive, and makes its moves in the races. An object with
-        ``choose(observation) -> policies`` chooses before each race, as the player does, and keeps its policy in the
-        race.
-    race : str, Path, RaceConfig or GameConfig
-        Rules of the races: "paper", "contest", a YAML file or a configuration. The reward is that of a match, whatever
-        a configuration says of the utility.
-    races : int
-        Races of a match, 1 to 100.
-    race_moves : bool
-        Whether the player also makes the moves of the races.
-    deterministic_opponent : bool
-        As for :class:`pcs_racing.envs.duel.DuelEnv`.
-    vehicle : VehicleParams, dict, str or Path, or a list of two
-    randomize : Randomization, dict, str or Path, optional
-    obstacles : Obstacles, int, dict, str or Path, optional
-        As for :class:`pcs_racing.envs.duel.DuelEnv`; what is drawn stays the same in all races of a match.
-    render_mode : {"rgb_array", "human"}, optional
-    view : {"track", "both", "car_0", "car_1"}
-        What a frame shows.
-    render_size : tuple of int
-        Width and height of a frame in pixels.
-    **settings
-        Fields of :class:`pcs_racing.game.config.GameConfig` but ``utility``, ``fault_penalty`` and ``discount``:
-        ``moves``, ``step_seconds``, ``characteristics``...
-
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
+    {arguments}
 
     ## Vectorized environment
 
@@ -131,17 +106,10 @@ class MatchEnv(DuelEnv):
     ((23,), True)
     """
 
-    batch_type = MatchBatch
-    batch: MatchBatch
-    declared = replace(DuelEnv.declared, options=MatchOptions)
-
-    @property
-    def match(self) -> MatchGame:
-        """The rules; ``game`` holds those of the races."""
-        return self.batch.match
+    declared = replace(DuelEnv.declared, options=MatchOptions, without=UNUSED)
 
 
-class MatchVectorEnv(DuelVectorEnv):
+class MatchVectorEnv(OverMatches, DuelVectorEnv):
     """Many :class:`MatchEnv` in one, with the same numbers for the same seeds.
 
     The arguments are those of :class:`MatchEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`.
@@ -154,14 +122,7 @@ class MatchVectorEnv(DuelVectorEnv):
     (4, 16)
     """
 
-    batch_type = MatchBatch
-    batch: MatchBatch
     declared = replace(MatchEnv.declared, positional=())
-
-    @property
-    def match(self) -> MatchGame:
-        """The rules; ``game`` holds those of the races."""
-        return self.batch.match
 
 
 class SelfPlayMatchVectorEnv(MatchVectorEnv):
@@ -182,22 +143,18 @@ class SelfPlayMatchVectorEnv(MatchVectorEnv):
     players = 2
 
 
-class HeadToHeadMatchEnv(HeadToHeadEnv):
+@described()
+class HeadToHeadMatchEnv(OverMatches, HeadToHeadEnv):
     """Two players race each other several times; before each race both choose the policy that their car drives with.
 
     ## Description
 
-    A match is a series of races between the same two players. Before each race both choose a policy of the archive, at
-    the same time; then the race is driven. Each player observes how it drove itself and how the other one drove in the
-    earlier races, and who won them. In each race the cars start on another line, and they swap their places on the
-    grid. `pcs_racing.game.match` holds the rules.
+    :class:`pcs_racing.envs.match.MatchEnv` with a player for each car: both choose a policy at the same time, then the
+    race is driven.
 
     ## Action Space
 
-    `Discrete(K)` for an archive of K policies: action `k` drives the next race with policy `k`. With `race_moves` a
-    step is one step of a race (8 s), and the space is `Discrete(K + M)`: actions `K` to `K + M - 1` are the M moves of
-    `pcs_racing/head_to_head-v1`, to be made while a race goes on. An action of the other kind changes nothing.
-    `info["action_mask"]` (int8) says which kind is asked for.
+    That of `MatchEnv`; `info["action_mask"]` (int8) says which kind of action is asked for.
 
     ## Observation Space
 
@@ -206,13 +163,11 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
 
     ## Rewards
 
-    The score of each race when it is over: 1 for a win, 1/2 for a tie, else 0. The rewards of the two cars add up to 1
-    in each race, or to 0 after a no-contest crash.
+    Those of `MatchEnv`. The two cars' add up to 1 in each race, or to 0 after a no-contest crash.
 
     ## Starting State
 
-    Start lines, the side of the first race and the noise are drawn at random. Nothing is driven before the first
-    actions. `reset(options=...)` takes the options of `pcs_racing/Match-v0`.
+    As in `MatchEnv`, and so are the options of `reset(options=...)`.
 
     ## Episode End
 
@@ -221,20 +176,12 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
 
     ## Information
 
-    `info` of each agent holds the numbers of `pcs_racing/head_to_head-v1` for the race that was driven last, and `race`
-    (races that are over), `race_result`, `score` and `opponent_score` (races won so far); `result` is that of the
-    match. `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
+    `info` of each agent holds the numbers of `MatchEnv`, seen from its own car. `env.metadata["codes"]` holds the words
+    of all codes; `env.outcome()` is the infos in words.
 
     ## Arguments
 
-    - `track` (`"Tarnfjord"`), `archive` (`"default"`), `race` (`"paper"`), `opponent` (`None`),
-      `deterministic_opponent` (`True`), `vehicle` (`F1TENTH`), `randomize` (`None`), `obstacles` (`None`),
-      `render_mode` (`None`), `view` (`"both"`), `render_size` (`(960, 640)`): as for `pcs_racing/head_to_head-v1`. What
-      is drawn stays the same in all races of a match.
-    - `races` (3): races of a match.
-    - `race_moves` (`False`): whether the players also make the moves of the races.
-    - `max_cycles` (`None`): steps after which an episode is truncated.
-    - every field of `GameConfig` but `utility`, `fault_penalty` and `discount`.
+    {arguments}
 
     ## Vectorized environment
 
@@ -248,14 +195,7 @@ class HeadToHeadMatchEnv(HeadToHeadEnv):
     """
 
     metadata: dict[str, Any] = {**HeadToHeadEnv.metadata, "name": "head_to_head_match_v0"}  # noqa: RUF012
-    batch_type = MatchBatch
-    batch: MatchBatch
-    declared = replace(HeadToHeadEnv.declared, options=MatchOptions)
-
-    @property
-    def match(self) -> MatchGame:
-        """The rules."""
-        return self.batch.match
+    declared = replace(HeadToHeadEnv.declared, options=MatchOptions, without=UNUSED)
 
 
 parallel_env = HeadToHeadMatchEnv

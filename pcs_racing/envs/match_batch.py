@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.settings import ANYTHING, flag, setting, whole
 from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.game_batch import GameBatch, GameOptions, check_shapes
 from pcs_racing.envs.infos import Result, codes, of_players, one_info
@@ -22,27 +23,28 @@ UNUSED = ("utility", "fault_penalty", "discount")
 """Rules of a single game's reward; a match pays races won."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MatchOptions(GameOptions):
-    """Arguments of the environments of matches; :class:`pcs_racing.envs.match.MatchEnv` describes them."""
+    """Arguments of the environments of matches."""
 
-    opponent: Any = "never-switch"
-    races: int = 3
-    race_moves: bool = False
+    opponent: Any = setting(
+        "never-switch",
+        ANYTHING,
+        "As for :class:`pcs_racing.envs.duel.DuelEnv`; one is drawn for each match. One that makes moves starts every "
+        "race of the match with the same policy of the archive, and makes its moves in the races. An object with "
+        "``choose(observation) -> policies`` chooses before each race, as the player does, and keeps its policy in the "
+        "race. With None a second agent drives car 1, where the environment has one.",
+    )
+    races: int = setting(3, whole(1, 100), "Races of a match.")
+    race_moves: bool = setting(False, flag(), "Whether the player also makes the moves of the races.")
 
 
 class MatchBatch(GameBatch):
     """Matches of several races; car 0 belongs to a player, car 1 to an opponent or to a second player.
 
     A step is a whole race, unless the players make the moves of the races, too. Circuit, cars and obstacles are drawn
-    for the match and stay the same in its races.
-
-    Parameters
-    ----------
-    episodes : int
-        Number of matches.
-    **arguments
-        As for :class:`pcs_racing.envs.game_batch.GameBatch`, with those of :class:`MatchOptions`.
+    for the match and stay the same in its races. The arguments are those of
+    :class:`pcs_racing.envs.game_batch.GameBatch`, with those of :class:`MatchOptions`.
     """
 
     options_type = MatchOptions
@@ -73,11 +75,9 @@ class MatchBatch(GameBatch):
         generators: Sequence[np.random.Generator],
         options: Mapping[str, Any] = {},
     ) -> None:
-        """Begin new matches in some places, each drawn from its own generator.
+        """Begin new matches in some places, each drawn from its own generator, with options for each or for all.
 
-        Options: "policies", two indices of the archive for each match or for all: what the cars start the races with if
-        their players do not choose (-1 draws one); "start", arc length of the line of all races (m) and side of the
-        first race; and "obstacles", boxes (x, y, heading, length, width); each for every match or for all.
+        :class:`pcs_racing.envs.match.MatchEnv` describes the options.
         """
         starts, policies, boxes = self._read(options, len(rows))
         self.variety.draw(rows, generators)

@@ -19,12 +19,8 @@ class MovingOpponents:
 
     The opponent watches for a step of the game, then moves and drives the next one, and so on; after the last
     move it keeps its policy. It observes car 0 as it would observe a driver from outside the archive. A move is made at
-    the first step of the environment that ends at its time or later.
-
-    Parameters
-    ----------
-    game : RaceGame
-        With the external planner in car 0 and the archive's in car 1.
+    the first step of the environment that ends at its time or later. The game has the external planner in car 0 and the
+    archive's in car 1.
     """
 
     def __init__(self, episodes: int, game: RaceGame) -> None:

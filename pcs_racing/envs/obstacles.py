@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import is_whole
-from pcs_racing.base.settings import Settings, choice, number, setting
-from pcs_racing.envs.randomization import load_drawn, range_rule
+from pcs_racing.base.settings import Settings, choice, load_settings, number, setting
+from pcs_racing.envs.randomization import range_rule
 from pcs_racing.envs.reset_options import read_numbers
 from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.obstacles import BOX
@@ -45,10 +45,7 @@ class Obstacles(Settings):
     def draw(self, track: Track, starts: Sequence[float], generator: np.random.Generator) -> NDArray[np.float64]:
         """Draw the obstacles of an episode, shape (K, 5); one that finds no room is left out.
 
-        Parameters
-        ----------
-        starts : sequence of float
-            Arc lengths at which the cars stand, m: from 3 m before them to 8 m after them nothing is put.
+        From 3 m before to 8 m after the ``starts``, arc lengths at which the cars stand (m), nothing is put.
         """
         line, length = track.arrays.line, track.length
         boxes: list[list[float]] = []
@@ -92,8 +89,7 @@ def load_obstacles(source: Obstacles | Mapping[str, Any] | int | str | Path | No
         return None
     if is_whole(source):
         return Obstacles(count=source)  # type: ignore[arg-type]
-    obstacles: Obstacles = load_drawn("obstacles", Obstacles(), source)
-    return obstacles
+    return load_settings("obstacles", Obstacles(), source)  # type: ignore[arg-type]
 
 
 def obstacles_option(options: Mapping[str, Any], episodes: int) -> Sequence[NDArray[np.float64]] | None:

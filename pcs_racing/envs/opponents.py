@@ -42,13 +42,10 @@ class Opponent:
 
 
 def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
-    """Read the argument ``opponent`` of an environment.
+    """Read the argument ``opponent`` of an environment: a competitor, or a list of them or of (weight, competitor).
 
-    Parameters
-    ----------
-    given : str, competitor, or list of competitors or of (weight, competitor)
-        See :func:`pcs_racing.game.competitor_names.make_competitor` for names and
-        :mod:`pcs_racing.game.competitor` for objects.
+    See :func:`pcs_racing.game.competitor_names.make_competitor` for names and :mod:`pcs_racing.game.competitor` for
+    objects.
     """
     if not isinstance(given, list | tuple):
         return [_opponent(given, 1.0, game)]
@@ -106,10 +103,7 @@ def _is_policy_text(given: Any) -> bool:
 def shared_planner(opponents: list[Opponent], game: RaceGame | None) -> Planner:
     """Planner that drives the opponents' car: the archive's, or another one that all of them share.
 
-    Parameters
-    ----------
-    game : RaceGame, optional
-        Needed where an opponent moves between the policies of its archive.
+    The game is needed where an opponent moves between the policies of its archive.
     """
     planners = [opponent.planner or game.archive.family() for opponent in opponents]  # type: ignore[union-attr]
     if not planners:

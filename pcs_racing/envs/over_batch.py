@@ -5,15 +5,22 @@ from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property
 from inspect import Parameter, Signature, signature
-from typing import Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, Union
 
 from gymnasium.envs.registration import EnvSpec
 
 from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import InputError, UnknownNameError, choices, unknown_argument
-from pcs_racing.envs.batch import Batch
+from pcs_racing.base.settings import listed_argument, listed_settings, type_name
 from pcs_racing.race.rendering import MODES, Renderer, views
 from pcs_racing.track.track import Track
+
+if TYPE_CHECKING:  # so that an environment imports its own batch alone
+    from pcs_racing.envs.drive_batch import DriveBatch
+    from pcs_racing.envs.game_batch import GameBatch
+
+Batch = Union["DriveBatch", "GameBatch"]
+"""What environments are views of."""
 
 FILM = "rgb_array_list"
 """Render mode in which `render` returns all frames since it was last called, of steps that last many."""
@@ -34,7 +41,8 @@ class Declared:
 
     options: type[Any]  #: Dataclass of the batch's arguments; the environment's have the same defaults, unless changed.
     positional: tuple[str, ...] = ()  #: Those that may be given by position, in order.
-    more: type[Any] | None = None  #: Dataclass of which every field may be given, too.
+    more: type[Any] | None = None  #: Dataclass of which every field may be given, too, ...
+    without: tuple[str, ...] = ()  #: ... but these.
     changed: Mapping[str, Any] = field(default_factory=dict)  #: Other defaults, by name.
 
     @cached_property
@@ -80,15 +88,40 @@ class Declared:
         )
 
 
-def with_table(table: str) -> Callable[[type[_Class]], type[_Class]]:
-    """Put the table of an observation, made of its elements, into the docstring of a class."""
+LOOKS = {
+    "render_mode": '"rgb_array", for frames of `render`, or "human", for a window. In a duel a frame shows how a step '
+    'ended; with "rgb_array_list" it gets all frames since it was last called, or since the reset, 25 for each second '
+    "of racing (:class:`pcs_racing.envs.video.RecordRaces` makes a video of them).",
+    "view": '"track", "both" (all cars stay in sight), or "car_0" to "car_7": what a frame shows.',
+    "render_size": "Width and height of a frame in pixels.",
+    "max_cycles": "Steps after which an episode is truncated.",
+}
+"""What arguments mean that no batch has."""
 
-    def described(kind: type[_Class]) -> type[_Class]:
+
+def described(table: str = "") -> Callable[[type[_Class]], type[_Class]]:
+    """Put the table of an observation, made of its elements, and the arguments into the docstring of a class."""
+
+    def decorate(kind: type[_Class]) -> type[_Class]:
         if kind.__doc__ is not None:  # as with ``python -OO``
-            kind.__doc__ = kind.__doc__.replace("{observation_table}", table.replace("\n", "\n    "))
+            arguments = "\n".join(["Parameters", "----------", *_listed(kind)])
+            for mark, text in (("{observation_table}", table), ("{arguments}", arguments)):
+                kind.__doc__ = kind.__doc__.replace(mark, text.replace("\n", "\n    "))
         return kind
 
-    return described
+    return decorate
+
+
+def _listed(kind: Any) -> list[str]:
+    """The arguments of a class, and what they mean."""
+    declared, parameters = kind.declared, kind.__signature__.parameters
+    lines = listed_settings(declared.options)
+    for name, meaning in LOOKS.items():
+        if name in parameters:
+            lines += listed_argument(name, type_name(parameters[name].annotation), meaning)
+    if declared.more is not None:
+        lines += listed_settings(declared.more, *declared.defaults, *declared.without, defaults=True)
+    return lines
 
 
 class OverBatch:

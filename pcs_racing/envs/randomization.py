@@ -30,17 +30,6 @@ def range_rule(what: str, least: float, most: float, is_kind: Callable[[Any], bo
     return Rule(check, f"[low, high] from {least:g} to {most:g}")
 
 
-def load_drawn(noun: str, default: Any, source: Any) -> Any:
-    """Return settings of what each episode draws: themselves, or those of a mapping or of a YAML file."""
-    if isinstance(source, type(default)):
-        return source
-    if isinstance(source, Mapping):
-        if not all(isinstance(name, str) for name in source):
-            raise ConfigError(f"settings of {noun} are {source!r:.200}; their names must be texts")
-        return load_settings(noun, default, None, **source)
-    return load_settings(noun, default, source)
-
-
 @dataclass(frozen=True)
 class Randomization(Settings):
     """What each episode draws, uniformly, for both cars; None leaves it as it is."""
@@ -122,5 +111,4 @@ def load_randomization(source: Randomization | Mapping[str, Any] | str | Path | 
     >>> load_randomization({"friction": [0.8, 1.1]}).names
     ('friction',)
     """
-    drawn: Randomization = Randomization() if source is None else load_drawn("randomization", Randomization(), source)
-    return drawn
+    return load_settings("randomization", Randomization(), source)

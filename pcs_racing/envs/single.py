@@ -13,9 +13,8 @@ from pettingzoo import ParallelEnv
 
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.batch import Batch
 from pcs_racing.envs.infos import words
-from pcs_racing.envs.over_batch import FILM, OverBatch
+from pcs_racing.envs.over_batch import FILM, Batch, OverBatch
 
 AGENTS = ("car_0", "car_1")  # of two
 
@@ -194,7 +193,7 @@ class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
     def _keep_step(self) -> None:
         # Races are driven again for a film, so that what nobody asks for need not be drawn.
         if self.render_mode == FILM:
-            self._unseen.append(self.batch.last_step(0))  # type: ignore[attr-defined]
+            self._unseen.append(self.batch.last_step(0))  # type: ignore[union-attr]
 
 
 class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):

@@ -1,45 +1,74 @@
 """What differs from episode to episode of a batch: circuit, obstacles, cars, sensors."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.car.vehicle import load_vehicles
+from pcs_racing.base.settings import ANYTHING, Settings, checked, setting
+from pcs_racing.car.vehicle import F1TENTH, load_vehicle, load_vehicles
 from pcs_racing.envs.circuits import Circuits
-from pcs_racing.envs.obstacles import load_obstacles
-from pcs_racing.envs.randomization import load_randomization
+from pcs_racing.envs.obstacles import Obstacles, load_obstacles
+from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.race.conditions import RaceConditions, vehicle_rows
 from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.track.obstacles import BOX, with_obstacles
 from pcs_racing.track.track import Track
 
 
+def _vehicles(value: Any) -> Any:
+    return tuple(map(load_vehicle, value)) if isinstance(value, list | tuple) else load_vehicle(value)
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeOptions(Settings):
+    """Arguments of all environments: what differs from episode to episode."""
+
+    track: Any = setting(
+        "Tarnfjord",
+        ANYTHING,
+        'Name of a shipped circuit, a map folder, or a track. Of a list one is drawn for each episode; with "random" '
+        "each episode is driven on a newly generated circuit, or as "
+        ":class:`pcs_racing.race.random_circuits.RandomCircuits` says. All races of a match are on the same circuit.",
+    )
+    vehicle: Any = setting(
+        F1TENTH,
+        checked(_vehicles),
+        "Parameters of all cars, or a list with those of each one: a dict or a YAML file names those that differ from "
+        'F1TENTH\'s (:class:`pcs_racing.VehicleParams`), such as ``{"mu": 0.8}``.',
+    )
+    randomize: Randomization | None = setting(
+        None,
+        checked(load_randomization),
+        "Ranges from which each episode draws friction, mass, steering delay, steering noise and, where there is one, "
+        "noise of the lidar (:class:`pcs_racing.envs.randomization.Randomization`): a dict or a YAML file, such as "
+        '``{"friction": [0.7, 1.1]}``.',
+    )
+    obstacles: Obstacles | None = setting(
+        None,
+        checked(load_obstacles),
+        "Boxes and circles that stand on the track, drawn for each episode: how many, or their settings "
+        "(:class:`pcs_racing.envs.obstacles.Obstacles`) as a dict or a YAML file. The lidar sees them, a car that "
+        "touches one has crashed as into a wall, and the lattice planner avoids most.",
+    )
+
+
 class Variety:
-    """The circuits, obstacles and cars of a batch of episodes, and what is drawn at random about them.
+    """The circuits, obstacles and cars of a batch of episodes, and what is drawn at random about them."""
 
-    Parameters
-    ----------
-    track : see :class:`pcs_racing.envs.circuits.Circuits`
-    vehicle : see :func:`pcs_racing.car.vehicle.load_vehicles`
-    randomize : see :func:`pcs_racing.envs.randomization.load_randomization`
-    obstacles : see :func:`pcs_racing.envs.obstacles.load_obstacles`
-    """
-
-    def __init__(
-        self, episodes: int, track: Any, vehicle: Any, randomize: Any, obstacles: Any, *, cars: int = 2
-    ) -> None:
-        self.cars = load_vehicles(vehicle, cars)  #: As they are where nothing is drawn.
-        self.randomization = load_randomization(randomize)
+    def __init__(self, episodes: int, options: EpisodeOptions, *, cars: int = 2) -> None:
+        self.cars = load_vehicles(options.vehicle, cars)  #: As they are where nothing is drawn.
+        self.randomization = options.randomize or Randomization()
         self.episodes = episodes
-        self.circuits = Circuits(track, episodes)
+        self.circuits = Circuits(options.track, episodes)
         #: shape (episodes, cars, 18): Parameter rows of the cars of each episode.
         self.vehicles = vehicle_rows(self.cars, episodes)  # never read-only, which would be another type to compile
         #: Each of shape (episodes,): what was drawn for each episode, by name.
         self.drawn = {name: np.zeros(episodes) for name in self.randomization.names}
-        self.obstacles = load_obstacles(obstacles)
+        self.obstacles = options.obstacles
         #: Each of shape (K, 5): obstacles of each episode (:data:`pcs_racing.track.obstacles.BOX`).
         self.boxes = [np.empty((0, len(BOX)))] * episodes
         self._tracks: list[Track | None] = [None] * episodes  # with obstacles on them
@@ -63,13 +92,8 @@ class Variety:
     ) -> None:
         """Put obstacles on the circuits of new episodes: given ones, or drawn ones away from where the cars start.
 
-        Parameters
-        ----------
-        rows : ndarray of int
-        starts : ndarray, shape (len(rows), cars)
-            Arc lengths at which the cars start, m.
-        given : sequence of ndarray, shape (K, 5), optional
-            Boxes of each episode, in place of drawn ones.
+        ``starts``, shape (len(rows), cars), are the arc lengths at which the cars start, m, and ``given`` the boxes of
+        each episode, each of shape (K, 5).
         """
         if given is None and self.obstacles is None and not self._blocked:
             return

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import as_array, check_seed, check_whole, is_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.batch import Batch
 from pcs_racing.envs.infos import words
-from pcs_racing.envs.over_batch import OverBatch
+from pcs_racing.envs.over_batch import Batch, OverBatch
 
 Step = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
@@ -49,13 +48,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         Threads that may share a step, all cores by default; the result does not depend on it.
     render_mode, view, render_size, **arguments
         As for the environment of one episode; `render` returns a frame for each environment.
-
-    Raises
-    ------
-    InputError
-        If an argument, an action or the order of calls is impossible; of actions and seeds the index is named.
-    UnknownArgumentError
-        A TypeError, if there is no such argument.
     """
 
     metadata: dict[str, Any] = {**OverBatch.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -135,7 +127,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
 
     def step(self, actions: NDArray[Any]) -> Step:
         """Make a step in every environment; the class for one agent describes its actions."""
-        checked = self.batch.check_actions(actions, (self.num_envs,))
+        checked: NDArray[Any] = self.batch.check_actions(actions, (self.num_envs,))
         self._check_started()
         again = np.flatnonzero(self._over)
         if len(again) and self.autoreset_mode is AutoresetMode.DISABLED:

@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.f1tenth.maps import GymMap
-from pcs_racing.race.painting import FINER, Camera, paint_car, theme_colours
+from pcs_racing.race.painting import COLOURS, FINER, Camera, paint_car
 from pcs_racing.race.rendering import Window
 
 PIXELS = 50.0  # to the metre, of what callbacks of generation A draw
@@ -44,7 +44,7 @@ class _Painter:
 
     def __init__(self, loaded: GymMap, width: int, height: int, window: bool, fps: float) -> None:
         self.width, self.height = width, height
-        self._colours, self._font = theme_colours("light"), ImageFont.load_default(16)
+        self._font = ImageFont.load_default(16)
         self._window = Window(width, height, fps) if window and has_display() else None
         self._pen: ImageDraw.ImageDraw | None = None  # while a frame is drawn
         self.show_map(loaded)
@@ -67,10 +67,9 @@ class _Painter:
         return image
 
     def _draw_cars(self, states: NDArray[np.float64]) -> None:
-        colours = self._colours
         assert self._pen is not None
         for i, state in enumerate(states):
-            paint_car(self._pen, self._camera, colours[f"car{min(i, 1)}"], colours["tyre"], state, HALF_SIZE)
+            paint_car(self._pen, self._camera, COLOURS[f"car{min(i, 1)}"], state, HALF_SIZE)
 
     def _points(self, points: NDArray[np.float64], colour: Colour, radius: float) -> None:
         for x, y in self._camera.pixels(points) if self._pen is not None else ():
@@ -84,7 +83,7 @@ class _Painter:
         """Return the frame, or show it."""
         self._pen = None
         small = image.reduce(FINER)
-        ImageDraw.Draw(small).text((14, 10), text, fill=self._colours["ink"], font=self._font)
+        ImageDraw.Draw(small).text((14, 10), text, fill=COLOURS["ink"], font=self._font)
         frame = np.array(small)
         if not show or self._window is None:
             return frame

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_array, check_facts, check_names, check_text, check_whole_array
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.game.learned import LearnedCharacteristics, register_learned
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 
@@ -41,16 +40,7 @@ class Explored(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PolicyArchive:
-    """Policies of one planner and where they lie in the Policy Characteristic Space (Section IV of the paper).
-
-    Raises
-    ------
-    InputError
-        If an array is not finite or has another shape, an axis has no extent, a name is no text, or the name of a
-        learned axis is taken by another characteristic.
-    UnknownNameError
-        If a characteristic is unknown.
-    """
+    """Policies of one planner and where they lie in the Policy Characteristic Space (Section IV of the paper)."""
 
     name: str
     planner: str  #: Name of the planner that all policies belong to.
@@ -79,8 +69,6 @@ class PolicyArchive:
     #: shape (K,): Share of the races behind the coordinates that ended by a crash of the policy's own fault, 0 to 1.
     own_crash: Floats | None = None
     explored_own_crash: Floats | None = None  #: shape (E,): The same for everything that was evaluated on the way.
-    #: Learned axes that the archive brings with it; they are registered when the archive is made.
-    learned: LearnedCharacteristics | None = None
 
     def __post_init__(self) -> None:
         for key in ("name", "planner", "preset"):
@@ -88,11 +76,6 @@ class PolicyArchive:
         where = f"archive {self.name!r}"
         for key in ("parameter_names", "characteristics"):
             object.__setattr__(self, key, check_names(f"{where}: {key}", getattr(self, key)))
-        if self.learned is not None:
-            if not isinstance(self.learned, LearnedCharacteristics):
-                raise InputError(f"{where}: learned is {self.learned!r:.80}; it must be LearnedCharacteristics")
-            # Before its axes are looked up by name.
-            register_learned(self.learned)
         get_characteristics(self.characteristics)
         object.__setattr__(self, "settings", check_facts(f"{where}: settings", self.settings))
         theta, axes = len(self.parameter_names), len(self.characteristics)
@@ -154,8 +137,6 @@ class PolicyArchive:
         for key in ("parameters", "coordinates", "ideal", "nadir"):
             array = getattr(self, key)
             digest.update(f"{key} {array.shape};".encode() + array.astype("<f8").tobytes())
-        if self.learned is not None:
-            digest.update(self.learned.content_hash.encode())
         return digest.hexdigest()
 
     # Coordinates
@@ -259,27 +240,23 @@ class PolicyArchive:
             values[key] = None if values[key] is None else values[key][..., axes]
         return PolicyArchive(**values)
 
-    def to_dataframe(self, explored: bool = False) -> "pandas.DataFrame":
+    def to_dataframe(self) -> "pandas.DataFrame":
         """Return a table with a row for each policy: parameters, coordinates, and what else is known of it.
 
-        Standard errors stand in columns like ``"restraint_error"``. With ``explored`` the rows are all policies that
-        were evaluated on the way instead. Needs pandas: ``pip install "pcs-racing[tables]"``.
+        Standard errors stand in columns like ``"restraint_error"``. Needs pandas: ``pip install "pcs-racing[tables]"``.
         """
         try:
             import pandas
         except ModuleNotFoundError:
             raise ModuleNotFoundError('a table needs pandas: pip install "pcs-racing[tables]"') from None
-        parameters, coordinates, own_crash = self.parameters, self.coordinates, self.own_crash
-        if explored:
-            parameters, coordinates, own_crash = self.explored
-        columns = dict(zip(self.parameter_names, parameters.T, strict=True))
-        columns |= dict(zip(self.characteristics, coordinates.T, strict=True))
-        if self.spread is not None and not explored:
+        columns = dict(zip(self.parameter_names, self.parameters.T, strict=True))
+        columns |= dict(zip(self.characteristics, self.coordinates.T, strict=True))
+        if self.spread is not None:
             columns |= {
                 f"{name}_error": values for name, values in zip(self.characteristics, self.spread.T, strict=True)
             }
-        if own_crash is not None:
-            columns["own_crash"] = own_crash
+        if self.own_crash is not None:
+            columns["own_crash"] = self.own_crash
         return pandas.DataFrame(columns).rename_axis("policy")
 
     def _axis(self, name: str) -> int:

@@ -11,7 +11,6 @@ from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, shipped_folder
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import unpack_arrays
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.learned import LearnedCharacteristics
 from pcs_racing.planners.registry import get_planner
 
 _TEXTS = ("name", "planner", "preset")
@@ -27,7 +26,6 @@ ARCHIVE_FORMAT = ArtifactFormat(
     digest_key="arrays_sha256",
     max_bytes=256_000_000,
     shipped=shipped_folder(Path(__file__).resolve().parents[1], "archives"),
-    optional=("learned",),
 )
 
 
@@ -40,7 +38,6 @@ def save_archive(archive: PolicyArchive, folder: str | Path) -> Path:
         **{key: getattr(archive, key) for key in _TEXTS},
         **{key: list(getattr(archive, key)) for key in _NAMES},
         "settings": dict(archive.settings),
-        "learned": None if archive.learned is None else archive.learned.to_plain(),
     }
     return ARCHIVE_FORMAT.save(folder, fields, buffer.getvalue())
 
@@ -51,15 +48,7 @@ def list_archives() -> list[str]:
 
 
 def load_archive(source: str | os.PathLike[str] | PolicyArchive) -> PolicyArchive:
-    """Return an archive from the name of a shipped one, from its folder, or as it is.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name and no such folder.
-    InputError
-        If a file of the folder is missing, damaged, from another version, or its contents do not fit each other.
-    """
+    """Return an archive from the name of a shipped one, from its folder, or as it is."""
     if isinstance(source, PolicyArchive):
         return source
     folder = ARCHIVE_FORMAT.find(source)
@@ -81,8 +70,6 @@ def load_archive(source: str | os.PathLike[str] | PolicyArchive) -> PolicyArchiv
             f"{', '.join(_OPTIONAL_ARRAYS)}"
         )
     try:
-        if fields["learned"] is not None:
-            fields["learned"] = LearnedCharacteristics.from_plain(fields["learned"])
         get_planner(fields["planner"])
         return PolicyArchive(**fields, **arrays)
     except InputError as error:

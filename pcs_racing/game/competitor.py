@@ -173,19 +173,11 @@ def ask_moves(
     Returns indices in :attr:`RaceGame.competitor_moves`, shape (B,); 0 for a driver and in games that it is not asked
     about.
 
-    Parameters
-    ----------
-    rows : ndarray of int, optional
-        Games to ask about, all by default; those that are over are left out.
-    observation : ndarray, shape (B, D), optional
-        What the car observes, where it is known already.
-    memories : list of length B, optional
-        State that a predictor asked to be handed again in each game, None at a game's beginning; overwritten. Without
-        it a predictor is asked as at the beginning.
-    generators : sequence of B Generator, optional
-        Of each game, for functions and :class:`RandomMoves`.
-    deterministic : bool
-        Whether predictors take their best move or draw one, by a generator of their own.
+    Asked about are ``rows``, all games by default, without those that are over. ``observation``, shape (B, D), is what
+    the car observes, where it is known already. ``memories``, of length B, are overwritten: the state that a predictor
+    asked to be handed again in each game, None at a game's beginning; without them a predictor is asked as at the
+    beginning. Functions and :class:`RandomMoves` draw from the ``generators`` of the games. A predictor that is not
+    ``deterministic`` draws its move, by a generator of its own, instead of taking the best one.
     """
     names = game.competitor_moves
     moves = np.zeros(state.games, np.int64)

@@ -26,14 +26,9 @@ _registered: dict[str, str] = {}
 
 
 def register_competitors(name: str, module: str) -> None:
-    """Make the competitors of a module known in this process.
+    """Make the competitors of a module known in this process, under the name of their collection.
 
-    Parameters
-    ----------
-    name : str
-        Of the collection.
-    module : str
-        Where it is, as ``"package.module"``; imported when a name is not known otherwise.
+    The module, as ``"package.module"``, is imported when a name is not known otherwise.
     """
     if _registered.setdefault(name, module) != module:
         raise InputError(f"there are competitors {name!r} already, of {_registered[name]}; give yours another name")
@@ -51,12 +46,9 @@ def competitor_names(game: RaceGame) -> list[str]:
 def make_competitor(text: str, game: RaceGame) -> Competitor:
     """Make a competitor for a game from its name.
 
-    Parameters
-    ----------
-    text : str
-        "never-switch": a policy of the archive, drawn for each game and kept; "random-moves"; "always-<move>"; a policy
-        such as "lattice:pace=0.8"; or the name of a registered competitor, such as "cfr-argmax", with its options, or
-        a model's file, "model.zip".
+    "never-switch": a policy of the archive, drawn for each game and kept; "random-moves"; "always-<move>"; a policy
+    such as "lattice:pace=0.8"; or the name of a registered competitor, such as "cfr-argmax", with its options, or a
+    model's file, "model.zip".
     """
     if text == RANDOM_MOVES:
         return RandomMoves()

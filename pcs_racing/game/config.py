@@ -142,11 +142,6 @@ class GameConfig(Settings):
 def load_game_config(source: "str | Path | RaceConfig | GameConfig" = "paper", **changes: Any) -> GameConfig:
     """Return game rules from game rules, race rules, a race preset's name or a race's YAML file, with fields changed.
 
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value impossible.
-
     Examples
     --------
     >>> load_game_config("contest", moves=2).utility

@@ -56,12 +56,7 @@ def check_same_game(own: GameIdentity, other: GameIdentity, owner: str, other_ow
     """Check that two games have the same number of moves, observations, moves and archive.
 
     The other game may have the move "stay" in addition. The preset and the archive's name may differ: what was made
-    under other rules of the race may be tried.
-
-    Parameters
-    ----------
-    owner, other_owner : str
-        What they belong to, for the message.
+    under other rules of the race may be tried. The owners are what the games belong to, for the message.
     """
     if own.decisions and other.decisions and own.decisions != other.decisions:
         raise InputError(f"{owner} was made for games of {own.decisions} moves; {other_owner} has {other.decisions}")

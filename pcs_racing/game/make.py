@@ -26,20 +26,10 @@ def make_game(
     most_delay: float = 0.0,
     **settings: Any,
 ) -> RaceGame:
-    """Make a game from names.
+    """Make a game from names, or from what they stand for.
 
-    Parameters
-    ----------
-    track : Track, str or path
-        The circuit, its name or its folder.
-    archive : PolicyArchive, str or path
-        The archive, its name or its folder.
-    race : GameConfig, RaceConfig, str or path
-        Rules of the game; or of the race alone: a configuration, a preset's name or a YAML file.
-    opponent_planner, threads, ego_planner, vehicles, most_delay
-        See :class:`RaceGame`.
-    **settings
-        Fields of :class:`GameConfig` to change.
+    Rules are those of the game, or of the race alone: a configuration, a preset's name or a YAML file; ``settings`` are
+    fields of :class:`GameConfig` to change. The others are fields of :class:`RaceGame`.
     """
     rules = load_game_config(race, **settings)
     planners = opponent_planner, threads, ego_planner

@@ -122,25 +122,18 @@ class MatchGame:
         lines: ArrayLike | None = None,
         sides: ArrayLike | None = None,
         opponents: Policy | Sequence[Policy | None] | None = None,
-        egos: Policy | Sequence[Policy | None] | None = None,
     ) -> MatchState:
         """Return matches before their first race, drawn from a key each, whatever the size of the batch.
 
-        Parameters
-        ----------
-        keys : ndarray of uint64, shape (B,)
-        policies : array of int, shape (B, 2) or (2,), optional
-            Policies of cars whose players do not choose; -1 draws one, uniformly from the archive.
-        lines : array, shape (B, R) or (B, 1), optional
-            Arc length of the start line of each race, or of all races of a match, m; drawn by default.
-        sides : array of int, shape (B,), optional
-            0 where car 0 starts the first race on the left or in front, 1 where car 1 does; drawn by default.
-        opponents, egos : Policy or sequence of B (Policy or None), optional
-            Drivers of car 1 and of car 0 from outside the archive, as in :meth:`RaceGame.reset`.
+        What is not given is drawn: the ``policies`` of cars whose players do not choose, shape (B, 2) or (2,), where -1
+        draws one, uniformly from the archive; the ``lines``, shape (B, R) or (B, 1), arc lengths of the start line of
+        each race, or of all races of a match, m; and the ``sides``, shape (B,), 0 where car 0 starts the first race on
+        the left or in front, 1 where car 1 does. ``opponents`` are drivers of car 1 from outside the archive, as in
+        :meth:`RaceGame.reset`.
         """
         game, races, count = self.game, self.config.races, len(keys)
         first = check_policies(game.archive, policies, count)
-        outside, theta = game.outside_drivers((egos, opponents), count)
+        outside, theta = game.outside_drivers((None, opponents), count)
         bits = np.stack([random_bits(keys, race) for race in range(races)], axis=1)
         drawn = (bits[:, 0, 2:4] % np.uint64(len(game.archive))).astype(np.int64)
         policy = np.where(outside, OUTSIDE, np.where(first == DRAW, drawn, first))
@@ -183,11 +176,8 @@ class MatchGame:
     ) -> MatchState:
         """Start the next race of every match that is between two races, or of some, and drive its first step.
 
-        Parameters
-        ----------
-        choices : array of int, shape (B, 2)
-            Policy of the archive that each car starts with, or :data:`KEEP`. That of a driver from outside the archive
-            does nothing.
+        Choices, shape (B, 2), are the policies of the archive that the cars start with, or :data:`KEEP`. That of a
+        driver from outside the archive does nothing.
         """
         new = state.copy()
         between = np.flatnonzero(~state.racing & ~self.done(state))
@@ -289,14 +279,8 @@ def ask_choices(
     """Ask a competitor for the policy of one car in the next race of each match that is between two races.
 
     Returns policies of the archive, shape (B,); :data:`KEEP` where nobody is asked, and for a competitor that does not
-    choose.
-
-    Parameters
-    ----------
-    rows : ndarray of int, optional
-        Matches to ask about, all by default.
-    memory : ndarray, shape (B, D), optional
-        What the car observes between races (:meth:`MatchGame.memory`), where it is known already.
+    choose. Asked about are ``rows``, all matches by default; ``memory``, shape (B, D), is what the car observes between
+    races (:meth:`MatchGame.memory`), where it is known already.
     """
     choices = np.full(state.matches, KEEP, np.int64)
     between = np.flatnonzero(~state.racing & ~match.done(state))

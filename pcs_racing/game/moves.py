@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import as_array, check_whole_array, is_flag, is_number
+from pcs_racing.base.checks import as_array, is_flag, is_number
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 
@@ -25,23 +25,14 @@ STAY = "stay"
 MOST_NAMES = 24  # moves that an error lists by name
 
 
-def move(archive: PolicyArchive, index: ArrayLike, axis: ArrayLike, sign: ArrayLike, epsilon: ArrayLike) -> Indices:
-    """Return the index of the policy that a move leads to; the arguments broadcast against each other.
+def move(archive: PolicyArchive, index: ArrayLike, axis: int, sign: ArrayLike, epsilon: float) -> Indices:
+    """Return the index of the policy that a move leads to; policies and signs broadcast against each other.
 
     The move starts from policy ``index`` and asks for more (``sign`` 1) or less (-1) of the characteristic ``axis``, by
     ``epsilon`` in normalised units.
     """
-    arrays = np.broadcast_arrays(index, axis, sign, epsilon)
-    policies = check_whole_array("index", arrays[0], least=0, most=len(archive) - 1)
-    axes = check_whole_array("axis", arrays[1], least=0, most=len(archive.characteristics) - 1)
-    signs, steps = np.asarray(arrays[2], np.float64), np.asarray(arrays[3], np.float64)
-    if not np.isin(signs, (-1.0, 1.0)).all():
-        raise InputError(f"sign is {signs[~np.isin(signs, (-1.0, 1.0))][0]:g}; it must be 1 or -1")
-    if not np.isfinite(steps).all() or (steps < 0.0).any():
-        raise InputError(f"epsilon is {steps[~(np.isfinite(steps) & (steps >= 0.0))][0]:g}; it must be 0 or above")
-    targets = archive.normalised[policies]
-    along = np.take_along_axis(targets, axes[..., None], -1) + (signs * steps)[..., None]
-    np.put_along_axis(targets, axes[..., None], along, -1)
+    targets = archive.normalised[np.asarray(index)]
+    targets[..., axis] += np.asarray(sign) * epsilon
     return archive.nearest(targets)
 
 

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.game.characteristics import Characteristic
 
 Indices = NDArray[np.int64]
@@ -20,7 +19,6 @@ LEAD_BOUND = 5.0
 
 # Of an observation between the races of a match:
 AFTER_AXES = 3  # lead, score and share of the duration follow the coordinates of a race
-AFTER_RACES = 2  # the share of races left and the place on the grid follow the races
 
 
 class ObservationElement(NamedTuple):
@@ -153,14 +151,3 @@ def decode_match(observation: NDArray[np.float32], races: int, axes: int) -> Rac
     blocks = np.asarray(observation[:, : races * width], np.float64).reshape(len(observation), races, width)
     rest = (blocks[:, :, 2 * axes + i] for i in range(AFTER_AXES))
     return RaceMemory(blocks[:, :, :axes], blocks[:, :, axes : 2 * axes], *rest)
-
-
-def seen_races(size: int, axes: int) -> int:
-    """Return the number of races R of a match whose players observe ``size`` numbers between races."""
-    races, rest = divmod(size - AFTER_RACES, 2 * axes + AFTER_AXES)
-    if rest or races < 1:
-        raise InputError(
-            f"an observation has {size} numbers; with {axes} axes it has {2 * axes + AFTER_AXES} for each race and "
-            f"{AFTER_RACES} more"
-        )
-    return races

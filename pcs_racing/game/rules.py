@@ -56,15 +56,7 @@ PAPER_GAME = GameConfig()
 
 @dataclass(frozen=True, eq=False)
 class RaceGame:
-    """The game on one track with one archive.
-
-    Raises
-    ------
-    InputError
-        If the track has no room for the start, or the archive and its planner do not fit.
-    UnknownNameError
-        If the archive's planner or one of the game's characteristics is unknown.
-    """
+    """The game on one track with one archive."""
 
     track: Track
     archive: PolicyArchive  #: Where both players' policies come from.
@@ -199,11 +191,6 @@ class RaceGame:
             policies are given is never drawn again: it is over at once.
         conditions : RaceConditions
             Cars and tracks of single games.
-
-        Raises
-        ------
-        InputError
-            If a number, shape or start is impossible; the game's index is named.
         """
         keys = game_keys(seeds, games, seed)
         count = len(keys)
@@ -297,17 +284,8 @@ class RaceGame:
     def step(self, state: GameState, actions: ArrayLike) -> GameState:
         """Let both players of every game move, and drive on for a step.
 
-        Games that are over stand still. The argument stays as it is.
-
-        Parameters
-        ----------
-        actions : array of int, shape (B, 2)
-            Index of each car's move in :attr:`move_names`; that of a driver from outside the archive does nothing.
-
-        Raises
-        ------
-        InputError
-            If the actions have another shape or type, or one of them is no move; the game's index is named.
+        Actions, shape (B, 2), are indices of each car's move in :attr:`move_names`; that of a driver from outside the
+        archive does nothing. Games that are over stand still. The state that is given stays as it is.
         """
         return self.apply(state, check_moves(actions, self.move_names, (state.games, 2), ("game", "car")))
 

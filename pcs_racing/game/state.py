@@ -1,15 +1,11 @@
-"""The state of a batch of games as a plain value: copy it, pick games from it, save it, restore it."""
+"""The state of a batch of games as a plain value: copy it, pickle it, pick games from it."""
 
-import io
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import read_limited, unpack_arrays, write_atomically
-from pcs_racing.race.state import MAX_BYTES, RaceState, empty_state
+from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.race.state import take as take_races
 
 
@@ -78,45 +74,6 @@ def put_games(state: GameState, indices: ArrayLike, values: GameState) -> None:
         array[chosen] = new
 
 
-def save_game(state: GameState, path: str | Path) -> None:
-    """Write a state to an npz file; the file appears whole or not at all."""
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **_flatten(state))
-    write_atomically(Path(path), lambda file: file.write(buffer.getvalue()))
-
-
-def load_game(path: str | Path) -> GameState:
-    """Read a state that :func:`save_game` wrote."""
-    try:
-        arrays = unpack_arrays(read_limited(path, MAX_BYTES, "a game state"))
-    except (OSError, InputError) as error:
-        raise InputError(f"{path} is not a saved game state: {error}") from None
-    # Names first: what a file from elsewhere lacks must be said before it is missed.
-    expected = set(_flatten(empty_game(0, 0, 0, 0, 0)))
-    if set(arrays) != expected:
-        raise InputError(f"{path} holds {sorted(arrays)}; a game state holds {sorted(expected)}")
-    games = arrays["step"].size
-    # Sizes that the file may choose, read off one array each; the model then fixes the shapes of all others.
-    memory, parameters = arrays["race.memory"].shape[-1:], arrays["theta"].shape[-1:]
-    steps, axes = arrays["leads"].shape[-1:], arrays["own"].shape[-1:]
-    model = empty_game(games, *(size[0] if size else 0 for size in (memory, parameters, steps, axes)))
-    for name, like in _flatten(model).items():
-        if arrays[name].shape != like.shape or arrays[name].dtype != like.dtype:
-            raise InputError(
-                f"{path}: {name} has shape {arrays[name].shape} and type {arrays[name].dtype}; it must have "
-                f"{like.shape} and {like.dtype}"
-            )
-        if not np.isfinite(arrays[name]).all():
-            raise InputError(f"{path}: {name} holds NaN or infinity")
-    race = RaceState(**{name: arrays[f"race.{name}"] for name in RaceState._fields})
-    return GameState(race, **{name: arrays[name] for name in GameState._fields[1:]})
-
-
 def _arrays(state: GameState) -> list[NDArray[Any]]:
     rest: Any = state[1:]
     return [*state.race, *rest]
-
-
-def _flatten(state: GameState) -> dict[str, NDArray[Any]]:
-    race = {f"race.{name}": array for name, array in state.race._asdict().items()}
-    return {**race, **{name: getattr(state, name) for name in GameState._fields[1:]}}

@@ -5,7 +5,6 @@ in the cache folder (see `pcs_racing.track.cache`) and depends on nothing but th
 """
 
 import json
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,17 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.elementary import exponential
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, say
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import CONTEST, DT, PAPER, PRESETS, RaceConfig
 from pcs_racing.race.contacts import END
-from pcs_racing.race.driving import default_threads, drive, kernel_settings, pad_parameters
+from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
-from pcs_racing.race.start_places import fit_places, places_of, seconds_driven
+from pcs_racing.race.start_places import fit_places, places_of
 from pcs_racing.race.state import empty_state
 from pcs_racing.track.cache import CALIBRATION, cache_folder, cache_key, load_cached, store
 from pcs_racing.track.frenet import SPEED, X, Y
@@ -37,32 +35,18 @@ HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.50, 0.40
 SPACING_STEP, SPACING_STEPS = 0.1, 4  # m; other distances across the track are tried in such steps up and down
 NARROWEST = {"side-by-side": 0.5, "staggered": 0.0, "rolling": 0.0}  # m between the cars' centres
 SCAN_CARS, SCAN_SECONDS = 160, 40.0
-SIMULATED_PER_SECOND = 9000.0  # s of racing that a core drives in a second, for the forecast (benchmarks/race_speed.py)
 
 
 @dataclass(frozen=True)
 class CalibrationReport:
-    """A calibration, and the hazard scan that its speed range was read off.
+    """A calibration, and the hazard scan that its speed range was read off."""
 
-    Attributes
-    ----------
-    track : str
-        Name of the circuit.
-    preset : str
-        Name of the race configuration.
-    scales : tuple of float
-        Speed scales driven: up to the first whose hazard is too large.
-    hazard : tuple of float
-        Probability that a car alone crashes within 40 s at each of them, made non-decreasing.
-    calibration : Calibration
-        The speed range and the start places.
-    """
-
-    track: str
-    preset: str
-    scales: tuple[float, ...]
+    track: str  #: Name of the circuit.
+    preset: str  #: Name of the race configuration.
+    scales: tuple[float, ...]  #: Speed scales driven: up to the first whose hazard is too large.
+    #: Probability that a car alone crashes within 40 s at each of them, made non-decreasing.
     hazard: tuple[float, ...]
-    calibration: Calibration
+    calibration: Calibration  #: The speed range and the start places.
 
     def table(self) -> str:
         """Return the scan as text, one line for each scale."""
@@ -95,52 +79,22 @@ def hazard_scan(
     config: RaceConfig,
     scales: Sequence[float] = SCALES,
     *,
-    policy: Policy | None = None,
     cars: int = 80,
     seconds: float = SCAN_SECONDS,
     seed: int = 0,
     threads: int | None = None,
     enough: float = 1.0,
 ) -> NDArray[np.float64]:
-    """Probability that a car alone crashes within 40 s, at each speed scale.
+    """Probability that a car alone crashes within 40 s, at each of some ascending speed scales.
 
-    Cars start on the race line at its speed, spread evenly around the circuit; each race holds two of them, half a
-    lap apart.
-
-    Parameters
-    ----------
-    track : Track
-    config : RaceConfig
-        Its steering noise is what makes the hazard smooth.
-    scales : sequence of float
-        Speed scales, ascending.
-    policy : Policy, optional
-        A lattice policy; its pace is overridden. The default driver if absent.
-    cars : int
-        Cars per scale, even.
-    seconds : float
-        How long they drive.
-    seed : int
-        Root of the noise.
-    threads : int, optional
-        Threads to use; they do not change the result.
-    enough : float
-        The scan ends after the first scale whose hazard is larger.
-
-    Returns
-    -------
-    ndarray, shape (at most len(scales),)
-
-    Raises
-    ------
-    InputError
-        If ``cars`` is odd or below 2.
+    Cars with the default lattice policy start on the race line at its speed, spread evenly around the circuit, and
+    drive for some seconds; each race holds two of them, half a lap apart, so their number is even. The steering noise
+    of the rules is what makes the hazard smooth. The scan ends after the first scale whose hazard is above ``enough``.
     """
     if cars < 2 or cars % 2:
         raise InputError(f"cars is {cars}; it must be an even number from 2")
-    driver = policy or LATTICE.policy()
     races = cars // 2
-    theta = pad_parameters([driver], len(LATTICE.parameters))
+    theta = pad_parameters([LATTICE.policy()], len(LATTICE.parameters))
     theta = np.ascontiguousarray(np.broadcast_to(theta[:, None], (races, 2, theta.shape[1])))
     hazards: list[float] = []
     for scale in scales:
@@ -178,13 +132,8 @@ def calibrate(
     pace asks for more than the friction of the tyres: the vehicle model would give it, a road would not.
 
     Start places are those from which pairs of drivers get away (`pcs_racing.race.start_places`). Where none is left
-    with the configuration's distance across the track, the nearest distance that works is taken.
-
-    Raises
-    ------
-    InputError
-        If even the slowest scale is beyond the hazard allowed (then the circuit is too tight for these cars), or two
-        cars can't start anywhere.
+    with the configuration's distance across the track, the nearest distance that works is taken. A circuit that is too
+    tight for these cars is an error.
     """
     noisy = config.steering_noise > 0.0
     allowed = HAZARD_WITH_NOISE if noisy else HAZARD_WITHOUT_NOISE
@@ -213,11 +162,6 @@ def calibration_of(track: Track, config: RaceConfig) -> Calibration:
     """The calibration of a circuit for a race configuration: the circuit's own, a cached one, or a new one.
 
     A configuration takes the calibration of the preset that it changes, or of one that is as noisy (:func:`preset_of`).
-
-    Raises
-    ------
-    InputError
-        If the circuit can't be calibrated, see :func:`calibrate`.
     """
     preset = preset_of(config)
     own = track.calibration.get(preset.name)
@@ -234,11 +178,6 @@ def starts_for(track: Track, config: RaceConfig) -> Calibration:
 
     It is the preset's if the configuration starts as its preset does; another kind of start is tried out by driving,
     once, and kept in the cache.
-
-    Raises
-    ------
-    InputError
-        If two cars can't start so anywhere on the circuit.
     """
     calibration = calibration_of(track, config)
     if start_layout(config) == start_layout(preset_of(config)):
@@ -285,27 +224,15 @@ def _cached(track: Track, config: RaceConfig, what: str, find: Callable[[], Cali
     folder = cache_folder()
     kept = f"once; kept in {folder}" if folder is not None else "there is no folder to keep it in"
     start = time.monotonic()
-    _say(f"finding {what} of track {track.name!r} for {preset.name!r} by driving, {_forecast(track, preset)} ({kept})")
+    say(f"finding {what} of track {track.name!r} for {preset.name!r} by driving ({kept})")
     calibration = find()
     seconds = time.monotonic() - start
     low, high = calibration.speed_range
     moved = "" if calibration.start_spacing == config.start_spacing else f", not {config.start_spacing:g} m,"
     apart = f"cars start {calibration.start_spacing:g} m{moved} apart"
-    _say(
-        f"track {track.name!r}: pace 0 to 1 is {low:.2f} to {high:.2f} of its speed profile; {apart} ({seconds:.1f} s)"
-    )
+    say(f"track {track.name!r}: pace 0 to 1 is {low:.2f} to {high:.2f} of its speed profile; {apart} ({seconds:.1f} s)")
     store(CALIBRATION, key, {"values": np.array(json.dumps(calibration_values(calibration)))})
     return calibration
-
-
-def _forecast(track: Track, preset: RaceConfig) -> str:
-    """About how long it takes: a hazard scan that ends half-way up its scales, and the start places."""
-    simulated = 0.5 * len(SCALES) * SCAN_CARS // 2 * SCAN_SECONDS + seconds_driven(track, preset)
-    return f"about {max(1, round(simulated / SIMULATED_PER_SECOND / default_threads()))} s"
-
-
-def _say(line: str) -> None:
-    print(f"pcs-racing: {line}", file=sys.stderr, flush=True)
 
 
 def _crossing(scales: NDArray[np.float64], hazard: NDArray[np.float64], level: float) -> float:

@@ -156,13 +156,6 @@ def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceCon
     A YAML file is a mapping of the fields of :class:`RaceConfig`; a field that is absent takes the default, and
     ``preset`` names the preset that the defaults come from.
 
-    Raises
-    ------
-    ConfigError
-        If a key is unknown or a value impossible.
-    UnknownNameError
-        If the name is no preset and no file.
-
     Examples
     --------
     >>> load_race_config("contest", duration=16.0).start

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,21 +30,6 @@ PIECE = 3000  # that a thread drives at a time
 WORTH_A_THREAD = 500  # that are worth handing over
 
 FEW_ROUNDS = 4
-
-
-@runtime_checkable
-class BatchDriver(Protocol):
-    """A ``drive`` of a planner that is asked for all races in one call, in place of once for each race."""
-
-    hold: int  #: Simulation steps for which a command holds.
-
-    def commands(
-        self, track: Track, state: RaceState, rows: Any, car: int, vehicles: Any, settings: KernelSettings
-    ) -> NDArray[np.float64]:
-        """Return steering angles (rad) and speeds (m/s) for a car of the races ``rows``, shape (n, 2).
-
-        ``vehicles`` are the parameter rows of all cars, shape (B, N, 18).
-        """
 
 
 def default_threads() -> int:
@@ -97,6 +82,8 @@ def drive(
     """Drive every race of a batch on by ``ticks`` steps of 0.01 s, in place; finished races stand still.
 
     It is :func:`pcs_racing.race.races.advance` for cars, planners and settings of the loop that belong to no setup.
+    A ``drive`` in Python that has a method ``commands`` is asked for all races in one call, and one with an attribute
+    ``hold`` every so many simulation steps (:class:`pcs_racing.envs.models.ModelDriver` has both).
     """
     cars, runs = conditions.rows(vehicles, state.races), conditions.runs(track, state.races)
     if all(planner.drive is None for planner in planners):
@@ -197,7 +184,7 @@ def _ask_python_drivers(
             continue
         hold = getattr(planner.drive, "hold", CONTROL_EVERY)
         rows = first + np.flatnonzero(going & (state.tick[part] % hold == 0))
-        if isinstance(planner.drive, BatchDriver):
+        if hasattr(planner.drive, "commands"):  # it is asked for all races in one call
             if len(rows) == 0:
                 continue
             given = planner.drive.commands(track, state, rows, car, cars, settings)

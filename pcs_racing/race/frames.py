@@ -1,4 +1,4 @@
-"""Frames of a recorded race, one after the other, and animated GIFs of them."""
+"""Frames of a recorded race, one after the other, animated GIFs of them, and pictures of circuits."""
 
 import os
 from collections.abc import Iterator
@@ -11,8 +11,11 @@ from PIL import Image
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.replay import Replay
+from pcs_racing.track.frenet import PSI, X, Y
+from pcs_racing.track.track import Track
 
 _TRAIL = 2.0  # s
 
@@ -22,14 +25,9 @@ def replay_frames(
 ) -> Iterator[np.ndarray]:
     """Yield frames of a recorded race, (height, width, 3) of uint8, one after the other, for any video writer.
 
-    Parameters
-    ----------
-    renderer : Renderer, optional
-        In mode ``"rgb_array"``; one of the whole track if left out.
-    fps, speed : float
-        Frames per second of the video, and race seconds per video second.
-    candidates : bool
-        Whether to draw the paths considered, where they were kept.
+    A renderer must be in mode ``"rgb_array"``; by default it is one of the whole track. ``fps`` are the frames per
+    second of the video, ``speed`` the race seconds per video second. With ``candidates`` the paths considered are
+    drawn, where they were kept.
     """
     check_number("fps", fps, most=1000.0, above=0.0)
     check_number("speed", speed, most=1000.0, above=0.0)
@@ -51,10 +49,9 @@ def _frames(replay: Replay, renderer: Renderer, step: float, candidates: bool) -
         plan = int(time / replay.plan_dt + 1e-6)
         if replay.paths is not None and len(replay.paths):
             shown["plans"] = replay.paths[min(plan, len(replay.paths) - 1)]
-        if candidates and replay.candidates is not None and replay.costs is not None:
-            row = int(np.searchsorted(np.asarray(replay.candidate_steps), plan, side="right")) - 1
-            if row >= 0:
-                shown |= {"candidates": replay.candidates[row], "costs": replay.costs[row]}
+        if candidates and replay.candidates is not None and replay.costs is not None and len(replay.costs):
+            row = min(plan, len(replay.costs) - 1)
+            shown |= {"candidates": replay.candidates[row], "costs": replay.costs[row]}
         frame = renderer.render(
             replay.cars[i],
             trails=replay.cars[since : i + 1, :, :2],
@@ -94,4 +91,20 @@ def write_gif(
             file, "GIF", save_all=True, append_images=rest, duration=round(100 / fps) * 10, loop=0, optimize=False
         ),
     )
+    return path
+
+
+def write_track_picture(track: Track, path: str | os.PathLike[str]) -> Path:
+    """Write a circuit as a PNG: road, walls, race line coloured by speed, and a car at the start, as it drives."""
+    path = Path(path)
+    if path.suffix != ".png":
+        raise InputError(f"write_track_picture writes .png files, got {path.name!r}")
+    low, high = (of(track.arrays.walls.reshape(-1, 2), axis=0) for of in (np.min, np.max))
+    width, height = np.clip(960.0 * (high - low + 2.0) / (high - low + 2.0).max(), 320.0, 960.0).astype(int).tolist()
+    car = np.zeros((1, _vehicle.STATE_SIZE))
+    car[0, [_vehicle.X, _vehicle.Y, _vehicle.PSI]] = track.line[0, [X, Y, PSI]]
+    frame = Renderer(track, width, height).render(car, text=f"{track.name}: {track.length:.0f} m")
+    # A palette makes the file three times smaller.
+    image = Image.fromarray(np.asarray(frame)).quantize(128, dither=Image.Dither.NONE)
+    write_atomically(path, lambda file: image.save(file, "PNG", optimize=True))
     return path

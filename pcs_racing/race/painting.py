@@ -17,30 +17,18 @@ FINER = 2
 Colour = tuple[int, ...]
 Colours = Mapping[str, Colour]
 
-# The colours of replay.html; names are darker in the light theme, for letters need more contrast than cars.
-_THEMES = {
-    "light": {
-        "ground": "#e3e8ed", "asphalt": "#fdfdfe", "wall": "#7c8897", "ink": "#17202b", "tyre": "#1c232c",
-        "car0": "#1b6fd8", "car1": "#e08700", "slow": "#9a5fc0", "mid": "#6f8fd0", "fast": "#2fb3a0",
-        "best": "#00695c", "worst": "#c9d3d6", "rejected": "#d12c4c",
-        "name0": "#1559b0", "name1": "#945900",
-        "car2": "#22964f", "car3": "#c03fa0", "car4": "#8a5a2b",
-        "car5": "#008fa6", "car6": "#8c8f00", "car7": "#5b6775",
-        "name2": "#0f5a2c", "name3": "#7a2466", "name4": "#553517",
-        "name5": "#005765", "name6": "#555700", "name7": "#323a44",
-    },
-    "dark": {
-        "ground": "#0c1117", "asphalt": "#222c37", "wall": "#74869b", "ink": "#e6ebf1", "tyre": "#070a0e",
-        "car0": "#58a6ff", "car1": "#ffb03b", "slow": "#a772cf", "mid": "#6d8ed6", "fast": "#36c5ae",
-        "best": "#8ef5d6", "worst": "#35454f", "rejected": "#ff5570",
-        "name0": "#58a6ff", "name1": "#ffb03b",
-        "car2": "#4fd68a", "car3": "#ff7ad9", "car4": "#c79a6b",
-        "car5": "#4dd7ea", "car6": "#d7d94a", "car7": "#a9b6c6",
-        "name2": "#4fd68a", "name3": "#ff7ad9", "name4": "#c79a6b",
-        "name5": "#4dd7ea", "name6": "#d7d94a", "name7": "#a9b6c6",
-    },
+# The light colours of replay.html; names are darker, for letters need more contrast than cars.
+_CODES = {
+    "ground": "#e3e8ed", "asphalt": "#fdfdfe", "wall": "#7c8897", "ink": "#17202b", "tyre": "#1c232c",
+    "slow": "#9a5fc0", "mid": "#6f8fd0", "fast": "#2fb3a0",
+    "best": "#00695c", "worst": "#c9d3d6", "rejected": "#d12c4c",
+    "car0": "#1b6fd8", "car1": "#e08700", "car2": "#22964f", "car3": "#c03fa0",
+    "car4": "#8a5a2b", "car5": "#008fa6", "car6": "#8c8f00", "car7": "#5b6775",
+    "name0": "#1559b0", "name1": "#945900", "name2": "#0f5a2c", "name3": "#7a2466",
+    "name4": "#553517", "name5": "#005765", "name6": "#555700", "name7": "#323a44",
 }  # fmt: skip
-THEMES = tuple(_THEMES)
+COLOURS: Colours = {name: tuple(int(code[i : i + 2], 16) for i in (1, 3, 5)) for name, code in _CODES.items()}
+"""Colours by the names of what they are for."""
 
 # Shapes in units of half a car's length and width, x to the front.
 _BODY = (
@@ -78,64 +66,55 @@ class Camera(NamedTuple):
         return origin + (points[..., :2] - (self.x, self.y)) * (self.scale, -self.scale)
 
 
-def theme_colours(theme: str) -> Colours:
-    """Return the colours of a theme by the names of what they are for."""
-    return {name: tuple(int(code[i : i + 2], 16) for i in (1, 3, 5)) for name, code in _THEMES[theme].items()}
-
-
-def paint_track(
-    camera: Camera, colours: Colours, walls: Sequence[np.ndarray], line: np.ndarray, speed: np.ndarray | None
-) -> Image.Image:
+def paint_track(camera: Camera, walls: Sequence[np.ndarray], line: np.ndarray, speed: np.ndarray | None) -> Image.Image:
     """Return a picture of the surface, the walls (polylines) and the race line, coloured by its speed if that is known.
 
     Where walls close to loops, the track lies between them.
     """
     size = (camera.width, camera.height)
-    image = Image.new("RGB", size, colours["ground"])
+    image = Image.new("RGB", size, COLOURS["ground"])
     surface = Image.new("L", size)
     for wall in walls:
         if len(wall) > 3 and np.array_equal(wall[0], wall[-1]):
             inside = Image.new("L", size)
             ImageDraw.Draw(inside).polygon(_flat(camera.pixels(wall)), fill=255)
             surface = ImageChops.difference(surface, inside)  # loops within loops are holes
-    image.paste(colours["asphalt"], mask=surface)
+    image.paste(COLOURS["asphalt"], mask=surface)
     pen = ImageDraw.Draw(image)
     closed = camera.pixels(np.vstack([line, line[:1]]))
     if speed is None:
-        pen.line(_flat(closed), fill=colours["wall"], width=FINER)
+        pen.line(_flat(closed), fill=COLOURS["wall"], width=FINER)
     else:
-        stops = [colours[name] for name in ("slow", "mid", "fast")]
+        stops = [COLOURS[name] for name in ("slow", "mid", "fast")]
         share = (speed - speed.min()) / max(float(np.ptp(speed)), 1e-9)
         for i, (start, end) in enumerate(pairwise(closed)):
             pen.line([*start, *end], fill=_between(stops, float(share[i])), width=round(1.5 * FINER))
     for wall in walls:
-        pen.line(_flat(camera.pixels(wall)), fill=colours["wall"], width=round(1.6 * FINER), joint="curve")
+        pen.line(_flat(camera.pixels(wall)), fill=COLOURS["wall"], width=round(1.6 * FINER), joint="curve")
     return image
 
 
-def paint_trails(pen: ImageDraw.ImageDraw, camera: Camera, colours: Colours, trails: np.ndarray) -> None:
+def paint_trails(pen: ImageDraw.ImageDraw, camera: Camera, trails: np.ndarray) -> None:
     """Paint where the cars have been, shape (M, cars, 2), oldest first and faintest."""
     width = max(round(0.13 * camera.scale), 2 * FINER)
     for car in range(trails.shape[1]):
         points = camera.pixels(trails[:, car])
         for i in range(len(points) - 1):
             alpha = round(120 * ((i + 1) / len(points)) ** 1.6)
-            pen.line([*points[i], *points[i + 1]], fill=(*colours[f"car{car}"], alpha), width=width)
+            pen.line([*points[i], *points[i + 1]], fill=(*COLOURS[f"car{car}"], alpha), width=width)
 
 
-def paint_candidates(
-    pen: ImageDraw.ImageDraw, camera: Camera, colours: Colours, paths: np.ndarray, costs: np.ndarray
-) -> None:
+def paint_candidates(pen: ImageDraw.ImageDraw, camera: Camera, paths: np.ndarray, costs: np.ndarray) -> None:
     """Paint rejected paths in red, the others shaded by the rank of their cost, the best on top."""
     order = np.argsort(-costs, kind="stable")
     kept = int(np.count_nonzero(np.isfinite(costs)))
-    stops = [colours["worst"], colours["best"]]
+    stops = [COLOURS["worst"], COLOURS["best"]]
     for i, path in enumerate(order):
         points = camera.pixels(_known(paths[path]))
         if len(points) < 2:
             continue
         good = (i - (len(costs) - kept)) / max(kept - 1, 1)
-        colour = (*colours["rejected"], 90) if good < 0.0 else (*_between(stops, good**1.7), 190)
+        colour = (*COLOURS["rejected"], 90) if good < 0.0 else (*_between(stops, good**1.7), 190)
         pen.line(_flat(points), fill=colour, width=FINER)
 
 
@@ -147,7 +126,7 @@ def paint_plan(pen: ImageDraw.ImageDraw, camera: Camera, colour: Colour, plan: n
 
 
 def paint_car(
-    pen: ImageDraw.ImageDraw, camera: Camera, colour: Colour, tyre: Colour, state: np.ndarray, half_size: np.ndarray
+    pen: ImageDraw.ImageDraw, camera: Camera, colour: Colour, state: np.ndarray, half_size: np.ndarray
 ) -> None:
     """Paint a car with its front wheels turned; where it would be too small to see, an arrow."""
     half_length, half_width = half_size
@@ -172,20 +151,19 @@ def paint_car(
         across = np.array([-0.17 * half_width * np.sin(turn), 0.17 * half_width * np.cos(turn)])
         centre = np.array([at_x * half_length, at_y * half_width])
         corners = [centre + along + across, centre - along + across, centre - along - across, centre + along - across]
-        pen.polygon(place([corner / (half_length, half_width) for corner in corners]), fill=tyre)
+        pen.polygon(place([corner / (half_length, half_width) for corner in corners]), fill=COLOURS["tyre"])
     pen.polygon(place(_BODY), fill=colour)
     for front, width in ((0.92, 0.72), (-0.9, 0.8)):
         pen.polygon(
             place(((front + 0.05, width), (front - 0.05, width), (front - 0.05, -width), (front + 0.05, -width))),
             fill=colour,
         )
-    pen.polygon(place(_COCKPIT), fill=tyre)
+    pen.polygon(place(_COCKPIT), fill=COLOURS["tyre"])
 
 
 def paint_names(
     image: Image.Image,
     camera: Camera,
-    colours: Colours,
     cars: np.ndarray,
     half_sizes: np.ndarray,
     names: Sequence[str],
@@ -217,10 +195,10 @@ def paint_names(
         pen.text(
             (float(corner[0]), float(corner[1])),
             name[:_NAME],
-            fill=colours[f"name{car}"],
+            fill=COLOURS[f"name{car}"],
             font=font,
             stroke_width=_HALO,
-            stroke_fill=colours["asphalt"],
+            stroke_fill=COLOURS["asphalt"],
         )
 
 

@@ -124,13 +124,7 @@ def starts_of(
 def start_races(
     setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64], conditions: RaceConditions = AS_THE_SETUP
 ) -> RaceState:
-    """Put the cars of every race on the grid, as :func:`pcs_racing.race.start_grid.place_on_grid` says.
-
-    Raises
-    ------
-    InputError
-        If a start lies off the track, or the cars would stand in a wall or in each other; the race's index is named.
-    """
+    """Put the cars of every race on the grid, as :func:`pcs_racing.race.start_grid.place_on_grid` says."""
     if len(starts) != len(seeds):
         raise InputError(f"there are {len(starts)} starts but {len(seeds)} seeds; give one seed for each race")
     track, config, spacing = setup.track, setup.config, setup.start_spacing
@@ -175,11 +169,6 @@ def advance(
         ``ITTC_SAMPLES`` is the same, in less time.
     conditions : RaceConditions
         Cars and tracks of single races.
-
-    Raises
-    ------
-    InputError
-        If ``ticks`` is odd or negative, or ``theta`` or the conditions do not fit the batch.
     """
     if ticks < 0 or ticks % CONTROL_EVERY:
         raise InputError(f"ticks is {ticks}; it must be an even number from 0")
@@ -234,21 +223,6 @@ class RaceResult:
     def time(self) -> NDArray[np.float64]:
         """How long each race lasted, s, shape (B,)."""
         return self.state.tick.astype(np.float64) * DT
-
-    @property
-    def laps(self) -> NDArray[np.int64]:
-        """Complete laps of each car, shape (B, N): from one forward crossing of s = 0 to the next."""
-        return self.state.lap_count
-
-    @property
-    def lap_time(self) -> NDArray[np.float64]:
-        """Time of each car's last complete lap, s, shape (B, N); -1 if there is none."""
-        return self.state.lap_time
-
-    @property
-    def best_lap(self) -> NDArray[np.float64]:
-        """Time of each car's shortest complete lap, s, shape (B, N); -1 if there is none."""
-        return self.state.best_lap
 
 
 def _merit(state: RaceState) -> NDArray[np.int64]:
@@ -311,21 +285,12 @@ def run_races(
     egos, opponents : Policy or sequence of Policy
         Drivers of car 0 and car 1 in each race; a single policy drives in all of them. Planners may differ from race to
         race.
-    config : RaceConfig
-        The rules.
     seed : int
         Root of the start lines and of every race's noise.
     starts : Starts, optional
         Where to start; drawn from the seed by default (:func:`draw_starts`).
-    vehicles : tuple of VehicleParams, optional
-        The cars.
     threads : int, optional
         Threads to share the races; all cores by default. It does not change the result.
-
-    Raises
-    ------
-    InputError
-        If the numbers of egos, opponents and starts do not fit, or a start is impossible.
     """
     counts = [len(one) for one in (egos, opponents) if not isinstance(one, Policy)]
     if len(set(counts)) > 1:
@@ -345,10 +310,7 @@ def run_field(
 ) -> RaceResult:
     """Run races between 1 to 8 policies, from the start to the end.
 
-    Parameters
-    ----------
-    drivers : sequence of Policy or of sequences of Policy
-        Driver of each car, or its drivers in all races. The others are those of :func:`run_races`, and so are errors.
+    ``drivers`` holds the driver of each car, or its drivers in all races; the others are those of :func:`run_races`.
     """
     given = [len(one) for one in drivers if not isinstance(one, Policy)]
     races = given[0] if given else 1 if starts is None else len(starts)

@@ -1,10 +1,8 @@
 """Random circuits: generated from numbers, in threads, while other circuits are driven."""
 
-import threading
-from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
 
 import numpy as np
 
@@ -99,38 +97,24 @@ class CircuitBuilder:
     """
 
     def __init__(self, settings: RandomCircuits, room: int = 1) -> None:
-        self.settings, self._room = settings, room
-        self._made: OrderedDict[int, Future[Track]] = OrderedDict()
-        self._lock = threading.Lock()
-        self._pool: ThreadPoolExecutor | None = None
+        self.settings = settings
+        self._pool = ThreadPoolExecutor(THREADS, "pcs-racing-circuits")  # begins threads when there is work for them
+        #: Circuits in use, as many that are built ahead of them, and some to come back to.
+        self._made = lru_cache(maxsize=2 * room + KEPT)(self._begin)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Copy and pickle the settings alone: circuits can be built again, threads can't be copied."""
-        return CircuitBuilder, (self.settings, self._room)
+    def _begin(self, index: int) -> "Future[Track]":
+        return self._pool.submit(random_circuit, self.settings, index)
 
-    def ahead(self, index: int) -> "Future[Track]":
+    def ahead(self, index: int) -> None:
         """Begin to build a circuit, unless it was begun before."""
-        with self._lock:
-            found = self._made.get(index)
-            if found is None:
-                if self._pool is None:
-                    self._pool = ThreadPoolExecutor(THREADS, "pcs-racing-circuits")
-                found = self._made[index] = self._pool.submit(random_circuit, self.settings, index)
-            self._made.move_to_end(index)
-            # Circuits in use, as many that are built ahead of them, and some to come back to.
-            while len(self._made) > 2 * self._room + KEPT:
-                _, oldest = self._made.popitem(last=False)
-                oldest.cancel()
-            return found
+        self._made(index)
 
     def get(self, index: int) -> Track:
         """Return a circuit; waits until it is built."""
-        return self.ahead(index).result()
+        return self._made(index).result()
 
     def close(self) -> None:
-        """Stop the threads; what was built can still be had."""
-        with self._lock:
-            if self._pool is not None:
-                self._pool.shutdown(wait=False, cancel_futures=True)
-                self._pool = None
-            self._made = OrderedDict((index, made) for index, made in self._made.items() if not made.cancelled())
+        """Stop the threads; a circuit that is asked for later is built again."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        self._pool = ThreadPoolExecutor(THREADS, "pcs-racing-circuits")
+        self._made.cache_clear()

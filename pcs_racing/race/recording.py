@@ -53,13 +53,9 @@ def record_race(
     ----------
     ego, opponent : Policy
         Drivers of car 0 and car 1; a sequence of opponents, up to seven, drives as many cars.
-    config : RaceConfig
-        The rules.
     seed, index : int
         The race number ``index`` (0 to :data:`LAST_INDEX`) of ``run_field(..., seed=seed)``: same start, same noise,
         same end to the last bit. No race before it is drawn.
-    vehicles : tuple of VehicleParams, optional
-        The cars.
     candidates : bool
         Whether to keep the paths that each planner chose from (if it can tell).
 
@@ -67,11 +63,6 @@ def record_race(
     -------
     Replay
         With 25 frames a second; it ends with the race, which may be a crash.
-
-    Raises
-    ------
-    InputError
-        If the index is outside its range, or the start is impossible.
     """
     check_whole("index", index, 0, LAST_INDEX)
     drivers = [ego, opponent] if isinstance(opponent, Policy) else [ego, *opponent]
@@ -95,18 +86,10 @@ def record_drive(
 ) -> Replay:
     """Drive one race, whose policies may change on the way, and keep what is needed to watch it.
 
-    Parameters
-    ----------
-    start : Starts
-        Of one race.
-    noise : uint64
-        Key of its noise: what ``RaceState.seed`` holds.
-    theta : ndarray, shape (S, N, P)
-        Parameters of the cars in each of S steps, padded to the setup's ``theta_size``; the last go on to the end.
-    names : tuple of str
-        What the replay calls the cars; equal names get the number of the car (:func:`tell_apart`).
-    ends : sequence of int
-        When each step but the last ends, in ticks of 0.01 s; multiples of 10, as plans are made.
+    ``noise`` is the key of its noise: what ``RaceState.seed`` holds. ``theta``, shape (S, N, P), holds the parameters
+    of the cars in each of S steps, padded to the setup's ``theta_size``; the last go on to the end. Each step but the
+    last ends at one of the ``ends``, in ticks of 0.01 s, multiples of 10, as plans are made. The cars are called by
+    their ``names``; equal ones get the number of the car (:func:`tell_apart`).
     """
     if len(start) != 1:
         raise InputError(f"there are {len(start)} starts; a recording is of one race")

@@ -17,8 +17,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.packing import join_segments
 from pcs_racing.car.vehicle import LENGTH, WIDTH
 from pcs_racing.race.painting import (
+    COLOURS,
     FINER,
-    THEMES,
     Camera,
     paint_candidates,
     paint_car,
@@ -26,7 +26,6 @@ from pcs_racing.race.painting import (
     paint_plan,
     paint_track,
     paint_trails,
-    theme_colours,
 )
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.state import MOST_CARS
@@ -63,8 +62,6 @@ class Renderer:
         ``"rgb_array"``: `render` returns the frame; ``"human"``: it shows it in a window (needs the extra ``window``).
     view : str
         ``"track"`` shows the whole track, ``"car_0"`` to ``"car_7"`` follow a car, ``"both"`` keeps all cars in sight.
-    theme : str
-        ``"light"`` or ``"dark"``.
     half_sizes : ndarray, shape (cars, 2), optional
         Half length and half width of each car in m; a replay brings its own.
     fps : float
@@ -79,16 +76,13 @@ class Renderer:
         mode: str = "rgb_array",
         *,
         view: str = "track",
-        theme: str = "light",
         half_sizes: np.ndarray | None = None,
         fps: float = 20.0,
     ) -> None:
         cars = len(scene.car_names) if isinstance(scene, Replay) else MOST_CARS
         self.mode, self.view = check_choice("mode", mode, MODES), check_choice("view", view, views(cars))
-        check_choice("theme", theme, THEMES)
         self.width, self.height = check_whole("width", width, 64, 4096), check_whole("height", height, 64, 4096)
         self.fps = fps
-        self._colours = theme_colours(theme)
         self._shown: Track | Replay | None = None
         self.show(scene, half_sizes)
         self._font = ImageFont.load_default(16)
@@ -146,23 +140,23 @@ class Renderer:
         image = self._background(camera)
         pen = ImageDraw.Draw(image, "RGBA")
         if trails is not None:
-            paint_trails(pen, camera, self._colours, np.asarray(trails, float))
+            paint_trails(pen, camera, np.asarray(trails, float))
         if candidates is not None and costs is not None:
             for paths, prices in zip(candidates, costs, strict=True):
-                paint_candidates(pen, camera, self._colours, np.asarray(paths), np.asarray(prices))
+                paint_candidates(pen, camera, np.asarray(paths), np.asarray(prices))
         for car, plan in enumerate(plans if plans is not None else ()):
-            paint_plan(pen, camera, self._colours[f"car{car}"], plan)
+            paint_plan(pen, camera, COLOURS[f"car{car}"], plan)
         # Car 0 comes last: where the two overlap, the one that is watched is on top.
         for car in reversed(range(len(cars))):
             half_size = self._half_sizes[min(car, len(self._half_sizes) - 1)]
-            paint_car(pen, camera, self._colours[f"car{car}"], self._colours["tyre"], cars[car], half_size)
+            paint_car(pen, camera, COLOURS[f"car{car}"], cars[car], half_size)
         # Names are written after the reduction, which would blur them.
         image = image.reduce(FINER)
         if names:
             top = _TEXT_HEIGHT if text else 0.0
-            paint_names(image, camera, self._colours, cars, self._half_sizes, names, self._font, top)
+            paint_names(image, camera, cars, self._half_sizes, names, self._font, top)
         if text:
-            ImageDraw.Draw(image).text((14, 10), text, fill=self._colours["ink"], font=self._font)
+            ImageDraw.Draw(image).text((14, 10), text, fill=COLOURS["ink"], font=self._font)
         frame = np.array(image)
         if self._window is None:
             return frame
@@ -205,7 +199,7 @@ class Renderer:
             middle = (column, row) if self.view == "track" else (place[0] * step_x, place[1] * step_y)
             at = middle[0] / camera.scale, middle[1] / camera.scale
             region = Camera(*at, camera.scale, width + step_x, height + step_y)
-            self._ground = key, paint_track(region, self._colours, self._walls, self._line, self._line_speed)
+            self._ground = key, paint_track(region, self._walls, self._line, self._line_speed)
         if self.view == "track":
             return self._ground[1].copy()
         left, top = column - place[0] * step_x + step_x // 2, place[1] * step_y - row + step_y // 2

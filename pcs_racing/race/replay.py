@@ -24,13 +24,7 @@ class ReplayEvent:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """A race as it was driven: nothing but values, checked and copied when it is made; the arrays are read-only.
-
-    Raises
-    ------
-    InputError
-        If a shape does not fit, a number is not finite where it must be, or a text is too long.
-    """
+    """A race as it was driven: nothing but values, checked and copied when it is made; the arrays are read-only."""
 
     title: str  #: Shown in the page's header, as is the track's name.
     track_name: str
@@ -49,11 +43,9 @@ class Replay:
     #: shape (K, C, P, 4): The plan each car follows: points x, y (m), speed (m/s) and time (s, from the moment of the
     #: plan); rows after its last point are NaN.
     paths: np.ndarray | None = None
-    #: shape (J,), int: The plans whose candidates are kept, increasing; all of them if left out.
-    candidate_steps: np.ndarray | None = None
-    #: shape (J, C, Q, P', 2): Points x, y of every path that was considered; rows after its last point are NaN.
+    #: shape (K, C, Q, P', 2): Points x, y of every path that was considered; rows after its last point are NaN.
     candidates: np.ndarray | None = None
-    #: shape (J, C, Q): Their costs; infinite for a rejected one. Goes with ``candidates``.
+    #: shape (K, C, Q): Their costs; infinite for a rejected one. Goes with ``candidates``.
     costs: np.ndarray | None = None
     events: tuple[ReplayEvent, ...] = ()  #: In any order; kept sorted by time.
     outcome: str = ""  #: How it ended, in words.
@@ -90,9 +82,10 @@ class Replay:
             raise InputError("half_sizes must be positive lengths in m")
         self._set_array("ittc", ("T", count), sizes, allow="inf")
         self._set_array("paths", ("K", count, "P", 4), sizes, allow="nan")
-        self._set_array("candidates", ("J", count, "Q", "P'", 2), sizes, allow="nan")
-        self._set_array("costs", ("J", count, "Q"), sizes, allow="inf")
-        self._check_steps(sizes.get("K", 0), sizes.get("J", 0))
+        self._set_array("candidates", ("K", count, "Q", "P'", 2), sizes, allow="nan")
+        self._set_array("costs", ("K", count, "Q"), sizes, allow="inf")
+        if (self.candidates is None) != (self.costs is None):
+            raise InputError("candidates and costs go together: give both or neither")
         self._set("events", _checked_events(self.events, count))
 
     @property
@@ -136,23 +129,6 @@ class Replay:
             raise InputError(f"{name} must be finite and at most {_LARGEST:.0e} in size")
         array.setflags(write=False)
         self._set(name, array)
-
-    def _check_steps(self, plans: int, kept: int) -> None:
-        """Candidates, their costs and their steps come together and belong to plans."""
-        if (self.candidates is None) != (self.costs is None):
-            raise InputError("candidates and costs go together: give both or neither")
-        if self.candidates is None:
-            if self.candidate_steps is not None:
-                raise InputError("candidate_steps without candidates")
-            return
-        steps = np.arange(kept) if self.candidate_steps is None else np.array(self.candidate_steps)
-        if steps.shape != (kept,) or (kept and not np.issubdtype(steps.dtype, np.integer)):
-            raise InputError(f"candidate_steps must be {kept} whole numbers, one for each row of candidates")
-        if kept and (steps[0] < 0 or steps[-1] >= plans or np.any(np.diff(steps) <= 0)):
-            raise InputError(f"candidate_steps must increase and name plans from 0 to {plans - 1}")
-        steps = steps.astype(np.int64)
-        steps.setflags(write=False)
-        self._set("candidate_steps", steps)
 
 
 def _check_text(value: object, name: str) -> None:

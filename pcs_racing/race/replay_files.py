@@ -32,35 +32,20 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
     """Write a race as a page (``.html``) or as bare JSON (``.json``), in one step; `read_replay` reads both.
 
     Numbers are rounded: to 1 mm, 1 mm/s, 1 mrad and 1 ms for cars, plans and line, to 1 cm for candidates and walls.
-
-    Raises
-    ------
-    InputError
-        If the name ends differently or its folder does not exist.
+    The page is one file, needs no network, and opens from a disk. A link may name a moment:
+    ``race.html#t=12.5&follow=1&candidates=1`` (``follow``: ``0``, ``1``, ``both`` or ``track``; also ``play=1``,
+    ``speed=0.5``, ``plans=0``, ``zoom=2``, ``theme=dark``).
     """
     path = Path(path)
-    if path.suffix == ".html":
-        return write_html(replay, path)
-    if path.suffix != ".json":
+    if path.suffix not in (".html", ".json"):
         raise InputError(f"a replay is saved as .html or .json, got {path.name!r}")
-    write_atomically(path, lambda file: file.write(safe_json(_to_values(replay)).encode()))
-    return path
-
-
-def write_html(replay: Replay, path: str | os.PathLike[str]) -> Path:
-    """Write the page that plays a race: one file, no network, opens from a disk; it is replaced in one step.
-
-    A link may name a moment: ``race.html#t=12.5&follow=1&candidates=1`` (``follow``: ``0``, ``1``, ``both`` or
-    ``track``; also ``play=1``, ``speed=0.5``, ``plans=0``, ``zoom=2``, ``theme=dark``).
-    """
-    path = Path(path)
-    page = replay_page(replay)
-    write_atomically(path, lambda file: file.write(page.encode()))
+    content = replay_page(replay) if path.suffix == ".html" else safe_json(_to_values(replay))
+    write_atomically(path, lambda file: file.write(content.encode()))
     return path
 
 
 def replay_page(replay: Replay) -> str:
-    """Return the page that :func:`write_html` writes, to be put into another one."""
+    """Return the page that :func:`save_replay` writes, to be put into another one."""
     template = files("pcs_racing.race").joinpath("replay.html").read_text(encoding="utf-8")
     parts = {"<!--title-->": html.escape(replay.title), "<!--replay-->": safe_json(_to_values(replay))}
     # In one pass: a title that spells a placeholder is not one.
@@ -68,13 +53,7 @@ def replay_page(replay: Replay) -> str:
 
 
 def read_replay(path: str | os.PathLike[str]) -> Replay:
-    """Read a race back from what `save_replay` wrote. Nothing in the file is run, and all of it is checked.
-
-    Raises
-    ------
-    InputError
-        If there is no such file, or it does not hold a race.
-    """
+    """Read a race back from what `save_replay` wrote. Nothing in the file is run, and all of it is checked."""
     path = Path(path)
     try:
         text = read_limited(path, _LARGEST_FILE, "a replay", InputError).decode("utf-8")
@@ -130,8 +109,7 @@ def _to_values(replay: Replay) -> dict[str, Any]:
         values["ittc"] = packing.pack(np.minimum(replay.ittc, LONGEST_ITTC), packing.COARSE, [0])
     if replay.paths is not None:
         values["paths"] = packing.pack_paths(replay.paths, packing.FINE)
-    if replay.candidates is not None and replay.costs is not None and replay.candidate_steps is not None:
-        values["candidate_steps"] = packing.pack(replay.candidate_steps, 1, [0])
+    if replay.candidates is not None and replay.costs is not None:
         values["candidates"] = packing.pack_paths(replay.candidates, packing.COARSE)
         values["costs"] = packing.pack_costs(replay.costs)
     return values
@@ -143,7 +121,7 @@ def _from_values(values: object) -> Replay:
         raise InputError(f"it must say format {FORMAT!r}")
     needed = {"format", "title", "track_name", "car_names", "outcome", "frame_dt", "plan_dt", "half_sizes", "events"}
     needed |= {"walls", "line", "cars", "progress"}
-    optional = {"line_speed", "ittc", "paths", "candidate_steps", "candidates", "costs"}
+    optional = {"line_speed", "ittc", "paths", "candidates", "costs"}
     if not needed <= values.keys() <= needed | optional:
         missing, unknown = sorted(needed - values.keys()), sorted(values.keys() - needed - optional)
         raise InputError(f"missing parts {missing}, unknown parts {unknown!r:.100}")
@@ -156,8 +134,6 @@ def _from_values(values: object) -> Replay:
     fields: dict[str, Any] = {name: values[name] for name in plain}
     fields |= {name: packing.unpack(values[name], name) for name in arrays if name in values}
     fields |= {name: packing.unpack_paths(values[name], name) for name in ("paths", "candidates") if name in values}
-    if "candidate_steps" in values:
-        fields["candidate_steps"] = packing.unpack(values["candidate_steps"], "candidate_steps").astype(np.int64)
     if "costs" in values:
         fields["costs"] = packing.unpack_costs(values["costs"], "costs")
     fields["walls"] = packing.unpack_segments(values["walls"], "walls")

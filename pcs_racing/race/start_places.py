@@ -87,13 +87,9 @@ def drive_away(
 
     The cars are ``spacing`` metres apart across the track; the places are 0, `PLACE_EVERY`, 2 `PLACE_EVERY` ... m.
 
-    Returns
-    -------
-    crashes : ndarray, shape (places,)
-        Share of races over within the first seconds; 1 where the cars do not fit.
-    favour : ndarray, shape (places,)
-        Of the races between equals, those in which the car on the left (or in front) then leads, less those in which
-        the other one does, as a share: from -1 to 1.
+    Returned are, both of shape (places,), the share of races over within the first seconds, 1 where the cars do not
+    fit; and, of the races between equals, those in which the car on the left (or in front) then leads, less those in
+    which the other one does, as a share: from -1 to 1.
     """
     places = np.arange(0.0, track.length, PLACE_EVERY)
     # One race of a pair says little where chance has a part in it.
@@ -110,14 +106,6 @@ def drive_away(
     return crashes, favour
 
 
-def seconds_driven(track: Track, config: RaceConfig) -> float:
-    """About how many seconds of racing :func:`fit_places` simulates if the first spacing works."""
-    races = 2 * (len(PACES) + RANDOM_PAIRS) * (REPEATS if config.steering_noise > 0.0 else 1)
-    away = races * FIRST_SECONDS * track.length / PLACE_EVERY
-    balance = 2 * 2 * BALANCE_PLACES * BALANCE_PAIRS * config.duration if config.start == "side-by-side" else 0.0
-    return away + balance
-
-
 def fit_places(
     track: Track,
     config: RaceConfig,
@@ -128,14 +116,9 @@ def fit_places(
 ) -> tuple[float, Places, float]:
     """Find where a circuit is fit to start from, with the first of some distances across the track (m) that works.
 
-    Returns
-    -------
-    spacing : float
-    places : dict
-        For each side that places favour ("left" and "right", or "front" for starts one behind the other) the stretches
-        of such places: arc lengths of the first and the last one, m, ascending.
-    left_share : float
-        Share of start lines to draw from the places that favour the left; 0.5 where cars start one behind the other.
+    Returned are that distance; for each side that places favour ("left" and "right", or "front" for starts one behind
+    the other) the stretches of such places, arc lengths of the first and the last one, m, ascending; and the share of
+    start lines to draw from the places that favour the left, 0.5 where cars start one behind the other.
     """
     for spacing in spacings:
         crashes, favour = drive_away(track, config, settings, spacing, threads=threads)

@@ -1,13 +1,10 @@
-"""The state of a batch of races as a plain value: copy it, pick races from it, save it, restore it."""
+"""The state of a batch of races as a plain value: copy it, pickle it, pick races from it."""
 
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import read_limited, unpack_arrays, write_atomically
 from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS
 
 SUMS: dict[str, str] = {
@@ -22,8 +19,6 @@ SUMS: dict[str, str] = {
     "PROFILE_BEHIND": "what PROFILE grew by meanwhile, s",
 }
 """What is summed up for each car while it drives, by name; characteristics are made of differences of these."""
-
-MAX_BYTES = 1_000_000_000  # of a file
 
 ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME, PROFILE, TIME_BEHIND, PROFILE_BEHIND = range(len(SUMS))
 
@@ -156,38 +151,3 @@ def take(state: RaceState, indices: ArrayLike) -> RaceState:
 def concatenate(states: list[RaceState]) -> RaceState:
     """Join batches of races into one."""
     return RaceState._make(np.concatenate(arrays) for arrays in zip(*states, strict=True))
-
-
-def save_state(state: RaceState, path: str | Path) -> None:
-    """Write a state to an npz file; the file appears whole or not at all."""
-    write_atomically(Path(path), lambda file: np.savez_compressed(file, allow_pickle=False, **state._asdict()))
-
-
-def load_state(path: str | Path) -> RaceState:
-    """Read a state that :func:`save_state` wrote.
-
-    Raises
-    ------
-    InputError
-        If the file is no race state, or its arrays do not fit each other.
-    """
-    try:
-        arrays = unpack_arrays(read_limited(path, MAX_BYTES, "a race state"))
-    except (OSError, InputError) as error:
-        raise InputError(f"{path} is not a saved race state: {error}") from None
-    if set(arrays) != set(RaceState._fields):
-        raise InputError(f"{path} holds {sorted(arrays)}; a race state holds {sorted(RaceState._fields)}")
-    # Everything but three sizes follows from the declaration of an empty state, which the file is compared with.
-    memory = arrays["memory"]
-    races = len(arrays["tick"]) if arrays["tick"].ndim else 0
-    cars = memory.shape[1] if memory.ndim == 3 else 2
-    model = empty_state(races, memory.shape[2] if memory.ndim == 3 else 0, cars)
-    for name, expected in model._asdict().items():
-        if arrays[name].shape != expected.shape or arrays[name].dtype != expected.dtype:
-            raise InputError(
-                f"{path}: {name} has shape {arrays[name].shape} and type {arrays[name].dtype}; it must have "
-                f"{expected.shape} and {expected.dtype}"
-            )
-        if not np.isfinite(arrays[name]).all():
-            raise InputError(f"{path}: {name} holds NaN or infinity")
-    return RaceState(**arrays)

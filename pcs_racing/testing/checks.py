@@ -34,12 +34,8 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
 
     Policies between its bounds race each other: all numbers must stay finite and the parameters untouched; the same
     race must end the same driven again, alone, or cut in pieces; with the default policy the cars must not stand still;
-    and opponents beyond the planner's ``sight`` must make no difference, except by who leads.
-
-    Parameters
-    ----------
-    seconds : float
-        Length of the races, a multiple of 0.4.
+    and opponents beyond the planner's ``sight`` must make no difference, except by who leads. The races last a multiple
+    of 0.4 ``seconds``.
     """
     setup = RaceSetup(track, load_race_config(PAPER, duration=seconds), (planner, planner))
     rng = np.random.default_rng(seed)

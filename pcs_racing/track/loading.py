@@ -37,30 +37,13 @@ def as_track(track: Track | str | os.PathLike[str]) -> Track:
 
 
 def load_track(name_or_path: str | os.PathLike[str]) -> Track:
-    """Load a track by the name of a shipped circuit or from a map folder.
+    """Load a track by the name of a shipped circuit (case does not matter), a map folder, or a map's yaml file.
 
-    Missing lines are built, which needs ``pip install "pcs-racing[mapping]"``. The race line is built again if the
-    given one leaves a car less than 0.15 m to the walls; the logger ``pcs_racing`` then reports this. Building lines
-    and processing the walls takes about a second. The result is cached on disk (see `pcs_racing.track.cache`), and in
-    memory as long as the process runs. A map whose files have changed is loaded again.
-
-    Parameters
-    ----------
-    name_or_path : str or path-like
-        Name of a shipped circuit (case does not matter), a map folder, or a map's yaml file. See
-        `pcs_racing.track.maps` for the files of a folder.
-
-    Returns
-    -------
-    Track
-        The same object for the same map.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is neither a folder nor a shipped circuit of that name.
-    MapError
-        If the folder, or a file in it, is not a valid map.
+    `pcs_racing.track.maps` describes the files of a folder. Missing lines are built, which needs ``pip install
+    "pcs-racing[mapping]"``. The race line is built again if the given one leaves a car less than 0.15 m to the walls;
+    the logger ``pcs_racing`` then reports this. Building lines and processing the walls takes about a second. The
+    result is cached on disk (see `pcs_racing.track.cache`), and in memory as long as the process runs: the same map is
+    the same object. A map whose files have changed is loaded again.
     """
     files = find_map(_resolve(name_or_path))
     with _lock:

@@ -1,7 +1,8 @@
 """The Track: the immutable data of a circuit, and the function that builds it from a grid and its lines."""
 
 import hashlib
-from dataclasses import dataclass, field
+import json
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,14 +34,8 @@ class Calibration:
 
 def calibration_values(calibration: Calibration) -> dict[str, Any]:
     """Return a calibration as plain lists and numbers, for yaml and json."""
-    return {
-        "speed_range": list(calibration.speed_range),
-        "start_spacing": calibration.start_spacing,
-        "start_places": {
-            side: [list(stretch) for stretch in stretches] for side, stretches in calibration.start_places.items()
-        },
-        "left_share": calibration.left_share,
-    }
+    values: dict[str, Any] = json.loads(json.dumps(asdict(calibration)))
+    return values
 
 
 def calibration_from_values(values: dict[str, Any]) -> Calibration:
@@ -157,11 +152,6 @@ def build_track(
         Speed range and start positions for each race preset, as far as they are known.
     folder : Path, optional
         The map folder of the circuit.
-
-    Raises
-    ------
-    MapError
-        If a value is not allowed, or if the lines and the grid do not fit together.
     """
     label = f"track {name}"
     grid, resolution, corner = checked_grid(occupied, resolution, origin, label)

@@ -17,13 +17,13 @@ an option. The type says how a value is read: ``bool`` is a switch, ``Sequence[T
 import argparse
 from argparse import ArgumentParser, BooleanOptionalAction, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import partial
 from inspect import Parameter, getdoc, signature
 from types import ModuleType, NoneType, UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
-from pcs_racing.base.settings import Settings, add_setting_options, stated_options
+from pcs_racing.base.settings import Settings, setting_words
 
 Parsers = argparse._SubParsersAction  # what ``add_subparsers`` returns; it has no public name
 
@@ -43,9 +43,22 @@ class SettingOptions:
     def __init__(self, cls: type[Settings], *names: str) -> None:
         self.cls, self.names = cls, names
 
+    def add(self, parser: ArgumentParser) -> None:
+        """Add an option for each of them."""
+        declared = {field.name: field for field in fields(self.cls)}
+        for name in self.names:
+            rule = declared[name].metadata["rule"]
+            parser.add_argument(
+                f"--{name.replace('_', '-')}",
+                type=rule.read,
+                nargs="+" if rule.several else None,
+                metavar={int: "N", float: "X"}.get(rule.read, name.upper()),
+                help=setting_words(declared[name]).replace("%", "%%"),
+            )
+
     def values(self, parsed: Namespace) -> dict[str, Any]:
         """Return what was stated; lists become tuples, as settings hold them."""
-        stated = {name: value for name, value in stated_options(parsed, self.cls).items() if name in self.names}
+        stated = {name: getattr(parsed, name) for name in self.names if getattr(parsed, name) is not None}
         return {name: tuple(value) if isinstance(value, list) else value for name, value in stated.items()}
 
 
@@ -98,7 +111,7 @@ def add_parameters(parser: ArgumentParser, target: Callable[..., Any]) -> None:
     """Add the parameters of a function, or the fields of a dataclass, to a parser."""
     for parameter, kind, declared in _parameters(target):
         if isinstance(declared, SettingOptions):
-            add_setting_options(parser, declared.cls, *declared.names)
+            declared.add(parser)
         elif declared is None:
             add_parameters(parser, kind)
         else:

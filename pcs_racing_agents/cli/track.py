@@ -9,12 +9,13 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.race.calibration import calibrate
 from pcs_racing.race.config import load_race_config
+from pcs_racing.race.frames import write_track_picture
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.map_files import parse_info
 from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Calibration, Track, calibration_values
 from pcs_racing_agents.cli.commands import Command, Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuit, Race, can_draw, output_file
+from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuit, Race, output_file
 
 group = Command(
     "track",
@@ -37,17 +38,14 @@ def run_list() -> None:
 def run_show(
     track: Circuit = DEFAULT_TRACK,
     *,
-    out: Annotated[Path | None, Option("file for the picture (.png, .svg or .pdf; needs matplotlib)", "FILE")] = None,
+    out: Annotated[Path | None, Option("file for the picture (.png)", "FILE")] = None,
 ) -> None:
     """Print a summary of a circuit, and draw it."""
-    target = output_file(out, ".png", ".svg", ".pdf") if out else None
+    target = output_file(out, ".png") if out else None
     circuit = load_track(track)
     print(circuit.summary())
     if target is not None:
-        from pcs_racing.track.mapping.pictures import show_track
-
-        show_track(circuit, target)
-        print(f"picture: {target}")
+        print(f"picture: {write_track_picture(circuit, target)}")
 
 
 @command(
@@ -71,8 +69,8 @@ def run_import(
     from pcs_racing.track.mapping.folders import import_map
 
     heading = None if direction is None else _direction(direction)
-    picture = can_draw("the picture of the circuit")
-    track = import_map(source, out, seed_point=seed_point, direction=heading, name=name, picture=picture)
+    track = import_map(source, out, seed_point=seed_point, direction=heading, name=name)
+    write_track_picture(track, out / f"{track.name}.png")
     print(f"{track.summary()}\nwritten: {out}")
 
 
@@ -90,7 +88,8 @@ def run_generate(
     """Generate a new circuit from a seed."""
     from pcs_racing.track.mapping.folders import generate_map
 
-    track = generate_map(out, seed, style, name=name, width=width, picture=can_draw("the picture of the circuit"))
+    track = generate_map(out, seed, style, name=name, width=width)
+    write_track_picture(track, out / f"{track.name}.png")
     print(f"{track.summary()}\nwritten: {out}")
 
 

@@ -5,6 +5,7 @@ all races, plans are stored every 0.2 s in centimetres, and data that the page d
 """
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.packing import COARSE, FINE, pack, pack_paths, pack_segments
-from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.replay import Replay
@@ -49,12 +49,15 @@ class RaceRepeater:
         self.circuits: dict[str, dict[str, Any]] = {}
         #: The Policy Characteristic Space: :func:`space_values`; None before the first race.
         self.space: dict[str, Any] | None = None
-        self._pairings: RecentlyUsed[tuple[str, str, str, int], Pairing] = RecentlyUsed(MOST_PAIRINGS)
+        self._pairing = lru_cache(maxsize=MOST_PAIRINGS)(self._make_pairing)
+
+    def _make_pairing(self, track: str, ego: str, opponent: str, seed: int) -> Pairing:
+        return self.results.pairing(RaceRow(track=track, ego=ego, opponent=opponent, seed=seed))
 
     def drive(self, number: int) -> RepeatedRace:
         """Repeat the race of a line of the results."""
         row = self.results.row(number)
-        pairing = self._pairings.get(_pair(row), lambda: self.results.pairing(row))
+        pairing = self._pairing(*_pair(row))
         if row.race >= len(pairing):
             raise InputError(f"race {number} is number {row.race} of its pair, which drove {len(pairing)}")
         # A folder that was edited is found out before a race is driven, and again by the lead at its end.

@@ -9,12 +9,12 @@ name), and by what the browser says about where they come from.
 import re
 import threading
 from collections.abc import Callable
+from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NamedTuple
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.recently_used import RecentlyUsed
 from pcs_racing.race.replay_files import safe_json
 from pcs_racing_agents.view.race_replays import RaceRepeater
 
@@ -44,7 +44,7 @@ class RaceService:
     def __init__(self, driver: RaceRepeater, races: int) -> None:
         self.driver = driver
         self.races = races
-        self._kept: RecentlyUsed[int, bytes] = RecentlyUsed(MOST_KEPT)
+        self._kept = lru_cache(maxsize=MOST_KEPT)(self._drive)
         self._lock = threading.Lock()
 
     def answer(self, path: str) -> Answer:
@@ -58,7 +58,7 @@ class RaceService:
         # Requests come in threads of their own, and the repeater keeps what races share.
         with self._lock:
             try:
-                return Answer(200, self._kept.get(number, lambda: self._drive(number)))
+                return Answer(200, self._kept(number))
             except (InputError, ModuleNotFoundError, OSError) as error:
                 return error_answer(409, str(error))
 

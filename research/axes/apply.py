@@ -11,7 +11,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import Settings, setting, whole
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.game.learned import LearnedCharacteristics, register_learned
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.jobs import Run
@@ -19,6 +18,7 @@ from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
 from pcs_racing_agents.synthesis.scenarios import draw_scenarios
 from research.axes.behaviour import run_blocks
 from research.axes.learn import spread_over
+from research.axes.learned import LearnedCharacteristics, register_learned
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,12 @@ def apply_characteristics(
     """Return an archive with the same policies and other axes.
 
     Its moves, observations, trees and agents are those of any archive: a move asks for more or less of a learned axis.
+    A process that reads it from a file must know the learned axes (:func:`research.axes.learned.load_learned`).
 
     Parameters
     ----------
     learned : LearnedCharacteristics or None
-        The new archive brings them with it.
+        Registered here, and in the processes that race.
     tracks : sequence of Track or str
         Where the policies race the archive's own.
     config : RaceConfig
@@ -107,7 +108,6 @@ def apply_characteristics(
         "explored_coordinates": None if explored is None else explored.coordinates,
         "explored_own_crash": None if explored is None else explored.own_crash,
         "preset": config.name,
-        "learned": learned,
         "settings": {**archive.settings, **_facts(archive, tracks, config, settings, axes, length, seed)},
     }
     return PolicyArchive(**values)

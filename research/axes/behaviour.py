@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.learned import LearnedCharacteristics, register_learned
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import Track
@@ -17,6 +16,7 @@ from pcs_racing_agents.jobs.jobs import Run, run_races
 from pcs_racing_agents.payoffs.policy_pool import race_scores
 from pcs_racing_agents.synthesis.evaluate import PolicyTask, join, race_policies, race_segments
 from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
+from research.axes.learned import LearnedCharacteristics, register_learned
 
 Floats = NDArray[np.float64]
 

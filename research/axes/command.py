@@ -9,7 +9,6 @@ from pcs_racing.base.checks import check_names, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive_files import load_archive, save_archive
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.game.learned import load_learned, save_learned
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import load_race_config
@@ -21,6 +20,7 @@ from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, spanning_policies
 from research.axes.apply import ApplySettings, apply_characteristics
 from research.axes.learn import LearnSettings, learn_characteristics
+from research.axes.learned import load_learned, save_learned
 from research.axes.pools import CANDIDATES, draw_pool
 from research.axes.report import learned_text, learning_text, write_weights
 
@@ -122,16 +122,10 @@ def run_learn(
 
 @command("axes show", "python -m research axes show out/learned/characteristics.yaml")
 def run_show(
-    learned: Annotated[str, Option("learned characteristics, or an archive that brings them", "FILE")],
+    learned: Annotated[Path, Option("learned characteristics", "FILE")],
 ) -> None:
     """Print what learned characteristics are made of."""
-    if Path(learned).is_dir():
-        archive = load_archive(learned)
-        if archive.learned is None:
-            raise InputError(f"archive {archive.name!r} brings no learned characteristics")
-        print(learned_text(archive.learned))
-    else:
-        print(learned_text(load_learned(learned)))
+    print(learned_text(load_learned(learned)))
 
 
 @command(
@@ -189,6 +183,8 @@ def run_apply(
             progress=show_progress("blocks"),
         )
         print(f"archive: {save_archive(made, out)}")
+        if brought is not None:  # without which nobody can read the archive
+            print(f"written: {save_learned(brought, out / FILE)}")
     print(made)
     for axis, low, high in zip(made.characteristics, made.nadir, made.ideal, strict=True):
         print(f"{axis}: {low:.2f} to {high:.2f}")

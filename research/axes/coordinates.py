@@ -16,7 +16,7 @@ COORDINATES = ("rating", "cycle_1", "cycle_2")
 
 @dataclass(frozen=True, eq=False)
 class PayoffCoordinates:
-    """Rating and cyclic plane of a pool of policies, the frame in which other policies can be placed too.
+    """Rating and cyclic plane of a pool of policies.
 
     The payoff of policy i against policy j is about ``rating_i - rating_j + x_i y_j - y_i x_j``, with ``(x, y)`` the
     place in the plane.
@@ -39,22 +39,6 @@ class PayoffCoordinates:
     def standard(self) -> Floats:
         """Rating and place, shape (N, 3): mean 0 and in standard deviations over the pool."""
         return np.column_stack([self.rating, self.plane]) / self.scale
-
-    def place(self, payoffs: ArrayLike) -> Floats:
-        """Return standardised coordinates of other policies from their payoffs against the pool's (least squares).
-
-        Parameters
-        ----------
-        payoffs : array_like, shape (K, N)
-            Races won minus one half of each of K policies against each of the pool's.
-
-        Returns
-        -------
-        ndarray, shape (K, 3)
-        """
-        won = check_array("payoffs", payoffs, (None, len(self.rating)), least=-0.5, most=0.5)
-        design = np.column_stack([np.ones(len(self.rating)), self.plane[:, 1], -self.plane[:, 0]])
-        return np.asarray(np.linalg.lstsq(design, (won + self.rating).T, rcond=None)[0].T / self.scale)
 
 
 def payoff_coordinates(payoffs: ArrayLike, behaviour: ArrayLike) -> PayoffCoordinates:

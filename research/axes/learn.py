@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Settings, checked, names, plain_settings, setting, tenths, whole
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.game.learned import LearnedAxis, LearnedCharacteristics, LearnedInput, check_set_name
 from pcs_racing.planners.planner import Policy
 from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from research.axes.behaviour import common_planner, measure_behaviour
 from research.axes.coordinates import COORDINATES, PayoffCoordinates, payoff_coordinates
+from research.axes.learned import LearnedAxis, LearnedCharacteristics, LearnedInput, check_set_name
 from research.axes.ridge import fit_ridge, input_scales, standardise, term_names, term_values
 from research.axes.validation import Accuracy, cross_validate, draw_rows
 

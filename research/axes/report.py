@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.game.learned import LearnedAxis, LearnedCharacteristics
 from pcs_racing_agents.pictures.style import COLOURS, EDGE, new_figure, picture, tidy
 from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.text_table import aligned
 from research.axes.coordinates import COORDINATES
 from research.axes.learn import JUDGED, Learning
+from research.axes.learned import LearnedAxis, LearnedCharacteristics
 from research.axes.validation import Accuracy
 
 MOST_WORDS = 6

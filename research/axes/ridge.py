@@ -10,7 +10,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game.learned import BOUND, TIMES
+from research.axes.learned import BOUND, TIMES
 
 Floats = NDArray[np.float64]
 

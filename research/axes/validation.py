@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.learned import LearnedCharacteristics
 from pcs_racing_agents.payoffs.headroom import jackknife_error
-from research.axes.coordinates import PayoffCoordinates
 from research.axes.ridge import PENALTIES, fit_ridge, input_scales, standardise, term_values
 
 Floats = NDArray[np.float64]
@@ -73,36 +71,6 @@ def explained(estimates: Floats, targets: Floats) -> Accuracy:
     without = np.array([share(np.delete(everyone, i)) for i in everyone])
     errors = np.array([jackknife_error(column) for column in without.T])
     return Accuracy(share(everyone), errors)
-
-
-def judge(
-    learned: LearnedCharacteristics,
-    coordinates: PayoffCoordinates,
-    behaviour: Floats,
-    payoffs: Floats,
-    counts: Sequence[int],
-    seed: int = 0,
-) -> dict[int, Accuracy]:
-    """Return how accurate learned characteristics are on policies and circuits that they were not learned from.
-
-    Parameters
-    ----------
-    learned : LearnedCharacteristics
-        With the axes of a :class:`~research.axes.learn.Learning`.
-    coordinates : PayoffCoordinates
-        Of the pool that they were learned from.
-    behaviour : ndarray, shape (T, K, M, I)
-        Inputs of the other policies in every segment.
-    payoffs : ndarray, shape (T, K, N)
-        Of the other policies against the pool's. Their mean over circuits places a policy in the pool's frame.
-    counts : sequence of int
-        Numbers of segments from which to estimate.
-    seed : int
-        Of the segments that are drawn.
-    """
-    targets = coordinates.place(payoffs.mean(axis=0))
-    estimates = learned.estimate(behaviour)
-    return {count: explained(draw_rows(estimates, count, seed), targets) for count in counts}
 
 
 def cross_validate(

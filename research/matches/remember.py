@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.game.observation import decode_match, seen_races
+from pcs_racing.game.observation import AFTER_AXES, decode_match
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.blind import walk_to
 from pcs_racing_agents.agents.setting import Setting
@@ -39,7 +39,7 @@ class RememberedReply:
         """Return the policies for observations of B matches, shape (B,)."""
         archive = self.setting.archive
         axes = len(archive.characteristics)
-        memory = decode_match(observation, seen_races(observation.shape[1], axes), axes)
+        memory = decode_match(observation, _seen_races(observation.shape[1], axes), axes)
         own = archive.nearest(memory.own)
         distance = self.table.distances(own, features(memory), memory.driven > 0.0)
         weight = np.exp(-0.5 * (distance - distance.min(axis=1, keepdims=True)))
@@ -105,3 +105,15 @@ def remember(
 
 def _trained(table: Behaviours) -> str:
     return ", ".join(f"{key} {value}" for key, value in table.training.items()) or "not said"
+
+
+def _seen_races(size: int, axes: int) -> int:
+    """Number of races of a match whose players observe ``size`` numbers between races."""
+    # The share of races left and the place on the grid follow the races.
+    races, rest = divmod(size - 2, 2 * axes + AFTER_AXES)
+    if rest or races < 1:
+        raise InputError(
+            f"an observation has {size} numbers; with {axes} axes it has {2 * axes + AFTER_AXES} for each race "
+            "and 2 more"
+        )
+    return races

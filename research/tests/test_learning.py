@@ -9,7 +9,7 @@ from research.axes.coordinates import payoff_coordinates
 from research.axes.learn import LearnSettings, fit_characteristics
 from research.axes.pools import best_of_intervals
 from research.axes.ridge import fit_ridge, term_names, term_values
-from research.axes.validation import DRAWS, draw_rows, explained, judge
+from research.axes.validation import DRAWS, draw_rows, explained
 
 POLICIES, TRACKS, PIECES = 24, 2, 64
 SETTINGS = LearnSettings(name="world", inputs=("speed", "restraint"), degree=1, folds=6)
@@ -58,22 +58,6 @@ def test_weights_of_a_linear_world_are_recovered():
     assert [axis.name for axis in learning.characteristics.axes] == ["world_rating", "world_cycle_1", "world_cycle_2"]
 
 
-def test_other_policies_of_the_world_are_estimated_as_well():
-    world, other = World(0), World(1)
-    learning = fit_characteristics(world.payoffs, world.behaviour, SETTINGS)
-    x, y = 0.2 * world.traits.T
-    against = (
-        other.rating[:, None] - world.rating
-        + 0.2 * other.traits[:, :1] * y
-        - 0.2 * other.traits[:, 1:] * x
-    )  # fmt: skip
-    scores = judge(
-        learning.characteristics, learning.coordinates, other.behaviour, against[None].repeat(TRACKS, 0), (1, 16)
-    )
-    assert (scores[16].r2 > 0.9).all()
-    assert (scores[1].r2 < scores[16].r2).all()
-
-
 def test_behaviour_that_says_nothing_explains_nothing():
     world = World(0)
     noise = np.random.default_rng(5).normal(size=world.behaviour.shape)
@@ -97,13 +81,6 @@ def test_a_product_is_found_where_the_world_has_one():
 def test_the_learned_set_is_the_same_whenever_it_is_learned():
     first, second = (fit_characteristics(World(0).payoffs, World(0).behaviour, SETTINGS) for _ in range(2))
     assert first.characteristics.content_hash == second.characteristics.content_hash
-
-
-def test_a_policy_of_the_pool_is_placed_where_it_is():
-    world = World(0)
-    frame = payoff_coordinates(world.payoffs[0], world.behaviour[0, :, :, 0].mean(axis=1))
-    np.testing.assert_allclose(frame.place(world.payoffs[0, 0]), frame.standard, atol=1e-9)
-    np.testing.assert_allclose(frame.standard.std(axis=0), 1.0, rtol=1e-6)
 
 
 def test_the_first_coordinate_of_the_plane_grows_with_behaviour_and_the_second_does_not():

@@ -19,12 +19,11 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from pcs_racing import InputError, load_archive, load_race_config, load_state, load_track, parse_policy, read_replay
+from pcs_racing import InputError, load_archive, load_race_config, load_track, parse_policy, read_replay
 from pcs_racing.base.settings import read_settings
 from pcs_racing.envs.drive import DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT
-from pcs_racing.game.state import load_game
 from pcs_racing.track.map_files import parse_csv, parse_grid, parse_ros_yaml
 from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents.fits import load_fit
@@ -135,8 +134,6 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     }
     for what, content in contents.items():
         path = file("hostile.npz", content)
-        yield f"race state: {what}", lambda path=path: load_state(path)
-        yield f"game state: {what}", lambda path=path: load_game(path)
         yield f"chunk: {what}", lambda path=path: read_chunk(path)
         place = here / "arrays-folder"
         place.mkdir(exist_ok=True)

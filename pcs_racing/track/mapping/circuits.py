@@ -26,10 +26,6 @@ EASING = 2.5  # waves of this length are halved in the rounded outline, so that 
 class Circuit:
     """A generated circuit: the content of a map folder."""
 
-    seed: int
-    style: str
-    attempt: int  #: Number of rejected drafts of this seed before this circuit.
-    width: float  #: Width of the track in m.
     #: shape (M, 4): x, y, width to the right and to the left (m), evenly spaced about 0.3 m apart.
     centerline: np.ndarray
     raceline: np.ndarray  #: shape (N, 2): Points of the race line, m, evenly spaced about 0.2 m apart.
@@ -106,7 +102,7 @@ def generate_circuit(
             else:
                 if braking_zones(raceline_rows(raceline)[:-1, 5]) >= ZONES:
                     center = np.hstack([line, np.full((len(line), 2), 0.5 * width)])
-                    return Circuit(int(seed), style, attempt, width, center, raceline, grid, resolution, origin)
+                    return Circuit(center, raceline, grid, resolution, origin)
                 refusal = "with too few braking zones"
         refusals[refusal] = refusals.get(refusal, 0) + 1
     why = ", ".join(f"{count} {reason}" for reason, count in sorted(refusals.items(), key=lambda item: -item[1]))

@@ -7,9 +7,8 @@ from typing import Any
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.centerline import centerline_from_grid
 from pcs_racing.track.building.curves import signed_area
-from pcs_racing.track.building.raceline import CLEARANCE, minimum_curvature_raceline, raceline_rows
+from pcs_racing.track.building.raceline import minimum_curvature_raceline, raceline_rows
 from pcs_racing.track.mapping.circuits import generate_circuit
-from pcs_racing.track.mapping.pictures import show_track
 from pcs_racing.track.maps import MapFolder, read_map, write_map
 from pcs_racing.track.track import Track, build_track
 
@@ -25,9 +24,8 @@ def generate_map(
     width: float = 2.2,
     length_range: tuple[float, float] = (60.0, 180.0),
     resolution: float = 0.05,
-    picture: bool = True,
 ) -> Track:
-    """Generate a circuit and write its map folder: grid, lines, how it was made, and (with matplotlib) ``NAME.png``.
+    """Generate a circuit and write its map folder: grid, lines, and how it was made.
 
     The name is that of the folder unless another one is given; see ``generate_circuit`` for the rest.
     """
@@ -44,7 +42,7 @@ def generate_map(
     x, y = circuit.origin.tolist()
     rows = raceline_rows(circuit.raceline)
     values = (circuit.occupied, circuit.resolution, (x, y), circuit.centerline, rows, info | settings)
-    return _save(Path(folder), name, values, picture)
+    return _save(Path(folder), name, values)
 
 
 def import_map(
@@ -54,22 +52,12 @@ def import_map(
     seed_point: Sequence[float] | None = None,
     direction: str | float | None = None,
     name: str | None = None,
-    clearance: float = CLEARANCE,
-    picture: bool = True,
 ) -> Track:
     """Complete a map folder: centre line from the grid, race line from the centre line.
 
-    Parameters
-    ----------
-    source, destination : path-like
-        The map folder to read, of which ``NAME_map.yaml`` and the picture named there are enough, and another one to
-        write, whose own name is the default of ``name``.
-    seed_point, direction
-        As for ``centerline_from_grid``. Default: those of the source's own centre line, if it has one.
-    clearance : float
-        Distance in m that the race line keeps from the walls.
-    picture : bool
-        Also draw ``NAME.png`` (needs matplotlib).
+    Of the source, ``NAME_map.yaml`` and the picture named there are enough; the destination, another folder, gives the
+    default of ``name``. ``seed_point`` and ``direction`` are as for ``centerline_from_grid``; by default those of the
+    source's own centre line, if it has one.
     """
     target = Path(destination)
     if target.resolve() == Path(source).resolve():
@@ -83,17 +71,15 @@ def import_map(
     center = centerline_from_grid(
         content.occupied, content.resolution, content.origin, seed_point=seed_point, direction=direction
     )
-    race = minimum_curvature_raceline(center, content.occupied, content.resolution, content.origin, clearance=clearance)
+    race = minimum_curvature_raceline(center, content.occupied, content.resolution, content.origin)
     values = (content.occupied, content.resolution, content.origin, center, raceline_rows(race), dict(content.info))
-    return _save(target, name, values, picture)
+    return _save(target, name, values)
 
 
-def _save(folder: Path, name: str | None, values: tuple[Any, ...], picture: bool) -> Track:
+def _save(folder: Path, name: str | None, values: tuple[Any, ...]) -> Track:
     name = folder.name if name is None else name
     occupied, resolution, origin, center, rows, info = values
     # Nothing is written unless the result can be raced on.
     track = build_track(name, occupied, resolution, origin, center, rows[:-1, 1:3], folder=folder)
     write_map(MapFolder(name, folder, occupied, resolution, origin, center, rows, info))
-    if picture:
-        show_track(track, folder / f"{name}.png")
     return track

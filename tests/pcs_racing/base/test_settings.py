@@ -1,4 +1,3 @@
-import argparse
 import dataclasses
 import inspect
 from dataclasses import dataclass
@@ -52,7 +51,7 @@ def test_values_are_kept_in_one_form_and_are_the_documentation():
     written = inspect.getdoc(Soup)
     assert "bowls : int\n    How many bowls; from 1 to 9 (default: 2)." in written
     assert "herbs : tuple[str, ...]\n" in written
-    assert "bread : str | None\n    What is eaten with it; None for nothing.\n" in written
+    assert "bread : str | None\n    What is eaten with it; None for nothing." in written
     inherited = inspect.getdoc(FishSoup)
     assert "(default: 'Ben')" in inherited
     assert "(default: 'Ann')" not in inherited
@@ -82,13 +81,6 @@ def test_wrong_values_are_refused_and_options_come_from_the_declaration():
         loading.load_settings("soup", Soup(), "slaty", {"salty": Soup(1.0)})
     refused(r"the arguments: .*'pepper'", loading.load_settings, "soup", Soup(), pepper=1, error=ConfigError)
     refused("soup settings are 3;", loading.load_settings, "soup", Soup(), 3, error=ConfigError)
-    parser = argparse.ArgumentParser()
-    loading.add_setting_options(parser, Soup, "salt", "bowls", "herbs", "spoons")
-    arguments = parser.parse_args(["--bowls", "3", "--herbs", "mint", "dill", "--spoons", "5"])
-    stated = loading.stated_options(arguments, Soup)
-    assert stated == {"bowls": 3, "herbs": ["mint", "dill"], "spoons": [5]}
-    assert loading.load_settings("soup", Soup(), **stated) == Soup(bowls=3, herbs=("mint", "dill"), spoons=(5,))
-    assert "from 1 to 9 (default: 2)" in " ".join(parser.format_help().split())
 
 
 def test_a_file_sets_some_fields_and_the_arguments_others_before_they_are_checked(tmp_path):

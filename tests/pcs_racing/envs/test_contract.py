@@ -398,19 +398,6 @@ def test_track_and_opponent_can_change_with_a_reset(kind):
         refused("made with an opponent", make(kind).reset, options={"opponent": opponent})
 
 
-@pytest.mark.parametrize("kind", [DriveEnv, HeadToHeadEnv])
-def test_two_environments_on_different_maps_do_not_disturb_each_other(kind):
-    tracks = ("Tarnfjord", "Pipkin")
-    alone = [play(make(kind, track=track), 1) for track in tracks]
-    pair = [make(kind, track=track) for track in tracks]
-    together = [[flat(env.reset(seed=1))] for env in pair]
-    for k in range(1, max(map(len, alone))):
-        for env, expected, answers in zip(pair, alone, together, strict=True):
-            if k < len(expected):
-                answers.append(flat(env.step(act(env, k))))
-    assert together == alone
-
-
 @EVERY
 def test_resets_leave_nothing_behind(kind):
     envs = [make(kind), make_many(kind, 2, threads=1)]

@@ -2,16 +2,10 @@
 
 import numpy as np
 import pytest
+from faces import follow_the_line
 
-from pcs_racing import InputError, Planner, get_planner
+from pcs_racing import Planner, get_planner
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.infos import Crash
-
-
-def follow_the_line(observation):
-    """A driver that reads the observation by its documented order: back to the race line, a bit slower than it."""
-    steer = 0.6 * -observation[7] - 0.35 * observation[6] + 0.33 * observation[12]
-    return np.array([steer / 0.4189, 2.0 * 0.7 * observation[13] / 8.0 - 1.0], np.float32)
 
 
 def episode(env, seed, steps=400, policy=follow_the_line):
@@ -34,17 +28,6 @@ def test_a_driver_that_reads_the_observation_gets_around(oval):
     assert info["time"] == pytest.approx(20.0)
     assert info["progress"] > 50.0
     assert rewards.sum() == pytest.approx(info["progress"])
-
-
-def test_the_end_in_a_wall_is_the_agents_fault_and_costs(oval):
-    env = DriveEnv(oval, opponent=None, crash_penalty=25.0)
-    _, rewards, terminated, truncated, info = episode(env, 0, policy=lambda seen: np.array([1.0, 0.5]))
-    assert terminated
-    assert not truncated
-    assert (info["crash"], info["fault"], info["opponent_crash"]) == (Crash.WALL, 1, Crash.NONE)
-    assert rewards[-1] < -20.0
-    with pytest.raises(InputError, match="has ended"):
-        env.step([0.0, 0.0])
 
 
 def test_threads_share_a_step_that_is_long_enough():

@@ -5,14 +5,13 @@ import re
 
 import numpy as np
 import pytest
-from faces import flat
+from faces import flat, follow_the_line, poses
 
 from pcs_racing.envs.drive import DriveHeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
 from pcs_racing.envs.single import AGENTS
 from pcs_racing.race.config import load_race_config
 
-X, Y, _, V, PSI = range(5)
 SLOW = {agent: np.array([0.0, -0.6], np.float32) for agent in AGENTS}
 OPPOSITE = (3.0, 28.0)  # arc lengths in the middle of the two straights of the oval
 
@@ -24,17 +23,6 @@ def make(track, **options):
 def both(*actions):
     """Actions of the two agents."""
     return dict(zip(AGENTS, (np.array(action, np.float32) for action in actions), strict=True))
-
-
-def poses(track, *places):
-    """Poses (x, y, heading, speed) of the cars at arc length, offset and speed."""
-    return [(*track.to_cartesian([s, d]), speed) for s, d, speed in places]
-
-
-def follow_the_line(observation, share=0.7):
-    """A driver that reads the observation by its documented order: back to the race line, a bit slower than it."""
-    steer = 0.6 * -observation[7] - 0.35 * observation[6] + 0.33 * observation[12]
-    return np.array([steer / 0.4189, 2.0 * share * observation[13] / 8.0 - 1.0], np.float32)
 
 
 # Names and documentation
@@ -183,14 +171,3 @@ def test_a_crash_costs_the_car_to_blame_and_decides_as_the_rules_say(coarse_oval
         assert (infos[guilty]["fault"], infos[other]["fault"]) == (1, 0)
         assert terminated == dict.fromkeys(AGENTS, True)
         assert truncated == dict.fromkeys(AGENTS, False)
-
-
-def test_where_winning_pays_the_last_moment_is_an_end(coarse_oval):
-    env = make(coarse_oval, progress_reward=0.0, win_reward=2.0, duration=0.5)
-    env.reset(options={"poses": poses(coarse_oval, (3.0, 0.0, 0.0), (5.0, 0.0, 0.0))})
-    for _ in range(5):
-        _, rewards, terminated, truncated, infos = env.step(SLOW)
-    assert rewards == {"car_0": -2.0, "car_1": 2.0}
-    assert terminated == dict.fromkeys(AGENTS, True)
-    assert truncated == dict.fromkeys(AGENTS, False)
-    assert infos["car_1"]["result"] == Result.WIN

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from placed_cars import BETA, DELTA, HOLD, PSI, PSI_DOT, V, X, Y
 
-from pcs_racing import Lidar, Parameter, Planner, Starts, load_race_config
-from pcs_racing.base.compilation import compiled
+from pcs_racing import Lidar, Starts, load_race_config
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_batch import DriveBatch
@@ -15,21 +15,9 @@ from pcs_racing.race.races import RaceSetup, start_races
 from pcs_racing.race.state import WALL_CRASH, take
 from pcs_racing.race.steering import steering_noise
 
-X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
 TOP = 8.0
 AHEAD = (0.0, 1.5, 30.0, 49.0)
 RACE = load_race_config("contest", start_lines=3, steering_noise=0.0)
-
-
-@compiled
-def hold(track, theta, view, memory, scratch, path, command):
-    command[0] = theta[0]
-    command[1] = theta[1]
-
-
-HOLD = Planner(
-    "hold", (Parameter("steer", -0.4, 0.4, 0.0, "rad"), Parameter("speed", 0.0, 9.0, 2.0, "m/s")), control=hold
-)
 
 
 def make(track, opponent=None, race=RACE, **options):

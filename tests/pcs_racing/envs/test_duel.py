@@ -224,11 +224,6 @@ def test_frames_are_those_since_the_last_ones():
     assert len(env.render()) == 25  # a reset forgets what was not asked for
     env.set_state(kept)
     assert len(env.render()) == 1  # of a value nothing is known but the moment
-    still = DuelEnv(render_mode="rgb_array", render_size=(120, 80), **SHORT)
-    still.reset(seed=0)
-    still.step(1)
-    assert still.render().shape == (80, 120, 3)
-    refused("render_mode", DuelEnv, render_mode="ansi", **SHORT)
 
 
 def test_frames_of_the_last_step():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, PolicyArchive, get_planner
+from pcs_racing import PolicyArchive, get_planner
 from pcs_racing.envs.game_batch import GameBatch
 from pcs_racing.envs.infos import Crash, Result, words
 
@@ -89,16 +89,6 @@ def test_a_step_moves_both_cars_and_pays_them(coarse_oval, archive):
     assert not truncated.any()
 
 
-def test_in_self_play_both_moves_come_from_outside(coarse_oval, archive):
-    batch = make(coarse_oval, archive, opponent=None)
-    rngs = begin(batch)
-    moves = np.array([[0, 1], [2, 3], [4, 0], [1, 2], [3, 4], [0, 0]])
-    before = batch.state.copy()
-    batch.step(moves, rngs)
-    np.testing.assert_array_equal(batch.state.policy, batch.game.step(before, moves).policy)
-    np.testing.assert_array_equal(batch.moves, moves)
-
-
 def test_opponents_are_drawn_by_their_weights_for_every_game_anew(coarse_oval, archive):
     names = ["always-aggressiveness +", "always-stay", "random-moves"]
     batch = make(coarse_oval, archive, [(w, name) for w, name in zip((1, 2, 5.0), names, strict=True)], games=240)
@@ -156,23 +146,3 @@ def test_random_moves_are_only_those_that_may_be_made(coarse_oval, archive):
     batch.step(np.full((80, 1), 4), rngs)
     assert masks[np.arange(80), batch.moves[:, 1]].all()
     np.testing.assert_array_equal(batch.action_masks(), batch.game.action_mask(batch.state)[:, 0])
-
-
-@pytest.mark.parametrize(
-    ("actions", "message"),
-    [
-        ([0, 1, 2, 3, 4, 5], "environment 5: move 5"),
-        ([0, -1, 2, 3, 4, 0], "environment 1: move -1"),
-        ([0, 1, 2], r"of shape \(3,\) and type int64"),
-        ([0.0] * 6, "type float64"),
-    ],
-)
-def test_impossible_moves_are_named(coarse_oval, archive, actions, message):
-    batch = make(coarse_oval, archive)
-    with pytest.raises(InputError, match=message):
-        batch.check_actions(np.array(actions), (6,))
-    assert batch.check_actions([4, 0, 1, 2, 3, 4], (6,)).tolist() == [[4], [0], [1], [2], [3], [4]]
-    both = make(coarse_oval, archive, opponent=None)
-    assert both.check_actions(np.arange(12) % 5, (12,)).tolist()[:2] == [[0, 1], [2, 3]]
-    with pytest.raises(InputError, match="not begun"):
-        batch.started()

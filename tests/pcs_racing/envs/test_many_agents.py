@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from faces import poses
 from gymnasium.utils.env_checker import check_env
 
 from pcs_racing import InputError, Lidar, load_race_config
@@ -19,10 +20,6 @@ with warnings.catch_warnings():  # PettingZoo's own tests import its old classic
 X, Y, _, V, PSI = range(5)
 DRIVERS = ["lattice:pace=0.3", "pure-pursuit", "lattice:pace=0.2"]
 SHORT = {"race": "contest", "duration": 1.0, "time_step": 0.1}
-
-
-def poses(track, *places):
-    return [(*track.to_cartesian([s, d]), speed) for s, d, speed in places]
 
 
 def named(env, observation):
@@ -111,9 +108,10 @@ def test_a_win_is_paid_to_the_first_of_all(oval):
     four.reset(options={"poses": poses(oval, *((s, 0.0, 0.0) for s in (3.0, 9.0, 6.0, 1.0)))})
     stand = {agent: [0.0, -1.0] for agent in four.agents}
     four.step(stand)
-    _, rewards, ended, _, infos = four.step(stand)
+    _, rewards, ended, late, infos = four.step(stand)
     assert list(rewards.values()) == [-2.0, 2.0, -2.0, -2.0]
-    assert all(ended.values())
+    assert all(ended.values())  # not cut off: the last moment is worth something
+    assert not any(late.values())
     assert [infos[agent]["result"] for agent in rewards] == [Result.LOSS, Result.WIN, Result.LOSS, Result.LOSS]
 
 

@@ -134,6 +134,7 @@ def test_an_impossible_action_is_one_error_and_changes_nothing(kinds, wrong, mes
         (DriveEnv, np.zeros((2, 2)), r"\(3, 2\)"),
         (DriveEnv, np.full((3, 2), 0.1 + 0.2j), "must be numbers"),
         (DuelEnv, [0, 9, 0], "environment 1: move 9"),
+        (DuelEnv, [0, 1], r"of shape \(2,\) and type int64"),
         (MatchEnv, [0, 7, 0], "environment 1: move 7"),
     ],
 )

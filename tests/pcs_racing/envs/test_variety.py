@@ -18,7 +18,7 @@ from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing.envs.obstacles import Obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
-from pcs_racing.envs.variety import Variety
+from pcs_racing.envs.variety import EpisodeOptions, Variety
 from pcs_racing.race import random_circuits
 from pcs_racing.race.config import PRESETS
 from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits, random_circuit
@@ -176,7 +176,7 @@ def test_a_steering_delay_shifts_the_commands(oval, opponent):
 
 
 def test_what_is_drawn_is_what_is_driven():
-    variety = Variety(3, "Pipkin", VehicleParams(), RANGES, None)
+    variety = Variety(3, EpisodeOptions(track="Pipkin", randomize=RANGES))
     variety.draw(np.arange(3), [np.random.default_rng(i) for i in range(3)])
     for row in range(3):
         values = {name: variety.drawn[name][row] for name in RANGES}

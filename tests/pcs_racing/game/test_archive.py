@@ -172,10 +172,7 @@ def test_an_archive_as_a_table():
     np.testing.assert_array_equal(table[list(AXES)], COORDINATES)
     assert table.loc[3, "own_crash"] == 0.3
     assert list(archive().to_dataframe().columns) == ["a", "b", *AXES]
-    explored = archive(explored_parameters=[[0.1, 0.2]], explored_coordinates=[[1.0, 2.0]], spread=np.ones((5, 2)))
-    assert explored.to_dataframe(explored=True).to_dict("records") == [
-        {"a": 0.1, "b": 0.2, "aggressiveness": 1.0, "restraint": 2.0}
-    ]
+    explored = archive(explored_parameters=[[0.1, 0.2]], explored_coordinates=[[1.0, 2.0]])
     np.testing.assert_array_equal(explored.explored.coordinates, [[1.0, 2.0]])
     assert explored.explored.own_crash is None
 
@@ -213,11 +210,6 @@ def test_impossible_archives_questions_and_epsilons_are_one_clear_error():
     ]:
         refused(message, archive, **changes)
     for call, message in [
-        (lambda toy: move(toy, 5, 0, 1, 0.1), "index is 5"),
-        (lambda toy: move(toy, 0.5, 0, 1, 0.1), "whole number"),
-        (lambda toy: move(toy, 0, 2, 1, 0.1), "axis is 2"),
-        (lambda toy: move(toy, 0, 0, 2, 0.1), "sign is 2"),
-        (lambda toy: move(toy, 0, 0, 1, np.nan), "epsilon is nan"),
         (lambda toy: toy.nearest([[1.0, 2.0, 3.0]]), r"needs \(..., 2\)"),
         (lambda toy: toy.nearest([np.inf, 0.0]), "NaN or infinity"),
         (lambda toy: toy.policy(-1), "policy index is -1"),

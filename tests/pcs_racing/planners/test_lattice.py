@@ -37,14 +37,6 @@ def plan(track, view, memory=MEMORY, parameters=None):
     return written, memory
 
 
-def test_parameters():
-    assert LATTICE.parameter_names[-4:] == ("pace", "attack", "side_margin", "pace_behind")
-    np.testing.assert_array_equal(LATTICE.bounds[-4:], [(0.0, 1.0), (0.0, 0.3), (0.2, 0.45), (-0.5, 0.5)])
-    assert (LATTICE.bounds[:, 0] < LATTICE.default).all()
-    assert (LATTICE.default < LATTICE.bounds[:, 1]).all()
-    assert all("log10 weight" in parameter.meaning for parameter in LATTICE.parameters[:-4])
-
-
 def test_candidates_are_cubics_from_the_car_across_the_track(oval, view_at):
     view = view_at(oval, 3.0, 0.2)
     points, costs = candidates(oval, view)

@@ -7,7 +7,7 @@ from refusal import refused
 from pcs_racing import InputError, Parameter, Planner, Policy, UnknownNameError
 from pcs_racing.car.vehicle import BETA, DELTA, F1TENTH, PSI, Y, step
 from pcs_racing.planners import view as views
-from pcs_racing.planners.pursuit import COMMAND_SLOTS, calm_speed, follow_path, pursuit_steering, steady_course
+from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, pursuit_steering, steady_course
 
 PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
 AIR = Parameter("air", 0.05, 0.35, 0.15, "how far away, m")
@@ -134,36 +134,11 @@ def test_pursuit_is_stable_along_the_steady_course_and_not_along_the_slip_of_the
     assert strays(4.0, lambda slip: slip)[-1] < 0.002
 
 
-def test_understeer_is_made_up_for_and_braking_is_calm(view):
-    view[views.UNDERSTEER] = 0.003
-    more = pursuit_steering(view, 1.0, 0.1, 0.5, 0.0) - pursuit_steering(view, 1.0, 0.1, 0.0, 0.0)
-    assert more == pytest.approx(0.003 * 4.0**2 * 0.5)
-    speed, acceleration = calm_speed(8.0, 2.0)
-    assert acceleration == pytest.approx(-5.5)
-    assert speed == pytest.approx(8.0 - 0.55)
-    assert calm_speed(4.0, 4.2)[0] == 4.2
-
-
 def followed(path, view):
     """The command of the default control; it needs neither a track nor parameters, memory or scratch."""
     command, nothing = np.zeros(2), np.zeros(0)
     getattr(follow_path, "py_func", follow_path)(None, nothing, view, nothing, nothing, path, command)
     return command
-
-
-def test_a_path_is_followed_at_its_speed_through_the_point_at_the_right_distance(view):
-    path = np.zeros((views.PATH_POINTS, 4))
-    path[:, views.PATH_X] = np.linspace(-1.0, 2.0, views.PATH_POINTS)  # the car is past its beginning
-    path[:, views.PATH_SPEED] = np.linspace(3.0, 6.0, views.PATH_POINTS)
-    command = followed(path, view)
-    assert command[0] == 0.0
-    assert command[1] == pytest.approx(np.interp(0.4, path[:, views.PATH_X], path[:, views.PATH_SPEED]), abs=0.05)
-    path = np.zeros((views.PATH_POINTS, 4))
-    path[:, views.PATH_X] = 2.0 * np.arange(views.PATH_POINTS)
-    path[1:, views.PATH_Y] = 1.0
-    path[:, views.PATH_SPEED] = view[views.OWN_V]
-    share = (0.3 + 0.1 * view[views.OWN_V]) / np.hypot(2.0, 1.0)
-    assert followed(path, view)[0] == pytest.approx(pursuit_steering(view, 2.0 * share, share, 0.0, 0.0))
 
 
 def at_distance(values, away, wanted):

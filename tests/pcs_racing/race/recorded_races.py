@@ -42,7 +42,7 @@ def race_on_a_straight():
     )  # fmt: skip
 
 
-def race_on_a_circle(seconds=4.0, candidates=0, every=1, seed=0, **changes):
+def race_on_a_circle(seconds=4.0, candidates=0, seed=0, **changes):
     """Two cars on circles around the origin, counterclockwise, with plans and any number of candidates."""
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds / 0.05) + 1) * 0.05
@@ -60,14 +60,12 @@ def race_on_a_circle(seconds=4.0, candidates=0, every=1, seed=0, **changes):
     )
     extra = {}
     if candidates:
-        steps = np.arange(0, len(paths), every)
         bend = np.linspace(-0.8, 0.8, candidates)[:, None] * ahead[:10] ** 2
         wide = (radius[:, None, None] + bend)[..., None]
-        turn = turn[steps][:, :, None, :10, None]
+        turn = turn[:, :, None, :10, None]
         extra["candidates"] = wide * np.concatenate([np.cos(turn), np.sin(turn)], axis=-1)
-        costs = 1.0 + bend[:, -1] ** 2 + 0.1 * rng.random((len(steps), 2, candidates))
+        costs = 1.0 + bend[:, -1] ** 2 + 0.1 * rng.random((len(paths), 2, candidates))
         extra["costs"] = np.where(bend[:, -1] > 0.6 * bend[-1, -1], np.inf, costs)
-        extra["candidate_steps"] = steps
 
     around = np.linspace(0.0, 2.0 * np.pi, 65)
     loops = [r * np.column_stack([np.cos(around), np.sin(around)]) for r in (8.9, 11.1)]

@@ -64,7 +64,8 @@ def test_a_race_does_not_depend_on_batch_or_threads(oval, count):
     for name, array in one.state._asdict().items():
         np.testing.assert_array_equal(getattr(two.state, name), array, err_msg=name)
     first = run_field(oval, [car[:1] for car in drivers], rules, seed=3)
-    np.testing.assert_array_equal(first.state.cars[0], one.state.cars[0])
+    for name, array in first.state._asdict().items():
+        np.testing.assert_array_equal(array[0], getattr(one.state, name)[0], err_msg=name)
 
 
 @pytest.mark.parametrize(("start", "gap"), [("staggered", 1.4), ("side-by-side", 0.0)])

@@ -1,4 +1,5 @@
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from pcs_racing.race.config import DT
 from pcs_racing.race.driving import _pieces, pad_parameters
 from pcs_racing.race.positions import count_crossing
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, run_races, start_lines, start_races, starts_of
-from pcs_racing.race.state import ITTC, ITTC_SAMPLES, NO_CRASH, WALL_CRASH, empty_state, load_state, save_state
+from pcs_racing.race.state import ITTC, ITTC_SAMPLES, NO_CRASH, WALL_CRASH, empty_state
 from pcs_racing.track.track import Calibration
 
 SHORT = load_race_config("paper", duration=6.0)
@@ -57,13 +58,6 @@ def begin(track, config, egos, opponents, seed=0):
     return setup, state, theta
 
 
-@pytest.mark.parametrize("config", [SHORT, NOISY], ids=lambda config: config.name)
-def test_a_race_does_not_depend_on_the_batch_it_is_in(oval, config):
-    many = run_races(oval, [lattice(pace=0.1 * k) for k in range(8)], lattice(), config, seed=5)
-    few = run_races(oval, [lattice(pace=0.1 * k) for k in range(3)], lattice(), config, seed=5)
-    assert_same(few.state, RaceState._make(array[:3] for array in many.state))
-
-
 @pytest.mark.parametrize(("ticks", "size"), [(4000, 4), (100, 28), (2, 100)])
 def test_threads_get_pieces_of_whole_groups_or_of_equal_size(oval, ticks, size):
     """200 races on two circuits: many pieces of a few milliseconds, or few equal ones; each race is in one piece."""
@@ -95,17 +89,15 @@ def test_the_seed_decides_a_race_and_its_times_to_collision_do_not(oval):
 
 @settings(max_examples=12)
 @given(cut=st.integers(0, 300).map(lambda half: 2 * half), pieces=st.integers(1, 7))
-def test_a_race_can_be_stopped_saved_and_continued_anywhere(oval, tmp_path_factory, cut, pieces):
+def test_a_race_can_be_stopped_saved_and_continued_anywhere(oval, cut, pieces):
     """Also in the middle of a plan, and whether the rest is driven in one piece or in many."""
-    file = tmp_path_factory.mktemp("state") / "race.npz"
     egos, opponents = [lattice(pace=0.2), lattice()], [lattice(pace=0.9)] * 2
     setup, whole, theta = begin(oval, NOISY, egos, opponents, seed=4)
     stopped = whole.copy()
     advance(setup, whole, theta, NOISY.ticks)
 
     advance(setup, stopped, theta, cut)
-    save_state(stopped, file)
-    continued = load_state(file)
+    continued = pickle.loads(pickle.dumps(stopped))
     for _ in range(pieces):
         advance(setup, continued, theta, 2 * ((NOISY.ticks - cut) // (2 * pieces)))
     advance(setup, continued, theta, NOISY.ticks)  # past the end nothing moves

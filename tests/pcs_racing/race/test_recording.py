@@ -95,14 +95,14 @@ def test_plans_begin_near_the_car_and_follow_the_cheapest_candidate(oval):
     # Candidates are asked for before the plan is made: they show what was on offer, farther than the path is.
     replay = record_race(oval, *policies("lattice"), PAPER)
     compared = 0
-    for row, step in enumerate(replay.candidate_steps):
+    for row in range(len(replay.candidates)):
         for car in range(2):
             costs = replay.costs[row, car]
             if np.isinf(costs).all():  # in a pinch it takes the least evil, which the costs no longer tell
                 continue
             best = replay.candidates[row, car, int(np.argmin(costs)), 1:]
             curve = CubicSpline(np.arange(8), best)(np.linspace(0.0, 7.0, 400))
-            ahead = replay.paths[step, car, 4:, :2]  # the first of the candidate's pieces begins at the car
+            ahead = replay.paths[row, car, 4:, :2]  # the first of the candidate's pieces begins at the car
             assert np.hypot(*(ahead[:, None] - curve).T).min(axis=0).max() < 0.03
             compared += 1
     assert compared > 0.9 * replay.costs.shape[0] * replay.costs.shape[1]

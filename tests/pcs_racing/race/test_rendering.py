@@ -7,9 +7,10 @@ from PIL import Image
 from recorded_races import race_on_a_straight
 from refusal import refused
 
-from pcs_racing.race.frames import replay_frames, write_gif
-from pcs_racing.race.painting import THEMES
+from pcs_racing.race.frames import replay_frames, write_gif, write_track_picture
+from pcs_racing.race.painting import COLOURS
 from pcs_racing.race.rendering import Renderer, views
+from pcs_racing.race.state import MOST_CARS
 
 BLUE, AMBER, RED = (27, 111, 216), (224, 135, 0), (209, 44, 76)
 
@@ -102,9 +103,8 @@ def test_plans_trails_and_candidates_are_drawn(race):
     assert reddish[1] > reddish[0] + 40
 
 
-@pytest.mark.parametrize("theme", THEMES)
-def test_a_track_is_a_scene_in_every_theme_whose_names_can_be_read(oval, theme, race):
-    renderer = Renderer(oval, 320, 200, theme=theme)
+def test_a_track_is_a_scene_whose_names_can_be_read(oval):
+    renderer = Renderer(oval, 320, 200)
     x, y = oval.line[0, :2]
     frame = renderer.render(np.array([state(x, y, 0.0)]))
     assert frame.shape == (200, 320, 3)
@@ -115,14 +115,13 @@ def test_a_track_is_a_scene_in_every_theme_whose_names_can_be_read(oval, theme, 
         share = np.array(colour) / 255
         return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
 
-    colours = Renderer(race, 64, 64, theme=theme)._colours
-    for car in range(2):
-        dark, light = sorted(luminance(colours[name]) + 0.05 for name in (f"name{car}", "asphalt"))
+    for car in range(MOST_CARS):
+        dark, light = sorted(luminance(COLOURS[name]) + 0.05 for name in (f"name{car}", "asphalt"))
         assert light / dark >= 4.5
 
 
 def test_impossible_wishes_are_named(race, tmp_path):
-    for name, value in [("mode", "ansi"), ("view", "car_2"), ("theme", "pink"), ("width", 10), ("height", 2.5)]:
+    for name, value in [("mode", "ansi"), ("view", "car_2"), ("width", 10), ("height", 2.5)]:
         refused(name, Renderer, race, **{name: value})
     refused("scene", Renderer, "Spielberg")
     renderer = Renderer(race, 100, 100)
@@ -130,6 +129,7 @@ def test_impossible_wishes_are_named(race, tmp_path):
         refused("cars", renderer.render, cars)
     refused("fps", replay_frames, race, fps=0.0)
     refused("gif", write_gif, race, tmp_path / "race.mp4")
+    refused("png", write_track_picture, None, tmp_path / "track.svg")
     refused(r"fps .* 60", write_gif, race, tmp_path / "race.gif", fps=60)
     refused("folder", write_gif, race, tmp_path / "none" / "race.gif")
     renderer.mode = "human"
@@ -199,13 +199,13 @@ def test_frames_of_a_replay_show_the_candidates_that_were_kept(race):
     assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=10.0, speed=0.5))) == 21
     # Candidates that were not kept are not missed.
     assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=5.0, candidates=True))) == 6
-    # From the plan on for which they were kept; before, there are none.
     fan = np.stack([race.cars[10, :, None, :2] + [[0.0, 0.0], [4.0, slope]] for slope in (-1.0, 0.0, 1.0)], axis=1)
-    kept = dataclasses.replace(race, candidate_steps=[5], candidates=fan[None], costs=np.array([[[1.0, 2.0, 3.0]] * 2]))
+    costs = np.tile([1.0, 2.0, 3.0], (len(race.paths), 2, 1))
+    kept = dataclasses.replace(race, candidates=np.tile(fan, (len(race.paths), 1, 1, 1, 1)), costs=costs)
     with_them, without = (
         list(replay_frames(kept, Renderer(kept, 160, 100), fps=10.0, candidates=shown)) for shown in (True, False)
     )
-    assert [bool((a != b).any()) for a, b in zip(with_them, without, strict=True)] == [False] * 5 + [True] * 6
+    assert all((a != b).any() for a, b in zip(with_them, without, strict=True))
 
 
 def test_a_gif_plays_the_race(race, tmp_path):
@@ -217,3 +217,11 @@ def test_a_gif_plays_the_race(race, tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["race.gif"]
     again = write_gif(race, tmp_path / "b.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0)
     assert again.read_bytes() == path.read_bytes()
+
+
+def test_a_picture_of_a_circuit_shows_its_start(oval, tmp_path):
+    with Image.open(write_track_picture(oval, tmp_path / "oval.png")) as picture:
+        pixels = np.asarray(picture.convert("RGB")).astype(int)
+    blue = np.abs(pixels - COLOURS["car0"]).sum(axis=-1) < 40
+    assert pixels.shape[1] == 960
+    assert 20 < np.count_nonzero(blue) < 2000

@@ -18,9 +18,8 @@ def test_a_replay_is_an_immutable_copy_with_sorted_events():
     assert replay.duration == pytest.approx(4.0)
     assert replay.lead[-1] == pytest.approx(10.0 * (5.0 / 9.7 - 4.6 / 10.3) * 4.0)
     events = (ReplayEvent(3.0, 0, "move"), ReplayEvent(1.0, 1, "move"))
-    replay = race_on_a_circle(events=events, candidates=3, candidate_steps=None)
+    replay = race_on_a_circle(events=events, candidates=3)
     assert [event.time for event in replay.events] == [1.0, 3.0]
-    assert replay.candidate_steps.tolist() == list(range(len(replay.paths)))
 
 
 def _changed(array, index, value):
@@ -31,8 +30,6 @@ def _changed(array, index, value):
 
 GOOD = race_on_a_circle(candidates=3)
 
-
-STEPS = np.arange(len(GOOD.candidates))
 WRONG = {
     "title": (3, "x" * 501, "\ud800"),
     "car_names": ((), "ab"),
@@ -46,8 +43,8 @@ WRONG = {
     "line_speed": (np.ones(3),),
     "ittc": (_changed(GOOD.ittc, (0, 0), np.nan),),
     "paths": tuple(_changed(GOOD.paths, (0, 0, 0, 1), value) for value in (np.nan, np.inf)),
+    "candidates": (GOOD.candidates[:-1],),
     "costs": (None, *(_changed(GOOD.costs, (0, 0, 0), value) for value in (-np.inf, np.nan))),
-    "candidate_steps": ([0], STEPS[::-1], STEPS + 1, STEPS + 0.5),
     "half_sizes": (np.zeros((2, 2)), [0.29, 0.155]),
     "events": ("crash", *(ReplayEvent(*event) for event in ((-1.0, 0, "crash"), (1.0, 2, "crash"), (1.0, 0, 5)))),
 }

@@ -17,9 +17,9 @@ import yaml
 from PIL import Image
 
 from pcs_racing import list_tracks, load_track, read_replay
+from pcs_racing.base.settings import Settings, names, setting, whole
 from pcs_racing.planners.registry import SHIPPED
 from pcs_racing.race.calibration import calibrate
-from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.maps import shipped_folder
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.cli.commands import Option, SettingOptions, add_commands, command
@@ -283,6 +283,11 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
         rain: Annotated[bool, Option("whether it rains")] = False
         wind: Annotated[tuple[float, float] | None, Option("from where")] = None
 
+    @dataclass(frozen=True)
+    class Tea(Settings):
+        herbs: tuple[str, ...] = setting(("mint",), names(), "What is in it.")
+        sugar: int = setting(0, whole(0, 9), "Pieces of sugar.")
+
     @command("wave", "pcs-racing wave Ada")
     def wave(
         name: Annotated[str, Option("who is greeted")],
@@ -291,7 +296,7 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
         loud: Annotated[bool | None, Option("how")] = None,
         others: Annotated[Sequence[str], Option("who else", choices=("Bo", "Cy"))] = ("Bo",),
         weather: Weather,
-        changes: Annotated[dict, SettingOptions(RaceConfig, "duration")],
+        changes: Annotated[dict, SettingOptions(Tea, "herbs", "sugar")],
     ) -> None:
         """Wave at somebody."""
         told.append((name, often, loud, tuple(others), weather, changes))
@@ -299,12 +304,12 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
     parser = argparse.ArgumentParser()
     add_commands(parser.add_subparsers(), SimpleNamespace(wave=wave, another=3))
     for words in (["Ada"], ["Ada", "2", "--no-loud", "--others", "Cy", "Bo", "--rain", "--wind", "1", "2.5",
-                            "--duration", "8"]):  # fmt: skip
+                            "--herbs", "dill", "sage", "--sugar", "3"]):  # fmt: skip
         parsed = parser.parse_args(["wave", *words])
         parsed.run(parsed)
     assert told == [
         ("Ada", 1, None, ("Bo",), Weather(), {}),
-        ("Ada", 2, False, ("Cy", "Bo"), Weather(rain=True, wind=[1.0, 2.5]), {"duration": 8.0}),
+        ("Ada", 2, False, ("Cy", "Bo"), Weather(rain=True, wind=[1.0, 2.5]), {"herbs": ("dill", "sage"), "sugar": 3}),
     ]
     with pytest.raises(SystemExit):
         parser.parse_args(["wave", "--help"])
@@ -313,6 +318,7 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
     assert "100 % of the waves (default: 1)" in out
     assert "who else (default: Bo)" in out
     assert "whether it rains --wind X X from where " in out
+    assert "Pieces of sugar; from 0 to 9 (default: 0)." in out
 
 
 def commands(parser: argparse.ArgumentParser, name: str = "pcs-racing"):

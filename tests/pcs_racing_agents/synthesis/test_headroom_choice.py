@@ -1,9 +1,8 @@
 """An archive chosen for headroom: an ordinary archive, made by a job like any other."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from long_jobs import files
 from refusal import refused
 
 from pcs_racing import load_archive
@@ -24,10 +23,6 @@ TINY = ArchiveConfig(
     candidates=8, groups=2, payoff_races=16, judging_races=32, judging_tracks=("Tarnfjord",), final_opponents=1,
     final_starts=1, fewest=3, most=4, seed=5,
 )  # fmt: skip
-
-
-def results(folder: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in sorted(folder.iterdir()) if file.is_file()}
 
 
 @pytest.fixture(scope="module")
@@ -70,11 +65,11 @@ def test_its_headroom_is_judged_on_races_that_chose_nobody(made):
 def test_the_executor_has_no_influence_and_a_finished_run_races_nothing(made, tmp_path, monkeypatch):
     with make_executor("threads", 2) as executor:
         make_archive(TINY, tmp_path / "again", executor=executor)
-    assert results(tmp_path / "again") == results(made[1])
+    assert files(tmp_path / "again") == files(made[1])
     monkeypatch.setattr("pcs_racing_agents.synthesis.evaluate.advance", None)
     monkeypatch.setattr("pcs_racing_agents.payoffs.policy_pool.advance", None)
     make_archive(TINY, tmp_path / "again")
-    assert results(tmp_path / "again") == results(made[1])
+    assert files(tmp_path / "again") == files(made[1])
 
 
 def test_candidates_are_the_best_of_each_interval_and_too_few_are_told(tmp_path):

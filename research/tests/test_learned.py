@@ -1,6 +1,5 @@
-"""Learned characteristics: their values by hand, their files, and games on their axes."""
+"""Learned characteristics: their values by hand, their files, and archives on their axes."""
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +8,11 @@ import yaml
 from refusal import refused
 
 from pcs_racing import PolicyArchive, get_planner, load_archive, save_archive
-from pcs_racing.game import characteristics, learned
-from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
+from pcs_racing.game import characteristics
+from pcs_racing.game.characteristics import Segment, get_characteristics, measure
 from pcs_racing.race.state import SUMS
 from pcs_racing.testing import check_archive, check_characteristic
+from research.axes import learned
 
 INPUTS = (learned.LearnedInput("aggressiveness", 0.0, 2.0), learned.LearnedInput("restraint", 1.0, 0.5))
 RATING = learned.LearnedAxis(
@@ -35,7 +35,6 @@ def archive(**changes) -> PolicyArchive:
         "parameters": np.array(policies),
         "characteristics": ("toy_rating", "toy_cycle"),
         "coordinates": np.array([[0.0, 1.0], [1.0, 0.0], [2.0, -1.0]]),
-        "learned": TOY,
     }
     return PolicyArchive(**{**values, **changes})
 
@@ -62,19 +61,15 @@ def test_the_axes_are_ordinary_characteristics_that_sum_weighted_and_limited_ter
     refused("toy_rating", learned.register_learned, replace(TOY, axes=(replace(RATING, intercept=0.0), CYCLE)))
 
 
-def test_a_file_brings_them_back_and_other_weights_make_another_archive(tmp_path):
+def test_a_file_brings_them_back(tmp_path):
     file = learned.save_learned(TOY, tmp_path / "toy.yaml")
     read = learned.load_learned(file)
     assert read == TOY
     assert read.training == {"seed": 3}
     assert get_characteristics(["toy_rating"])
-    other = replace(TOY, axes=(RATING, replace(CYCLE, intercept=1.0)))
-    first = archive().content_hash
-    characteristics._registered.pop("toy_rating"), characteristics._registered.pop("toy_cycle")
-    assert archive(learned=other).content_hash != first
 
 
-def test_damaged_files_and_archives_with_damaged_axes_are_refused(tmp_path):
+def test_damaged_files_are_refused(tmp_path):
     for change, value in [
         (lambda plain: plain["axes"][0]["weights"].update(aggressiveness=2.5), "sha256"),
         (lambda plain: plain["axes"][0]["weights"].update(charm=1.0), "charm"),
@@ -94,30 +89,15 @@ def test_damaged_files_and_archives_with_damaged_axes_are_refused(tmp_path):
         file.write_text(yaml.safe_dump(plain))
         refused(value.replace(".", r"\."), learned.load_learned, file)
         assert "toy_rating" not in characteristics._registered
-    for damage in [{"name": "toy"}, [], 3, "toy"]:
-        folder = save_archive(archive(), tmp_path / "toy")
-        manifest = yaml.safe_load((folder / "manifest.yaml").read_text())
-        (folder / "manifest.yaml").write_text(yaml.safe_dump({**manifest, "learned": damage}))
-        refused("learned", load_archive, folder)
 
 
-def test_an_archive_brings_its_axes_with_it(tmp_path, monkeypatch):
+def test_an_archive_on_them_is_read_once_they_are_known(tmp_path, monkeypatch):
+    file, without = learned.save_learned(TOY, tmp_path / "toy.yaml"), dict(characteristics._registered)
+    learned.register_learned(TOY)
     made = archive()
     check_archive(made)
     folder = save_archive(made, tmp_path / "toy")
-    without = {name: kind for name, kind in characteristics._registered.items() if not name.startswith("toy_")}
-    data = pickle.dumps(made)
-    for bring in (lambda: load_archive(folder), lambda: pickle.loads(data)):
-        monkeypatch.setattr(characteristics, "_registered", dict(without))  # as in another process
-        read = bring()
-        assert read.learned == TOY
-        assert read.content_hash == made.content_hash
-        assert get_characteristics(["toy_rating", "toy_cycle"])
-
-
-def test_an_archive_does_not_replace_a_characteristic_of_the_same_name(tmp_path):
-    folder = save_archive(archive(), tmp_path / "toy")
-    characteristics._registered["toy_cycle"] = Characteristic(
-        "toy_cycle", "1", "mine", lambda segment: segment.progress
-    )
-    refused("toy_cycle", load_archive, folder)
+    monkeypatch.setattr(characteristics, "_registered", without)  # as in another process
+    refused("toy_rating", load_archive, folder)
+    learned.load_learned(file)
+    assert load_archive(folder).content_hash == made.content_hash

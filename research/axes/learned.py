@@ -1,7 +1,7 @@
 """Learned characteristics: axes that are weighted sums of other characteristics and of their products.
 
-Where the weights come from is not stated here (``research/axes`` learns them from
-races); an axis only has to be computable from a :class:`~pcs_racing.game.characteristics.Segment`, as all others are.
+Where the weights come from is not stated here; an axis only has to be computable from a
+:class:`~pcs_racing.game.characteristics.Segment`, as all others are.
 """
 
 import hashlib
