@@ -88,12 +88,7 @@ class Card(Settings):
 def write_card(card: Card, folder: Path, races: Sequence[tuple[str, Replay]] = ()) -> list[Path]:
     """Write ``card.json``, ``card.md`` and ``card.html`` into a folder; return their paths.
 
-    Parameters
-    ----------
-    folder : Path
-        An existing folder.
-    races : sequence of (str, Replay)
-        Races to watch on the page, with titles.
+    ``folder``: an existing folder. ``races``: races to watch on the page, with titles.
     """
     values = {"format": FORMAT, **asdict(card)}
     texts = {
@@ -181,10 +176,7 @@ def render(name: str, **values: Any) -> str:
 def read_cards(paths: Iterable[Path]) -> list[Card]:
     """Read cards, ranked by their score over all races.
 
-    Parameters
-    ----------
-    paths : iterable of Path
-        Folders of cards, or folders that hold such folders.
+    ``paths``: folders of cards, or folders that hold such folders.
     """
     files = [card for path in paths for card in _cards_in(path)]
     cards = [read_card(path) for path in files]

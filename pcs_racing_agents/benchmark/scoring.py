@@ -194,12 +194,8 @@ def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> 
 def telling_races(own: Sequence[CellRaces], others: Sequence[CellRaces], count: int) -> list[tuple[str, Replay]]:
     """Return recordings, with titles, of the races in which an agent and another one came off most differently.
 
-    Parameters
-    ----------
-    own, others : sequence of CellRaces
-        The same cells in the same order, raced by the agent and by the other one.
-    count : int
-        Number of races; one of each cell is considered.
+    ``own``, ``others``: the same cells in the same order, raced by the agent and by the other one. ``count``: number of
+    races; one of each cell is considered.
     """
     telling: list[tuple[float, CellRaces, int]] = []
     for cell, other in zip(own, others, strict=True):

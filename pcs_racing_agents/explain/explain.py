@@ -99,12 +99,8 @@ def explain_game(
 ) -> Explanation:
     """Simulate a game again and explain the moves of one car.
 
-    Parameters
-    ----------
-    policies, start, seed, candidates
-        As for :func:`pcs_racing_agents.tournament.runner.record_game`.
-    car : int
-        The car whose moves are explained, 0 or 1.
+    ``policies``, ``start``, ``seed``, ``candidates``: as for :func:`pcs_racing_agents.tournament.runner.record_game`.
+    ``car``: the car whose moves are explained, 0 or 1.
     """
     if car not in (0, 1):
         raise InputError(f"car is {car!r}; it must be 0 or 1")
@@ -182,12 +178,8 @@ def is_blind(competitor: Competitor) -> bool:
 def value_unit(network: RegretNetwork, utility: str) -> Unit:
     """Return the unit of a network's values.
 
-    Parameters
-    ----------
-    network : RegretNetwork
-        The fact ``worth`` of its training decides ("win": shares of races won), else its target and the utility.
-    utility : str
-        One of :data:`pcs_racing.game.config.UTILITIES`.
+    ``network``: the fact ``worth`` of its training decides ("win": shares of races won), else its target and the
+    utility. ``utility``: one of :data:`pcs_racing.game.config.UTILITIES`.
     """
     if network.training.get("worth") == "win":
         return Unit(1.0, "of a win")

@@ -27,12 +27,8 @@ def in_units(archive: PolicyArchive, normalised: ArrayLike) -> Floats:
 def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, faint: bool = False) -> None:
     """Draw an archive's policies and all explored policies, in the characteristics' units.
 
-    Parameters
-    ----------
-    colour_bar : bool
-        Whether to add a colour bar for the policies' crash rate, if it is known.
-    faint : bool
-        Draw all policies grey, as a background.
+    ``colour_bar``: whether to add a colour bar for the policies' crash rate, if it is known. ``faint``: draw all
+    policies grey, as a background.
     """
     right, up = plane(archive)
     everything, policies = archive.explored_coordinates, archive.coordinates
@@ -83,12 +79,7 @@ def archive_picture(
 ) -> Any:
     """Draw an archive, and the moves of one of its policies.
 
-    Parameters
-    ----------
-    epsilon : float or tuple of float
-        Length of a move in normalised units.
-    policy : int, optional
-        The policy; by default the one in the middle.
+    ``epsilon``: length of a move in normalised units. ``policy``: the policy; by default the one in the middle.
     """
     start = archive.select("middle") if policy is None else policy
     if not 0 <= start < len(archive):

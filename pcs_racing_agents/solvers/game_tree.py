@@ -77,11 +77,8 @@ class GameTree:
     def with_infosets(self, labels: Sequence[tuple[ArrayLike, ArrayLike]]) -> "GameTree":
         """Return the tree with other infosets: a player can not distinguish nodes of equal label.
 
-        Parameters
-        ----------
-        labels : sequence of (array, array)
-            For each level, the label of every node for car 0 and for car 1, whole numbers of shape (roots * N_k,) or
-            (roots, N_k).
+        ``labels``: for each level, the label of every node for car 0 and for car 1, whole numbers of shape (roots *
+        N_k,) or (roots, N_k).
         """
         self._check_levels(labels, "labels")
         infosets: list[tuple[Integers, Integers]] = []
@@ -103,11 +100,9 @@ class GameTree:
     def with_observations(self, observations: Sequence[tuple[ArrayLike, ArrayLike]]) -> "GameTree":
         """Return the tree whose players see these observations and their own moves, and remember all of them.
 
-        Parameters
-        ----------
-        observations : sequence of (array, array)
-            For each level, what car 0 and car 1 see at every node: shape (roots * N_k,) or (roots * N_k, d). Nodes
-            whose numbers are all equal look the same: round measured numbers to the precision of the player's sensors.
+        ``observations``: for each level, what car 0 and car 1 see at every node: shape (roots * N_k,) or (roots * N_k,
+        d). Nodes whose numbers are all equal look the same: round measured numbers to the precision of the player's
+        sensors.
         """
         self._check_levels(observations, "observations")
         infosets: list[tuple[Integers, Integers]] = []

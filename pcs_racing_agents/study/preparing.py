@@ -115,12 +115,8 @@ def _train(
 ) -> "TrainedOnTrees":
     """Train a network on the trees of all circuits, here or in another process.
 
-    Parameters
-    ----------
-    pairs : ndarray of int, shape (trees, 2)
-        Starting policies of the trees.
-    progress : callable, optional
-        Makes a progress function for epochs.
+    ``pairs`` (ndarray of int, shape (trees, 2)): starting policies of the trees. ``progress``: makes a progress
+    function for epochs.
     """
     from pcs_racing_agents.networks.from_trees import train_on_trees
 

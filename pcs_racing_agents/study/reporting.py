@@ -53,10 +53,7 @@ SEED = 7_000_000
 def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: int = 1000) -> list[Situations]:
     """Count the moves of every agent of the main table that uses its observations; write each as CSV.
 
-    Parameters
-    ----------
-    races : int
-        Maximum number of each pairing; drawn by the study's seed, the same ones for all agents.
+    ``races``: maximum number of each pairing; drawn by the study's seed, the same ones for all agents.
     """
     pairings = []
     for table, pairing, _ in study_races:

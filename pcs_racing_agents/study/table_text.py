@@ -167,10 +167,7 @@ def _columns(difference: Difference) -> tuple[str, ...]:
 def verdict_text(arm: str, base: str, results: Sequence[Comparison]) -> str:
     """Return one sentence on how an arm compares with another one over the rows of a table.
 
-    Parameters
-    ----------
-    results : sequence of Comparison
-        One difference for each row, at least one.
+    ``results``: one difference for each row, at least one.
     """
     more, less = sum(result.low > 0.0 for result in results), sum(result.high < 0.0 for result in results)
     smallest, largest = (pick(result.difference for result in results) for pick in (min, max))

@@ -137,10 +137,7 @@ def _search(
 def fit_best_fixed(training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]) -> Fit:
     """Find the target policy with the highest mean score, for an agent that goes there and keeps it.
 
-    Parameters
-    ----------
-    targets : sequence of int, optional
-        Candidates; all policies of the archive by default.
+    ``targets``: candidates; all policies of the archive by default.
     """
     setting = training.setting
     candidates = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]

@@ -49,12 +49,8 @@ class RaceSchedule(NamedTuple):
 def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> RaceSchedule:
     """Draw the races of each pair on a track.
 
-    Parameters
-    ----------
-    config : RaceConfig
-        Its ``start_lines`` is not used: every two races draw a line of their own.
-    races : int
-        Even, from 2 to 2000.
+    ``config``: its ``start_lines`` is not used: every two races draw a line of their own. ``races``: even, from 2 to
+    2000.
     """
     if not is_whole(races) or races % 2 or not 2 <= races <= MOST_RACES:
         raise InputError(

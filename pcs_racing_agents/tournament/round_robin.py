@@ -21,10 +21,7 @@ Floats = NDArray[np.float64]
 def excess(scores: ArrayLike) -> Floats:
     """Return the zero-sum payoffs of a score matrix: half of ``scores - scores.T``.
 
-    Parameters
-    ----------
-    scores : array_like, shape (N, N)
-        Score of the row's agent against the column's. The diagonal is not used.
+    ``scores`` (array_like, shape (N, N)): score of the row's agent against the column's. The diagonal is not used.
     """
     try:
         matrix = np.array(scores, dtype=np.float64)
@@ -100,10 +97,7 @@ class RoundRobin:
 def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> RoundRobin:
     """Summarise the races of a round robin.
 
-    Parameters
-    ----------
-    races : RaceTable
-        All pairs shared the start lines. A crash without a winner is no tie.
+    ``races``: all pairs shared the start lines. A crash without a winner is no tie.
     """
     first, second = drivers(names, races).T
     # The winner -1, of a tie or of nobody, takes the last place.

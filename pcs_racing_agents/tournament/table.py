@@ -172,10 +172,7 @@ def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path
 def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
     """Draw the score matrix as a heat map; purple above one half, orange below.
 
-    Parameters
-    ----------
-    payoffs : array_like, shape (N, N)
-        Score of the row's agent against the column's; NaN where they did not meet.
+    ``payoffs`` (array_like, shape (N, N)): score of the row's agent against the column's; NaN where they did not meet.
     """
     matrix = np.asarray(payoffs, np.float64)
     if matrix.shape != (len(names), len(names)) or len(names) == 0:

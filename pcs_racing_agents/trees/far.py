@@ -30,12 +30,8 @@ def finish(
 ) -> tuple[RaceEnds, int]:
     """Compute how the last step of the game ends, and how many races were driven for that.
 
-    Parameters
-    ----------
-    parents, rows, policies
-        As for :func:`pcs_racing_agents.trees.driving.drive_children`.
-    share : bool
-        Whether to put races together where that is possible; it does not change the result.
+    ``parents``, ``rows``, ``policies``: as for :func:`pcs_racing_agents.trees.driving.drive_children`. ``share``:
+    whether to put races together where that is possible; it does not change the result.
     """
     sight = max(planner.sight for planner in game.setup.planners) + MARGIN
     ends = RaceEnds.empty(len(rows))

@@ -227,10 +227,7 @@ def check_arrays(
 ) -> None:
     """Check arrays by name, which stand in a file that anybody may have written.
 
-    Parameters
-    ----------
-    wanted : mapping
-        For each name the kinds of numbers ("f", "b" or "iu", as of ``dtype.kind``) and the shape.
+    ``wanted``: for each name the kinds of numbers ("f", "b" or "iu", as of ``dtype.kind``) and the shape.
     """
     for name, (kinds, shape) in wanted.items():
         array = arrays[name]

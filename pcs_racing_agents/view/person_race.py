@@ -171,12 +171,7 @@ class PersonRaces:
 def first_frames(replay: Replay, seconds: float) -> Replay:
     """Return the beginning of a race: its frames, plans and events up to a time, without an outcome.
 
-    Parameters
-    ----------
-    replay : Replay
-        Without candidates.
-    seconds : float
-        Up to when, s.
+    ``replay``: without candidates. ``seconds``: up to when, s.
     """
     frames = round(seconds / replay.frame_dt) + 1
     plans = round(seconds / replay.plan_dt) + 1

@@ -33,10 +33,7 @@ class SelectedRace(NamedTuple):
 def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
     """Return the outcome of each race for one of its cars as an index in ``OUTCOMES``, shape (N,).
 
-    Parameters
-    ----------
-    car : int
-        0 or 1.
+    ``car``: 0 or 1.
     """
     crashed, fault = races.crashed, races.fault > 0
     own, other = fault[:, car], fault[:, 1 - car] & ~fault[:, car]

@@ -78,12 +78,8 @@ def make_model(
 ) -> "PPO":
     """Make an untrained model.
 
-    Parameters
-    ----------
-    activation : {"relu", "tanh"}
-        Activation between the layers.
-    threads : int
-        Groups that are stepped at the same time; the result does not depend on it.
+    ``activation``: activation between the layers. ``threads``: groups that are stepped at the same time; the result
+    does not depend on it.
     """
     from stable_baselines3 import PPO
     from stable_baselines3.common.logger import Logger
@@ -134,10 +130,7 @@ def make_model(
 def learn_once(model: "PPO", settings: PPOSettings, limit: float) -> dict[str, float]:
     """Collect the steps of one update, and make it; return :data:`FIGURES` and the mean reward of a step.
 
-    Parameters
-    ----------
-    limit : float
-        Largest weight that the policy may have.
+    ``limit``: largest weight that the policy may have.
     """
     import torch
 

@@ -42,10 +42,7 @@ class TunedPPO:
     def make_envs(self, num_envs: int | None = None) -> "VecEnv":
         """Return compiled environments of the task for Stable-Baselines3, as they are before they are wrapped.
 
-        Parameters
-        ----------
-        num_envs : int, optional
-            In place of the tuned number.
+        ``num_envs``: in place of the tuned number.
         """
         check_packages()
         from pcs_racing.envs.sb3 import make_sb3_vec_env
@@ -55,10 +52,7 @@ class TunedPPO:
     def make_model(self, seed: int = 0) -> "PPO":
         """Return an untrained model with its environments; ``model.learn(tuned.steps)`` trains it.
 
-        Parameters
-        ----------
-        seed : int
-            Seed of the networks, the environments and the exploration.
+        ``seed``: seed of the networks, the environments and the exploration.
         """
         check_packages()
         from stable_baselines3 import PPO

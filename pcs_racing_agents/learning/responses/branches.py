@@ -52,10 +52,7 @@ def game_blocks(seed: int, place: tuple[int, ...], count: int) -> list[GameBlock
 def block_rows(arrays: Arrays, block: GameBlock, place: int, step: int, weight: float = 1.0) -> Rows:
     """Return training rows of ``observations`` and ``advantages`` in the games ``game`` of a block.
 
-    Parameters
-    ----------
-    place : int
-        A number of its own for each place.
+    ``place``: a number of its own for each place.
     """
     count = len(arrays["game"])
     return Rows(

@@ -89,12 +89,7 @@ def train_kept(
 ) -> list[RegretNetwork]:
     """Return a network of advantages for each of several settings, all trained on the same rows.
 
-    Parameters
-    ----------
-    job : Job
-        Keeps the networks.
-    executor : Executor, optional
-        Where they are trained, if its tasks run in other processes.
+    ``job``: keeps the networks. ``executor``: where they are trained, if its tasks run in other processes.
     """
     # Rows are large and the same for all members: a task names them by a digest, and they travel with the function.
     digest = fingerprint(rows.observations, rows.targets, rows.weights, rows.pair)
