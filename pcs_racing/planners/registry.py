@@ -18,6 +18,7 @@ ENTRY_POINTS = "pcs_racing.planners"
 """Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
 
 SHIPPED = {
+    "alpha-racer": "pcs_racing.planners.alpha_racer:ALPHA_RACER",
     "bimatrix-game": "pcs_racing.planners.bimatrix:BIMATRIX",
     "disparity-extender": "pcs_racing.planners.disparity_extender:DISPARITY_EXTENDER",
     "follow-the-gap": "pcs_racing.planners.follow_the_gap:FOLLOW_THE_GAP",
