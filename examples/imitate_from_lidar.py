@@ -93,7 +93,7 @@ def make_recorder(network: str) -> Planner:
         label[2], label[3] = 0.5 * path[NEAR, 2] - 3.0, 0.5 * path[FAR, 2] - 3.0
         if memory[0] != 0.0:
             answer(theta[own:], seen, memory[first:state], work)
-            lay_path(view, work, 1.0, path)
+            lay_path(view, work, memory[0], path)
 
     weights = sum(weight_count(sizes) for sizes in LAYERS[network])
     return Planner(
@@ -121,7 +121,9 @@ def collect(track: Track, network: str, weights: np.ndarray | None, races: int, 
         theta[:, :, 0] = rng.uniform(0.0, 1.0, (races // 2, 2))
         if weights is not None:
             theta[:, :, -len(weights) :] = weights
-            state.memory[:, :, 0] = rng.uniform(size=(races // 2, 2)) < 0.8
+            # Most drive as the network, at any share of its speed: else it learns to drive as fast as it does.
+            driven, shares = rng.uniform(size=(2, races // 2, 2))
+            state.memory[:, :, 0] = (driven < 0.8) * (0.7 + 0.35 * shares)
         kept, counts = [], []
         for step in range(10 * seconds):
             advance(setup, state, theta, 10, threads=1, ittc=False)

@@ -224,12 +224,9 @@ def load_imitator(source: str | Path) -> Planner:
     )
 
 
-_SHIPPED = {"LIDAR_CNN": "lidar-cnn", "LIDAR_GRU": "lidar-gru"}
-
-
 def __getattr__(name: str) -> Any:
-    """``LIDAR_CNN`` and ``LIDAR_GRU``, the shipped planners, loaded at their first use."""
-    if name not in _SHIPPED:
+    """``LIDAR_CNN``, the shipped planner, loaded at its first use."""
+    if name != "LIDAR_CNN":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = load_imitator(_SHIPPED[name])
+    globals()[name] = load_imitator("lidar-cnn")
     return globals()[name]

@@ -36,7 +36,7 @@ PASSING = (
     "spliner",
 )  # fmt: skip
 MAPPED = (*PASSING, "stanley")
-LIDAR = ("disparity-extender", "follow-the-gap")
+LIDAR = ("disparity-extender", "follow-the-gap", "lidar-cnn")
 
 
 def python(function):
@@ -272,6 +272,7 @@ def test_ranges_are_cut_off_and_averaged_and_the_longest_gap_is_found():
 def test_a_lidar_driver_steers_away_from_a_car(name, opp_d, oval, view_at):
     planner, path = get_planner(name), np.zeros((PATH_POINTS, 4))
     view = view_at(oval, 3.0, gap=2.0, opp_d=opp_d)
-    planner.plan(oval.arrays, planner.default, view, np.zeros(0), np.zeros(planner.scratch_size), path)
+    memory = np.zeros(planner.memory_size)
+    planner.plan(oval.arrays, planner.default, view, memory, np.zeros(planner.scratch_size), path)
     assert np.sign(path[0, 3]) == -np.sign(opp_d)
     assert view[OWN_D] == pytest.approx(0.0, abs=1e-6)
