@@ -30,6 +30,7 @@ from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing.envs.opponents import parse_opponents
 from pcs_racing.f1tenth.env import GenerationA, GenerationB
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
+from pcs_racing.planners.imitation import IMITATOR_FORMAT, read_imitator
 from pcs_racing.planners.trained import DRIVER_FORMAT, read_driver
 from pcs_racing.race.recording import record_race
 from pcs_racing.race.replay_files import save_replay
@@ -211,11 +212,14 @@ ARTIFACTS: dict[str, tuple[ArtifactFormat, Read]] = {
     "archive": (ARCHIVE_FORMAT, load_archive),
     "network": (NETWORK_FORMAT, load_network),
     "driver": (DRIVER_FORMAT, read_driver),
+    "lidar driver": (IMITATOR_FORMAT, read_imitator),
 }
 
 
 def artifact(kind: str) -> Path:
-    return sorted(ARTIFACTS[kind][0].shipped.glob("*/manifest.yaml"))[0].parent
+    form = ARTIFACTS[kind][0]
+    files = sorted(form.shipped.glob("*/manifest.yaml"))  # several kinds may share a folder
+    return next(file.parent for file in files if f"pcs-racing {form.noun}\n" in file.read_text(encoding="utf-8"))
 
 
 def artifact_data(kind: str, data: bytes) -> object:

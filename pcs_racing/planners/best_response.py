@@ -28,7 +28,6 @@ from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
-from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 
 PARAMETERS = (
@@ -247,14 +246,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     _line.lay_lane(view, d0, own[:STEPS], own[STEPS : 2 * STEPS], lane)
     _line.keep_lane(view, lane, memory)
     _line.ease_onto(track, view, scale, np.inf, lane, path)
-    # The speeds of the plan, where it is held up.
-    k = 0
-    for j in range(PATH_POINTS):
-        while k < STEPS - 1 and own[k] < j * _line.lane_step(view):
-            k += 1
-        v = (own[k] - (own[k - 1] if k > 0 else 0.0)) / STEP
-        held = v < 0.97 * scale * track.line[line_index(track, s0 + own[k]), _frenet.SPEED] and v < view[_view.OWN_V]
-        path[j, _view.PATH_SPEED] = min(path[j, _view.PATH_SPEED], v if held else np.inf)
+    _line.hold_back(track, view, scale, own[:STEPS], STEP, path)
 
 
 VARIANTS = {"plain": {"sensitivity": 0.0}, "defends": {"sensitivity": 1.0}}

@@ -262,3 +262,16 @@ def ease_onto(track, view, scale, cap, lane, path):  # type: ignore[no-untyped-d
             path[j, _view.PATH_Y] = y
             path[j, _view.PATH_SPEED] = min(scale * sample[_frenet.SPEED], np.sqrt(square), cap)
             path[j, _view.PATH_KAPPA] = kappa + back
+
+
+@kernel
+def hold_back(track, view, scale, along, step, path):  # type: ignore[no-untyped-def]
+    """Take a path's speeds from a plan where the plan is held up: ``along`` (m) are its places every ``step`` s."""
+    last, k = along.shape[0] - 1, 0
+    for j in range(PATH_POINTS):
+        while k < last and along[k] < j * lane_step(view):
+            k += 1
+        v = (along[k] - (along[k - 1] if k > 0 else 0.0)) / step
+        profile = scale * track.line[line_index(track, view[_view.OWN_S] + along[k]), _frenet.SPEED]
+        if v < 0.97 * profile and v < view[_view.OWN_V]:
+            path[j, _view.PATH_SPEED] = min(path[j, _view.PATH_SPEED], v)

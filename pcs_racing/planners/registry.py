@@ -18,6 +18,7 @@ ENTRY_POINTS = "pcs_racing.planners"
 """Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
 
 SHIPPED = {
+    "alpha-racer": "pcs_racing.planners.alpha_racer:ALPHA_RACER",
     "bimatrix-game": "pcs_racing.planners.bimatrix:BIMATRIX",
     "disparity-extender": "pcs_racing.planners.disparity_extender:DISPARITY_EXTENDER",
     "follow-the-gap": "pcs_racing.planners.follow_the_gap:FOLLOW_THE_GAP",
@@ -26,6 +27,7 @@ SHIPPED = {
     "iterated-best-response": "pcs_racing.planners.best_response:BEST_RESPONSE",
     "lane-switcher": "pcs_racing.planners.lane_switcher:LANE_SWITCHER",
     "lattice": "pcs_racing.planners.lattice:LATTICE",
+    "lidar-cnn": "pcs_racing.planners.imitation:LIDAR_CNN",
     "mppi": "pcs_racing.planners.mppi:MPPI",
     "ppo-drive": "pcs_racing.planners.trained:PPO_DRIVE",
     "predictive-spliner": "pcs_racing.planners.predictive_spliner:PREDICTIVE_SPLINER",

@@ -1,11 +1,14 @@
 """The drivers of the field: each follows the race line or the gap alone, and passes or follows as its paper says."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
 from pcs_racing import InputError, RaceConfig, Starts, get_planner, load_track, parse_policy, run_races
+from pcs_racing.planners.alpha_racer import ALPHA_RACER, KEPT, SAMPLES, best_of_potential
 from pcs_racing.planners.bimatrix import MOVES, solve
 from pcs_racing.planners.disparity_extender import extend_disparities
 from pcs_racing.planners.follow_the_gap import longest_gap, smooth
@@ -28,9 +31,12 @@ from pcs_racing.planners.spliner import SCRATCH, SPLINER, lay_spline, spline_at
 from pcs_racing.planners.view import OWN_D, OWN_S, PATH_POINTS
 from pcs_racing.testing import check_planner
 
-PASSING = ("bimatrix-game", "frenet-sampling", "iterated-best-response", "mppi", "predictive-spliner", "spliner")
+PASSING = (
+    "alpha-racer", "bimatrix-game", "frenet-sampling", "iterated-best-response", "mppi", "predictive-spliner",
+    "spliner",
+)  # fmt: skip
 MAPPED = (*PASSING, "stanley")
-LIDAR = ("disparity-extender", "follow-the-gap")
+LIDAR = ("disparity-extender", "follow-the-gap", "lidar-cnn")
 
 
 def python(function):
@@ -192,6 +198,37 @@ def test_the_game_is_solved_for_the_leaders_equilibrium():
     assert (solve(*flat, True), solve(*flat, False)) == (leader, follower)
 
 
+def test_the_best_pair_is_that_of_the_nearest_potential_game():
+    """Against least squares over all differences that one car's choice makes, with random payoffs."""
+    own, opponent = np.random.default_rng(4).normal(size=(2, SAMPLES, SAMPLES))
+    cells = np.eye(SAMPLES * SAMPLES).reshape(SAMPLES, SAMPLES, -1)
+    rows, gains = [], []
+    for payoffs, at in ((own, cells), (opponent.T, cells.swapaxes(0, 1))):
+        for a, b in itertools.combinations(range(SAMPLES), 2):
+            rows.append(at[a] - at[b])
+            gains.append(payoffs[a] - payoffs[b])
+    potential = np.linalg.lstsq(np.concatenate(rows), np.concatenate(gains))[0].reshape(SAMPLES, SAMPLES)
+    for last in (-1, 5):
+        kept = potential + KEPT * (np.arange(SAMPLES) == last)[:, None]
+        found = best_of_potential(own.ravel(), opponent.ravel(), np.zeros(4 * SAMPLES), last)
+        assert found == np.unravel_index(kept.argmax(), kept.shape)
+
+
+def test_alpha_racer_stays_where_there_is_no_room_and_passes_where_there_is(oval, view_at):
+    """Behind a slow car, in the middle of a wide track and of one whose walls leave no room beside it."""
+    ends = []
+    for width in (1.2, 0.45):
+        line = oval.arrays.line.copy()
+        line[:, 7:9] = width
+        view = view_at(oval, 3.0, gap=2.5, opp_speed=1.5)
+        path, memory = np.zeros((PATH_POINTS, 4)), np.zeros(ALPHA_RACER.memory_size)
+        track, scratch = oval.arrays._replace(line=line), np.zeros(ALPHA_RACER.scratch_size)
+        ALPHA_RACER.plan(track, ALPHA_RACER.default, view, memory, scratch, path)
+        ends.append((abs(oval.to_frenet(path[-1, :2])[1]), path[:, 2].min()))
+    assert ends[0][0] > 0.15 > ends[1][0]
+    assert ends[1][1] < ends[0][1]
+
+
 def test_the_quintic_joins_two_states():
     c = np.zeros(6)
     cost = python(quintic)(0.3, -0.5, 0.8, 1.0, 0.4, 1.5, c)
@@ -235,6 +272,7 @@ def test_ranges_are_cut_off_and_averaged_and_the_longest_gap_is_found():
 def test_a_lidar_driver_steers_away_from_a_car(name, opp_d, oval, view_at):
     planner, path = get_planner(name), np.zeros((PATH_POINTS, 4))
     view = view_at(oval, 3.0, gap=2.0, opp_d=opp_d)
-    planner.plan(oval.arrays, planner.default, view, np.zeros(0), np.zeros(planner.scratch_size), path)
+    memory = np.zeros(planner.memory_size)
+    planner.plan(oval.arrays, planner.default, view, memory, np.zeros(planner.scratch_size), path)
     assert np.sign(path[0, 3]) == -np.sign(opp_d)
     assert view[OWN_D] == pytest.approx(0.0, abs=1e-6)

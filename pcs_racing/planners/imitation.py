@@ -1,0 +1,232 @@
+"""Lidar drivers that imitate a driver with a map: a convolutional network [1]_ and a recurrent one [2]_.
+
+Ten times a second a network sees the ranges of its beams, and of the own car the speed, the yaw rate, the steering
+angle and the speed scale that the pace stands for. It puts out the slope and the bend of the path ahead, relative to
+the car's heading, and the speeds to drive nearby and farther on. It was trained on what the predictive spliner, which
+has a map and knows the opponent's state, does in the same places (``examples/imitate_from_lidar.py``).
+
+What differs: networks are smaller, for 135 beams, and see more of the own car; they put out a path ten times a second,
+which is followed fifty times a second, instead of steering angles; and they are taught where they drive themselves,
+too, not only where the teacher does.
+
+References
+----------
+.. [1] M. M. Zarrar, Q. Weng, B. Yerjan, A. Soyyigit and H. Yun, "TinyLidarNet: 2D LiDAR-based end-to-end deep learning
+   model for F1TENTH autonomous racing", 2024, arXiv:2410.07447.
+.. [2] Z. Qiao, H. Li, Z. Cao and H. X. Liu, "End2Race: Efficient end-to-end imitation learning for real-time F1Tenth
+   racing", 2025, arXiv:2509.16894.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.dense import dense_forward
+from pcs_racing.base.elementary import sine_cosine
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.layers import convolve, recur
+from pcs_racing.car.lidar import Beams
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.line_following import lane_step, speed_scale
+from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.scanning import FIELD_OF_VIEW, MAX_RANGE, WORK, scan_beams
+from pcs_racing.planners.trained import DRIVER_FORMAT
+from pcs_racing.planners.view import PATH_POINTS
+
+BEAMS = 135
+SEEN = BEAMS + 4  # what a network sees: the beams from right to left; then speed, yaw rate, steering, speed scale
+OUTPUTS = 4  # slope and bend of the path, speeds nearby and farther on
+NEAR, FAR = 3, 7  # points of the path that have these speeds
+SLOWEST = 0.5  # m/s
+KINDS, MOST = ("weight", "bias"), 100.0
+_STEP = FIELD_OF_VIEW / (BEAMS - 1)
+_ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
+_plain = getattr(sine_cosine, "py_func", sine_cosine)  # calling compiled code would slow down every import
+_SIN, _COS = (np.array(values) for values in zip(*map(_plain, _ANGLES), strict=True))
+
+UNITS = 48  # of the recurrent network
+LAYERS = {
+    # Three convolutions (positions times channels, channels), a hidden layer, the outputs.
+    "cnn": ((7, 8), (5 * 8, 12), (4 * 12, 16), (9 * 16 + 4, 32), (32, OUTPUTS)),
+    # To the gates from what is seen and from the state, the outputs.
+    "gru": ((SEEN, 3 * UNITS), (UNITS, 3 * UNITS), (UNITS, OUTPUTS)),
+}
+"""Numbers that go into and come out of the layers of each network."""
+MEMORY = {"cnn": 0, "gru": UNITS}
+SCRATCH = 800  # numbers of working memory of a network
+
+PARAMETERS = (
+    Parameter("pace", 0.0, 1.0, 0.0, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
+    Parameter("speed_share", 0.6, 1.1, 0.85, "factor of the speed that the network puts out"),
+)
+VARIANTS = {"calm": {"speed_share": 0.8}, "fast": {"speed_share": 0.95}}
+
+IMITATOR_FORMAT = ArtifactFormat(
+    "lidar driver",
+    ("name", "network", "beams", "training", "weights_sha256"),
+    "save_imitator",
+    data_file=DRIVER_FORMAT.data_file,
+    digest_key="weights_sha256",
+    max_bytes=DRIVER_FORMAT.max_bytes,
+    shipped=DRIVER_FORMAT.shipped,
+)
+
+
+@compiled
+def observe(track, view, pace, work, seen):  # type: ignore[no-untyped-def]
+    """Write what the network sees, all of order one, into ``seen``, shape (SEEN,)."""
+    beams = Beams(_ANGLES[0], _STEP, MAX_RANGE, _COS, _SIN)
+    scan_beams(track, beams, view, view[_view.OWN_PSI], work, seen[:BEAMS])
+    for k in range(BEAMS):
+        # The root keeps apart what is near without losing what is far.
+        seen[k] = 2.0 * np.sqrt(seen[k] / MAX_RANGE) - 1.0
+    seen[BEAMS] = view[_view.OWN_V] / 8.0
+    seen[BEAMS + 1] = view[_view.OWN_PSI_DOT] / 4.0
+    seen[BEAMS + 2] = view[_view.OWN_DELTA] / view[_view.STEER_MAX]
+    seen[BEAMS + 3] = 4.0 * (speed_scale(view, pace) - 1.0)
+
+
+@compiled
+def answer_cnn(flat, seen, state, work):  # type: ignore[no-untyped-def]
+    """Pass what is seen through the convolutional network; the outputs stand at the beginning of ``work``."""
+    features, first, second = work[:148], work[148:492], work[492:732]
+    convolve(flat, (7, 8), 3, seen, first)
+    convolve(flat[64:], (40, 12), 16, first, second)
+    convolve(flat[556:], (48, 16), 24, second, features[:144])
+    for k in range(SEEN - BEAMS):
+        features[144 + k] = seen[BEAMS + k]
+    dense_forward(flat[1340:], (148, 32, OUTPUTS), features, first, False)
+
+
+@compiled
+def answer_gru(flat, seen, state, work):  # type: ignore[no-untyped-def]
+    """Move the state of the recurrent network on; the outputs stand at the beginning of ``work``."""
+    recur(flat, SEEN, UNITS, seen, state, work)
+    last = 3 * UNITS * (SEEN + UNITS + 2)
+    dense_forward(flat[last:], (UNITS, OUTPUTS), state, work, False)
+
+
+ANSWERS = {"cnn": answer_cnn, "gru": answer_gru}
+
+
+@compiled
+def lay_path(view, outputs, share, path):  # type: ignore[no-untyped-def]
+    """Write the path and the speeds that the network's outputs stand for."""
+    sine, cosine = sine_cosine(view[_view.OWN_PSI])
+    slope, bend = 0.1 * outputs[0], 0.1 * outputs[1]
+    near, far = 6.0 + 2.0 * outputs[2], 6.0 + 2.0 * outputs[3]
+    for j in range(PATH_POINTS):
+        x = j * lane_step(view)
+        y = (slope + bend * x) * x
+        path[j, _view.PATH_X] = view[_view.OWN_X] + x * cosine - y * sine
+        path[j, _view.PATH_Y] = view[_view.OWN_Y] + x * sine + y * cosine
+        path[j, _view.PATH_SPEED] = max(share * (near + (far - near) * (j - NEAR) / (FAR - NEAR)), SLOWEST)
+        steep = 1.0 + (slope + 2.0 * bend * x) ** 2
+        path[j, _view.PATH_KAPPA] = 2.0 * bend / (steep * np.sqrt(steep))
+
+
+@cache
+def _plan(network: str, frozen: bytes) -> Any:
+    """Compile a network with its weights as constants of the code."""
+    answer, constant = ANSWERS[network], np.frombuffer(frozen, np.float64)
+
+    @compiled
+    def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+        seen, work = scratch[WORK : WORK + SEEN], scratch[WORK + SEEN :]
+        observe(track, view, theta[0], scratch[:WORK], seen)
+        answer(constant, seen, memory, work)
+        lay_path(view, work, theta[1], path)
+
+    return plan
+
+
+def save_imitator(
+    folder: str | Path, network: str, layers: Sequence[Any], *, name: str, training: Mapping[str, Any]
+) -> Path:
+    """Write a driver into a folder, which is made if need be.
+
+    Parameters
+    ----------
+    folder : str or Path
+    network : str
+        One of :data:`LAYERS`.
+    layers : sequence of (weight, bias)
+        Of each of its layers, shapes (out, in) and (out,).
+    name : str
+    training : mapping
+        How it was trained: texts and numbers by name.
+    """
+    pairs = enumerate(layers)
+    tensors = {f"layers.{i}.{kind}": a for i, pair in pairs for kind, a in zip(KINDS, pair, strict=True)}
+    content = save_tensors({key: np.ascontiguousarray(value, np.float32) for key, value in tensors.items()})
+    _flat(Path(folder), network, content)
+    fields = {"name": name, "network": network, "beams": BEAMS, "training": dict(training)}
+    return IMITATOR_FORMAT.save(folder, fields, content)
+
+
+def flat_weights(layers: Iterable[Any]) -> NDArray[np.float64]:
+    """All numbers of layers (weight, bias) as one vector, as the compiled networks take them."""
+    return np.concatenate([part for weight, bias in layers for part in (bias, weight.T.ravel())]).astype(np.float64)
+
+
+def _flat(folder: Path, network: Any, content: bytes) -> NDArray[np.float64]:
+    if not isinstance(network, str) or network not in LAYERS:
+        raise InputError(f"{folder}: network is {network!r}; it must be one of {', '.join(LAYERS)}")
+    try:
+        tensors = load_tensors(content)
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{folder}: the weights are no safetensors file of numbers: {error}") from None
+    shapes: dict[str, tuple[int, ...]] = {}
+    for i, (below, above) in enumerate(LAYERS[network]):
+        shapes |= {f"layers.{i}.weight": (above, below), f"layers.{i}.bias": (above,)}
+    found = {key: tensor.shape for key, tensor in tensors.items()}
+    if found != shapes or not all(t.dtype == np.float32 and (np.abs(t) <= MOST).all() for t in tensors.values()):
+        raise InputError(f"{folder}: a network {network!r} has float32 weights within {MOST:g} of the shapes {shapes}")
+    return flat_weights([(tensors[f"layers.{i}.weight"], tensors[f"layers.{i}.bias"]) for i in range(len(shapes) // 2)])
+
+
+def read_imitator(source: str | Path) -> tuple[str, str, NDArray[np.float64]]:
+    """Return name, network and weights of a lidar driver, from the name of a shipped one or from its folder.
+
+    Raises
+    ------
+    UnknownNameError
+        If there is none of that name and no such folder.
+    InputError
+        If a file is missing, damaged, too large, from another version, or its contents do not fit each other.
+    """
+    folder = IMITATOR_FORMAT.find(source)
+    fields, content = IMITATOR_FORMAT.load(folder)
+    if not isinstance(fields["name"], str) or fields["beams"] != BEAMS or not isinstance(fields["training"], dict):
+        raise InputError(f"{folder / MANIFEST}: name must be a text, beams {BEAMS} and training a mapping")
+    return fields["name"], fields["network"], _flat(folder, fields["network"], content)
+
+
+def load_imitator(source: str | Path) -> Planner:
+    """Return a lidar driver's planner; source and errors as for :func:`read_imitator`."""
+    name, network, flat = read_imitator(source)
+    return Planner(
+        name=name,
+        parameters=PARAMETERS,
+        plan=_plan(network, flat.tobytes()),
+        memory_size=MEMORY[network],
+        scratch_size=WORK + SEEN + SCRATCH,
+        variants=named_variants(PARAMETERS, VARIANTS),
+    )
+
+
+def __getattr__(name: str) -> Any:
+    """``LIDAR_CNN``, the shipped planner, loaded at its first use."""
+    if name != "LIDAR_CNN":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = load_imitator("lidar-cnn")
+    return globals()[name]

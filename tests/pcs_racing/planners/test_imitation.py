@@ -1,0 +1,103 @@
+"""Lidar drivers with networks: their folders, and what they see and lay."""
+
+import numpy as np
+import pytest
+import yaml
+from random_layers import random_layers
+from refusal import refused
+
+from pcs_racing import UnknownNameError, get_planner
+from pcs_racing.planners import imitation
+from pcs_racing.planners.imitation import BEAMS, LAYERS, SEEN, flat_weights, load_imitator, read_imitator, save_imitator
+from pcs_racing.planners.scanning import WORK
+from pcs_racing.planners.view import OWN_PSI, OWN_X, OWN_Y, PATH_POINTS, VIEW_SIZE
+
+
+def pairs(network: str) -> list:
+    found = [random_layers(*sizes, seed=i) for i, sizes in enumerate(LAYERS[network])]
+    return [(layer.weights[0], layer.biases[0]) for layer in found]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return save_imitator(tmp_path / "mine", "gru", pairs("gru"), name="mine", training={"rounds": 7})
+
+
+@pytest.mark.parametrize("network", sorted(LAYERS))
+def test_what_is_written_is_read(tmp_path, network):
+    folder = save_imitator(tmp_path / "mine", network, pairs(network), name="mine", training={})
+    name, kind, flat = read_imitator(folder)
+    assert (name, kind) == ("mine", network)
+    np.testing.assert_array_equal(flat, flat_weights(pairs(network)))
+    planner = load_imitator(folder)
+    assert planner.plan is load_imitator(folder).plan  # compiled once
+    assert planner.parameter_names[0] == "pace"
+
+
+def test_the_convolutional_network_is_its_formula():
+    layers, seen = pairs("cnn"), np.random.default_rng(1).normal(size=SEEN)
+    work = np.zeros(imitation.SCRATCH)
+    imitation.answer_cnn(flat_weights(layers), seen, np.zeros(0), work)
+    x = seen[:BEAMS]
+    for (weight, bias), step in zip(layers, (3, 16, 24), strict=False):
+        windows = np.lib.stride_tricks.sliding_window_view(x, weight.shape[1])[::step]
+        x = np.maximum(windows @ weight.T + bias, 0.0).ravel()
+    (hidden, hidden_bias), (last, last_bias) = layers[3:]
+    expected = last @ np.maximum(hidden @ np.concatenate([x, seen[BEAMS:]]) + hidden_bias, 0.0) + last_bias
+    np.testing.assert_allclose(work[:4], expected, rtol=1e-5, atol=1e-6)
+
+
+def test_a_car_is_seen_on_its_side_from_right_to_left_and_the_pace_as_a_speed_scale(oval, view_at):
+    seen, middles = np.zeros(SEEN), []
+    for opp_d in (-0.3, 0.3):
+        view = view_at(oval, 3.0, speed=4.0, gap=2.0, opp_d=opp_d)
+        imitation.observe(oval.arrays, view, 0.5, np.zeros(WORK), seen)
+        ranges = imitation.MAX_RANGE * (0.5 * (seen[:BEAMS] + 1.0)) ** 2
+        middles.append(np.flatnonzero(ranges[50:85] < 2.2).mean() + 50)
+        low, high = view[[VIEW_SIZE - 2, VIEW_SIZE - 1]]
+        assert seen[BEAMS:] == pytest.approx([0.5, 0.0, 0.0, 4.0 * (0.5 * (low + high) - 1.0)])
+    assert middles[0] < BEAMS // 2 < middles[1]
+
+
+def test_outputs_are_laid_as_a_path_in_the_frame_of_the_car(oval, view_at):
+    view, path = view_at(oval, 3.0, speed=4.0), np.zeros((PATH_POINTS, 4))
+    imitation.lay_path(view, np.array([0.5, 1.0, 0.0, 1.0]), 0.5, path)
+    heading = np.array([np.cos(view[OWN_PSI]), np.sin(view[OWN_PSI])])
+    moved = path[:, :2] - view[[OWN_X, OWN_Y]]
+    x, y = moved @ heading, moved @ [-heading[1], heading[0]]
+    np.testing.assert_allclose(y, 0.05 * x + 0.1 * x * x, atol=1e-9)
+    assert path[0, 3] == pytest.approx(0.2 / (1.0 + 0.05**2) ** 1.5)
+    assert path[[3, 7], 2] == pytest.approx([3.0, 4.0])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": "pcs-racing driver"}, "no manifest of a lidar driver"),
+        ({"beams": 108}, "beams 135"),
+        ({"name": 3}, "name must be a text"),
+        ({"training": "long"}, "training a mapping"),
+        ({"network": "cnn"}, "a network 'cnn' has float32 weights"),
+        ({"network": ["gru"]}, r"network is \['gru'\]; it must be one of cnn, gru"),
+    ],
+)
+def test_manifests_that_do_not_fit_are_refused(folder, changes, message):
+    file = folder / "manifest.yaml"
+    file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **changes}))
+    refused(message, load_imitator, folder)
+
+
+def test_weights_that_do_not_fit_are_refused(tmp_path):
+    layers = pairs("gru")
+    for weight in (np.full_like(layers[2][0], np.nan), np.full_like(layers[2][0], 101.0), layers[2][0][:, :-1]):
+        wrong = [*layers[:2], (weight, layers[2][1])]
+        refused("has float32 weights", save_imitator, tmp_path / "x", "gru", wrong, name="x", training={})
+    assert not (tmp_path / "x").exists()
+    with pytest.raises(UnknownNameError, match="unknown lidar driver 'nobody'"):
+        load_imitator("nobody")
+
+
+def test_the_shipped_one_is_read_when_it_is_first_asked_for():
+    assert get_planner("lidar-cnn") is imitation.LIDAR_CNN
+    with pytest.raises(AttributeError, match="no attribute 'OTHER'"):
+        imitation.OTHER  # noqa: B018
