@@ -151,6 +151,7 @@ EXAMPLES = {
     "ppo_against_cfr": ("stable_baselines3", '".[learning]"'),
     "self_play_ppo": ("stable_baselines3", '".[learning]"'),
     "drive_self_play": ("torch", '".[learning]"'),
+    "imitate_from_lidar": ("torch", '".[learning]"'),
     "train_ppo": ("matplotlib", '".[learning,plots]"'),
 }
 

@@ -22,7 +22,8 @@ def test_the_first_layer_is_what_no_other_point_beats(points):
 def raced(totals, segments=None):
     segments = np.full(totals.shape[:2], 2) if segments is None else segments
     nobody = np.full(totals.shape[:2], -1)
-    return {"totals": totals, "segments": segments, "own_crash": np.zeros(totals.shape[:2], bool), "winner": nobody}
+    none = dict.fromkeys(("own_crash", "crashed", "rival"), np.zeros(totals.shape[:2], bool))
+    return {"totals": totals, "segments": segments, "winner": nobody, **none}
 
 
 def test_errors_of_differences_are_those_of_paired_means_also_of_races_cut_short():
