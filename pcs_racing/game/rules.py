@@ -386,12 +386,13 @@ class RaceGame:
         ends = self.config.end_ticks
         lengths = np.append(ends, ends[-1])[np.searchsorted(ends, races.tick, side="right")] - races.tick
         lengths[races.crashed] = 0
-        for ticks in np.unique(lengths[lengths > 0]):
+        different = np.unique(lengths[lengths > 0])
+        if len(different) == 1:
+            # Steps of a usual batch are equally long: no races are taken out and put back. Those that are over stand.
+            advance(self.setup, races, theta, int(different[0]), threads=self.threads, ittc=ittc, conditions=conditions)
+            return
+        for ticks in different:
             rows = np.flatnonzero(lengths == ticks)
-            # A usual batch is at one moment: no races are taken out and put back. Those that are over do not move.
-            if not self.config.first_steps:
-                advance(self.setup, races, theta, int(ticks), threads=self.threads, ittc=ittc, conditions=conditions)
-                return
             some, own = take(races, rows), conditions if conditions is AS_THE_SETUP else conditions.take(rows)
             advance(self.setup, some, theta[rows], int(ticks), threads=self.threads, ittc=ittc, conditions=own)
             for name, driven in some._asdict().items():
