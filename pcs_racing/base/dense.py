@@ -5,7 +5,7 @@ matrix product of numpy would be shorter, but its rounding depends on the number
 otherwise because it raced in a larger batch.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -67,8 +67,12 @@ class DenseLayers:
 
     def flat(self) -> Floats:
         """All numbers as one vector: of each layer its biases, then for each input the weights to all outputs."""
-        pairs = zip(self.weights, self.biases, strict=True)
-        return np.concatenate([numbers for weight, bias in pairs for numbers in (bias, weight.T.ravel())])
+        return flat_layers(zip(self.weights, self.biases, strict=True))
+
+
+def flat_layers(layers: Iterable[tuple[Floats, Floats]]) -> Floats:
+    """Return the numbers of layers (weight, bias) of any shapes as one vector, in the order of `DenseLayers.flat`."""
+    return np.concatenate([numbers for weight, bias in layers for numbers in (bias, weight.T.ravel())])
 
 
 def weight_count(sizes: Sequence[int]) -> int:

@@ -30,7 +30,7 @@ from safetensors.numpy import save as save_tensors
 
 from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat
 from pcs_racing.base.compilation import compiled
-from pcs_racing.base.dense import dense_forward
+from pcs_racing.base.dense import dense_forward, flat_layers
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.layers import convolve, recur
@@ -175,7 +175,7 @@ def save_imitator(
 
 def flat_weights(layers: Iterable[Any]) -> NDArray[np.float64]:
     """All numbers of layers (weight, bias) as one vector, as the compiled networks take them."""
-    return np.concatenate([part for weight, bias in layers for part in (bias, weight.T.ravel())]).astype(np.float64)
+    return flat_layers(layers).astype(np.float64)
 
 
 def _flat(folder: Path, network: Any, content: bytes) -> NDArray[np.float64]:

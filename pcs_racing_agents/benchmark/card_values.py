@@ -1,7 +1,7 @@
 """What a score card may say: declared values, since cards are what strangers send in."""
 
 from dataclasses import MISSING, dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import Settings, checked, number, setting, text, whole
@@ -21,12 +21,26 @@ SHARE, DIFFERENCE = number(0.0, 1.0), number(-1.0, 1.0)
 
 
 @dataclass(frozen=True)
-class CardScore(Settings):
+class _Estimate(Settings):
+    """A value that lies between ``low`` and ``high``."""
+
+    value: ClassVar[str]  #: Name of the value.
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, value, high = (getattr(self, name) for name in ("low", self.value, "high"))
+        if not low <= value <= high:
+            raise ConfigError(f"{self.value} is {value:g}, outside of its interval from {low:g} to {high:g}")
+
+
+@dataclass(frozen=True)
+class CardScore(_Estimate):
     """The score over a part of the races.
 
     The interval is robust to clusters of start policies and of opponents' variants; it holds for these circuits.
     """
 
+    value = "score"
     part: str = setting(MISSING, NAME, 'Opponents: "all", a kind of them, or one.')
     circuits: str = setting(MISSING, NAME, 'Circuits: "seen", "unseen", "all", or one.')
     races: int = setting(MISSING, COUNT, "Number of races.")
@@ -36,10 +50,6 @@ class CardScore(Settings):
     own_crash: float = setting(MISSING, SHARE, "Share of the races that ended in a crash by the agent's own fault.")
     other_crash: float = setting(MISSING, SHARE, "Share that ended in another crash.")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_ordered("score", self.low, self.score, self.high)
-
     @property
     def interval(self) -> str:
         """Interval of the score as text."""
@@ -47,35 +57,24 @@ class CardScore(Settings):
 
 
 @dataclass(frozen=True)
-class Gain(Settings):
+class Gain(_Estimate):
     """The adaptivity gain on some circuits."""
 
+    value = "gain"
     over: str = setting(MISSING, NAME, "The open-loop agent that it is a gain over.")
     gain: float = setting(MISSING, DIFFERENCE, "Difference of the scores.")
     low: float = setting(MISSING, DIFFERENCE, "Lower limit of its 95 % interval.")
     high: float = setting(MISSING, DIFFERENCE, "Upper limit.")
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_ordered("gain", self.low, self.gain, self.high)
-
 
 @dataclass(frozen=True)
-class ReplyLoss(Settings):
+class ReplyLoss(_Estimate):
     """What an agent loses to a learned best reply."""
 
+    value = "loss"
     loss: float = setting(MISSING, DIFFERENCE, "Races lost per race.")
     low: float = setting(MISSING, DIFFERENCE, "Lower limit of its 95 % interval.")
     high: float = setting(MISSING, DIFFERENCE, "Upper limit.")
     starts: int = setting(MISSING, COUNT, "Starts of the learner on each circuit.")
     rounds: int = setting(MISSING, COUNT, "Rounds of the learner.")
     races: int = setting(MISSING, COUNT, "Races in which the loss was measured.")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _check_ordered("loss", self.low, self.loss, self.high)
-
-
-def _check_ordered(name: str, low: float, value: float, high: float) -> None:
-    if not low <= value <= high:
-        raise ConfigError(f"{name} is {value:g}, outside of its interval from {low:g} to {high:g}")
