@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Settings, checked, choice, flag, load_settings, number, setting, tenths, whole
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import EPSILON, check_epsilon
-from pcs_racing.race.config import PAPER, RaceConfig, load_race_config
+from pcs_racing.race.config import PAPER, RaceConfig, check_steps, load_race_config
 
 UTILITIES = {
     "lead": "lead in m at the horizon; after a crash 0 for both",
@@ -42,13 +41,8 @@ EPSILON_RULE = checked(_epsilon, "above 0 up to 10")
 
 
 def check_lengths(value: Any) -> tuple[float, ...]:
-    """Return lengths of steps: whole tenths of a second, in which plans are made; the first one may be 0."""
-    lengths = value if isinstance(value, list | tuple) else None
-    if lengths is None or not all(is_number(one) and abs(10.0 * one - round(10.0 * one)) < 1e-9 for one in lengths):
-        raise InputError(f"first_steps is {value!r:.80}; it must be a list of seconds in whole tenths")
-    if any(not (0.1 <= one <= 600.0 or (k == 0 and one == 0.0)) for k, one in enumerate(lengths)):
-        raise InputError(f"first_steps is {value!r:.80}; steps last 0.1 to 600 s, and the first one may last 0")
-    return tuple(map(float, lengths))
+    """Return the lengths of the first steps of a game, s."""
+    return check_steps("first_steps", value, 0)
 
 
 def _axes(value: Any) -> tuple[str, ...]:
@@ -68,10 +62,15 @@ class GameConfig(Settings):
         checked(_race),
         "Rules of the race, a preset's name or a YAML file; its duration is replaced by the sum of all steps.",
     )
-    moves: int = setting(4, whole(1, 100), "Moves of each player; one step without moves precedes the first.")
-    step_seconds: float = setting(8.0, tenths(0.1, 600.0), "Simulated time per move, s.")
+    moves: int = setting(
+        None,
+        whole(1, 100),
+        "Moves of each player; one step without moves precedes the first. With moves, step_seconds and first_steps all "
+        "None the steps are those of the race; if one of them is given, 4 moves, 8 s and () stand for the others.",
+    )
+    step_seconds: float = setting(None, tenths(0.1, 600.0), "Simulated time per move, s.")
     first_steps: tuple[float, ...] = setting(
-        (),
+        None,
         checked(check_lengths),
         "Lengths of the first steps, s, where they are not step_seconds: with [0, 2], players move before the start, "
         "2 s after it, and then every step_seconds.",
@@ -99,11 +98,19 @@ class GameConfig(Settings):
         None, checked(_axes), "Axes of the game, out of the archive's; None takes all of them."
     )
     mask_duplicates: bool = setting(
-        False, flag(), "Whether the action mask forbids a move if an earlier move leads to the same policy."
+        True, flag(), "Whether the action mask forbids a move if an earlier move leads to the same policy."
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        # What the rules of the race decide is written down, so that equal rules are equal values.
+        if all(value is None for value in (self.moves, self.step_seconds, self.first_steps)):
+            *first, length = self.race.steps
+            while first and first[-1] == length:
+                first.pop()
+            self._set(moves=len(self.race.steps) - 1, step_seconds=length, first_steps=tuple(first))
+        self._set(moves=4, step_seconds=8.0, first_steps=(), stay=self.race.stay_move)
+        self._set(utility="lead" if self.race.crash_rule == "nobody" else "win")
         if len(self.first_steps) > self.moves:
             raise ConfigError(
                 f"first_steps is {list(self.first_steps)}; with {self.moves} moves it may have {self.moves} lengths, "
@@ -111,11 +118,12 @@ class GameConfig(Settings):
             )
         if self.horizon > 3600.0:
             raise ConfigError(f"{self.moves} moves of {self.step_seconds:g} s make a race of over 3600 s; take fewer")
-        # What the preset decides is written down, so that equal rules are equal values.
-        if self.stay is None:
-            object.__setattr__(self, "stay", self.race.stay_move)
-        if self.utility is None:
-            object.__setattr__(self, "utility", "lead" if self.race.crash_rule == "nobody" else "win")
+
+    def _set(self, **values: Any) -> None:
+        """Give fields that are None a value."""
+        for name, value in values.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
 
     @property
     def ends(self) -> tuple[float, ...]:
@@ -147,6 +155,7 @@ def load_game_config(source: "str | Path | RaceConfig | GameConfig" = "paper", *
     >>> load_game_config("contest", moves=2).utility
     'win'
     """
-    if not isinstance(source, GameConfig):  # stay and utility follow from the race
-        source = GameConfig(race=changes.pop("race", source))
+    if not isinstance(source, GameConfig):  # what the race decides is not decided before its rules are known
+        own = ("moves", "step_seconds", "first_steps")
+        source = GameConfig(changes.pop("race", source), **{name: changes.pop(name, None) for name in own})
     return load_settings("game", source, **changes)

@@ -34,6 +34,18 @@ def _speed_range(value: Any) -> tuple[float, float]:
     return value[0], value[1]
 
 
+def check_steps(name: str, value: Any, least: int) -> tuple[float, ...]:
+    """Return lengths of a game's steps: whole tenths of a second, in which plans are made; the first one may be 0."""
+    lengths = value if isinstance(value, list | tuple) else ()
+    if len(lengths) < least or not all(is_number(one) and abs(10.0 * one - round(10.0 * one)) < 1e-9 for one in value):
+        raise InputError(
+            f"{name} is {value!r:.80}; it must be a list of {least} or more lengths in whole tenths of 1 s"
+        )
+    if any(not (0.1 <= one <= 600.0 or (k == 0 and one == 0.0)) for k, one in enumerate(lengths)):
+        raise InputError(f"{name} is {value!r:.80}; steps last 0.1 to 600 s, and the first one may last 0")
+    return tuple(map(float, lengths))
+
+
 CONTACTS = ("end", "stop", "restart")
 """What a contact does; each at the index that the kernel knows it by."""
 
@@ -104,6 +116,12 @@ class RaceConfig(Settings):
         "Races from both sides in turn that count as one in the scores of a tournament: best of so many.",
     )
     stay_move: bool = setting(False, flag(), "Whether the game offers a move that keeps the policy.")
+    steps: tuple[float, ...] = setting(
+        (8.0,) * 5,
+        checked(lambda value: check_steps("steps", value, 2)),
+        "Lengths of the steps of the game, s, with a move of both players between two of them; after a first step of "
+        "0 s players move before the start.",
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -130,6 +148,7 @@ CONTEST = RaceConfig(
     crash_rule="fault-loses",
     aggressiveness="speed",
     stay_move=True,
+    steps=(0.0, 2.0, 6.0, 8.0, 8.0, 8.0, 8.0),
 )
 """The race in which adapting pays: staggered, disturbed, the car at fault loses."""
 
@@ -144,6 +163,7 @@ ROBORACER = RaceConfig(
     most_faults=3,
     heats=3,
     stay_move=True,
+    steps=CONTEST.steps,
 )
 """Head-to-head races of the RoboRacer league: from rest, a car's width apart; three faults are too many; best of 3."""
 

@@ -28,10 +28,10 @@ class StudyConfig(Settings):
 
     race: str = setting("paper", text(), "Rules: a preset's name or a YAML file.")
     epsilon: float | tuple[float, ...] = setting(0.5, EPSILON_RULE, "Length of a move, in normalised coordinates.")
-    moves: int = setting(4, whole(1, 100), "Moves of each car in a game.")
-    step_seconds: float = setting(8.0, tenths(0.1, 600.0), "Time between two moves, s.")
+    moves: int = setting(None, whole(1, 100), "Moves of each car in a game; None takes the steps of the rules.")
+    step_seconds: float = setting(None, tenths(0.1, 600.0), "Time between two moves, s.")
     first_steps: tuple[float, ...] = setting(
-        (), checked(check_lengths), "Lengths of the first steps, as in the rules of the game, s."
+        None, checked(check_lengths), "Lengths of the first steps, as in the rules of the game, s."
     )
     synthesis: str | None = setting(
         None,

@@ -61,8 +61,8 @@ class ArchiveConfig(Settings):
     characteristics: tuple[str, ...] | None = setting(
         None,
         names(),
-        "Axes; None takes restraint, and first what the rules name as their aggressiveness: aggressiveness itself (the "
-        "lead), pace or speed.",
+        "Axes; None takes what the rules name as their aggressiveness, which is aggressiveness itself (the lead), pace "
+        "or speed, and then restraint, beside speed the reaction to the lead.",
     )
     method: str = setting("mo-cma-es", choice(METHODS), "Search method; the first is that of the paper.")
     generations: int = setting(60, whole(0, 100_000), "Number of generations.")
@@ -204,7 +204,7 @@ class ArchiveConfig(Settings):
         if self.characteristics is not None:
             return self.characteristics
         first = self.rules.aggressiveness
-        return "aggressiveness" if first == "lead" else first, "restraint"
+        return "aggressiveness" if first == "lead" else first, "reaction" if first == "speed" else "restraint"
 
     @property
     def varied(self) -> tuple[str, ...]:

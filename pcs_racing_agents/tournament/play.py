@@ -7,6 +7,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any, Unpack
 
+import numpy as np
+
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.competitor import competitor_name
@@ -74,30 +76,34 @@ class Tournament:
 
 
 def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
-    """Return the rules of a game with the duration of a race, which is divided into a step more than there are moves.
+    """Return the rules of a game with the duration of a race: all its steps are stretched alike.
 
     Parameters
     ----------
     race : GameConfig, RaceConfig, str or path
         Rules of a game are taken as they are.
     **settings
-        Fields of :class:`pcs_racing.GameConfig` to change.
+        Fields of :class:`pcs_racing.GameConfig` to change; with ``step_seconds`` or ``first_steps`` nothing is
+        stretched.
     """
     if isinstance(race, GameConfig):
         return load_game_config(race, **settings)
     rules = load_race_config(race)
     config = load_game_config(rules, **settings)
-    steps = config.moves + 1 - len(config.first_steps)
-    if "step_seconds" not in settings:
-        # In whole tenths, the time between two plans: a step of 8.1666 s would end between them.
-        tenths = round((rules.duration - sum(config.first_steps)) * 10.0)
-        if tenths <= 0 or tenths % steps:
-            raise InputError(
-                f"duration is {rules.duration:g} s; a game of {config.moves} moves lasts "
-                f"{f'{sum(config.first_steps):g} s and ' if config.first_steps else ''}a multiple of {0.1 * steps:g} s"
-            )
-        settings["step_seconds"] = tenths / steps / 10.0
-    return load_game_config(rules, **settings)
+    if {"step_seconds", "first_steps"} & settings.keys():
+        return config
+    # In whole tenths, the time between two plans: a step of 8.1666 s would end between them.
+    parts = np.diff(config.end_ticks, prepend=0)
+    parts //= np.gcd.reduce(parts)
+    unit, rest = divmod(rules.ticks, 10 * int(parts.sum()))
+    if unit == 0 or rest:
+        raise InputError(
+            f"duration is {rules.duration:g} s; a game of {config.moves} moves lasts a multiple of "
+            f"{0.1 * int(parts.sum()):g} s"
+        )
+    lengths = [round(0.1 * int(part) * unit, 1) for part in parts]
+    first = lengths[: len(config.first_steps)]
+    return load_game_config(rules, **{**settings, "moves": config.moves}, step_seconds=lengths[-1], first_steps=first)
 
 
 def plan_tournament(
