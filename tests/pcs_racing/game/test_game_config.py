@@ -16,10 +16,14 @@ def test_the_papers_game_and_the_contest():
     assert (config.race, config.moves, config.step_seconds) == (PAPER, 4, 8.0)
     assert config.horizon == 40.0
     assert (config.utility, config.fault_penalty, config.discount) == ("lead", 0.0, 1.0)
-    assert (config.stay, config.mask_duplicates, config.characteristics) == (False, False, None)
+    assert (config.stay, config.mask_duplicates, config.characteristics) == (False, True, None)
     assert config.epsilon == 0.5
     config = load_game_config("contest")
     assert (config.race, config.utility, config.stay) == (CONTEST, "win", True)
+    assert config.ends == (0.0, 2.0, 8.0, 16.0, 24.0, 32.0, 40.0)
+    # Who names one of the three lengths names them all.
+    assert load_game_config("contest", moves=2).ends == (8.0, 16.0, 24.0)
+    assert GameConfig(CONTEST, step_seconds=2.0).ends == (2.0, 4.0, 6.0, 8.0, 10.0)
     assert dataclasses.replace(config, stay=False, utility="lead-at-crash").stay is False
 
 
@@ -42,7 +46,7 @@ def test_players_may_move_before_the_start():
     for wrong, text in (
         ((2.0, 0.0), "0.1 to 600 s"),
         ((0.05,), "whole tenths"),
-        (2.0, "list of seconds"),
+        (2.0, "list of 0 or more"),
         ((1.0,) * 4, "may have 3 lengths"),
     ):
         refused(f"first_steps.*{text}", GameConfig, moves=3, first_steps=wrong, error=ConfigError)
@@ -62,7 +66,7 @@ def test_step_sizes_and_axes_are_kept_in_one_form_and_changed_by_name():
 
 def test_each_rule_has_its_limits():
     for key, fine, wrong in [
-        ("moves", (1, 100), (0, 101, 2.0, True, "4", None)),
+        ("moves", (1, 100), (0, 101, 2.0, True, "4")),
         ("step_seconds", (0.1, 600.0, 1), (0.0, 0.05, 0.15, 600.1, True, "8", np.nan)),
         ("fault_penalty", (0.0, 1e6), (-0.1, 1e6 + 1.0, True, None, np.nan)),
         ("discount", (1e-6, 1.0), (0.0, 1.1, -1.0, False, np.nan)),

@@ -19,12 +19,15 @@ def test_the_presets():
         "name": "paper", "duration": 40.0, "start": "side-by-side", "start_gap": 0.0, "start_spacing": 0.9,
         "start_speed": 4.0, "steering_noise": 0.0, "noise_time": 0.28, "speed_range": None, "crash_rule": "nobody",
         "aggressiveness": "lead", "ittc_horizon": 10.0, "contact": "end", "most_faults": 0, "heats": 1,
-        "stay_move": False,
+        "stay_move": False, "steps": (8.0,) * 5,
     }  # fmt: skip
     assert PAPER.ticks == CONTEST.ticks == 4000
     assert (CONTEST.start, CONTEST.start_gap, CONTEST.start_spacing) == ("staggered", 1.4, 0.45)
     assert (CONTEST.steering_noise, CONTEST.crash_rule, CONTEST.stay_move) == (0.02, "fault-loses", True)
     assert CONTEST.aggressiveness == "speed"
+    assert CONTEST.steps == ROBORACER.steps == (0.0, 2.0, 6.0, 8.0, 8.0, 8.0, 8.0)
+    for wrong in ((), (8.0,), 8.0, (8.0, 0.0), (8.0, 0.05), (8.0, "8"), (8.0, 601.0)):
+        refused("steps", RaceConfig, steps=wrong, error=ConfigError)
 
 
 @pytest.mark.parametrize(
