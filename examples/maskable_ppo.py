@@ -62,7 +62,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/maskable_ppo"), help="folder for model.zip")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    envs = make_sb3_vec_env("duel", 64, track=CIRCUITS, opponent=OPPONENTS, mask_duplicates=True, **WORLD)
+    envs = make_sb3_vec_env("duel", 64, track=CIRCUITS, opponent=OPPONENTS, **WORLD)
     model = MaskablePPO(
         "MlpPolicy",
         envs,

@@ -5,8 +5,8 @@
 
     python examples/clients/agilerl_ippo.py
 
-AgileRL 2.7.1 can't compare masks of several agents (``extract_action_masks``): a wrapper drops them. Every move may be
-made in this environment, unless it was made with ``mask_duplicates=True``.
+AgileRL 2.7.1 can't compare masks of several agents (``extract_action_masks``): a wrapper drops them. A masked move may
+be made all the same: it leads where another one leads.
 """
 
 from typing import Any

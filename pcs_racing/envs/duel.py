@@ -49,7 +49,8 @@ class DuelEnv(OverGames, ScalarEnv):
     Characteristic Space: its coordinates say how it drives, for instance how much lead it gains (aggressiveness, m)
     and how much time it keeps to a collision (restraint, s). The players watch one step of 8 s, then make 4 moves;
     each move asks for a bit more or less of one characteristic, the car continues with the nearest policy of the
-    archive, and 8 s are driven. This is the game of Section V of the paper, seen by the player of car 0.
+    archive, and 8 s are driven. This is the game of Section V of the paper, seen by the player of car 0. With the
+    rules ``contest`` players move 6 times: on the grid, at 2 s, and at 8, 16, 24 and 32 s.
 
     ## Action Space
 
@@ -57,7 +58,8 @@ class DuelEnv(OverGames, ScalarEnv):
     less. With the default archive: 0 ``aggressiveness +``, 1 ``aggressiveness -``, 2 ``restraint +``, 3 ``restraint
     -``. With several step sizes (``epsilon``) the moves of each follow one another; with ``stay`` the last move keeps
     the policy. A move may lead to the policy in use: then nothing changes. ``action_masks()`` and
-    ``info["action_mask"]`` say which moves may be made: all of them, unless ``mask_duplicates`` is set.
+    ``info["action_mask"]`` leave out a move that leads where ``stay`` or an earlier one leads; it may be made all the
+    same.
 
     ## Observation Space
 

@@ -98,7 +98,7 @@ class GameConfig(Settings):
         None, checked(_axes), "Axes of the game, out of the archive's; None takes all of them."
     )
     mask_duplicates: bool = setting(
-        True, flag(), "Whether the action mask forbids a move if an earlier move leads to the same policy."
+        True, flag(), "Whether the action mask rules out a move that leads where an earlier one, or no move, leads."
     )
 
     def __post_init__(self) -> None:

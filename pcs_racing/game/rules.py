@@ -311,7 +311,7 @@ class RaceGame:
     def action_mask(self, state: GameState) -> NDArray[np.bool_]:
         """Moves that a player may make, shape (B, 2, M).
 
-        All of them, unless ``mask_duplicates`` rules out those that lead where an earlier one leads.
+        With ``mask_duplicates`` those that lead where "stay", or else an earlier one, leads are ruled out.
         """
         if not self.config.mask_duplicates:
             return np.ones((state.games, 2, len(self.move_names)), np.bool_)
@@ -321,7 +321,10 @@ class RaceGame:
 
     @cached_property
     def _duplicates(self) -> NDArray[np.bool_]:
-        return duplicate_moves(self.table)
+        if not self.config.stay:
+            return duplicate_moves(self.table)
+        # "stay" comes last, and is the one to keep among moves that change nothing.
+        return np.roll(duplicate_moves(np.roll(self.table, 1, axis=1)), -1, axis=1)
 
     # End, fault, winner, reward
 

@@ -87,7 +87,7 @@ def test_evaluation_needs_no_monitor():
 
 
 def test_masks_are_asked_for_as_maskable_ppo_does():
-    env = make_sb3_vec_env("duel", 3, mask_duplicates=True, **SHORT)
+    env = make_sb3_vec_env("duel", 3, **SHORT)
     env.reset()
     assert env.has_attr("action_masks")
     assert np.stack(env.env_method("action_masks")).shape == (3, 4)
@@ -101,7 +101,7 @@ def test_masks_are_asked_for_as_maskable_ppo_does():
 @pytest.mark.compare
 def test_maskable_ppo_learns():
     contrib = pytest.importorskip("sb3_contrib", reason="sb3-contrib is not installed")
-    env = make_sb3_vec_env("duel", 3, mask_duplicates=True, **SHORT)
+    env = make_sb3_vec_env("duel", 3, **SHORT)
     contrib.MaskablePPO("MlpPolicy", env, seed=0, n_steps=8, batch_size=8, device="cpu").learn(24)
 
 

@@ -341,11 +341,14 @@ def test_drivers_from_outside_in_either_car(track):
 
 
 def test_masks_and_the_table_of_an_observation(track, game):
-    assert game.action_mask(game.reset(games=2)).all()
-    strict = make_game(track, step_seconds=2.0, mask_duplicates=True)
+    free = make_game(track, step_seconds=2.0, mask_duplicates=False)
+    assert free.action_mask(free.reset(games=2)).all()
+    strict = make_game(track, step_seconds=2.0)
     state = strict.reset(games=50, redraw=False)
     mask = strict.action_mask(state)
     assert mask[..., 0].all()  # so there always is a move
+    staying = make_game(track, stay=True)
+    assert staying.action_mask(staying.reset(games=50))[..., -1].all()
     for allowed, policy in zip(mask.reshape(-1, 4), state.policy.reshape(-1), strict=True):
         there = strict.table[policy]
         assert sorted(there[allowed]) == sorted(set(there))
