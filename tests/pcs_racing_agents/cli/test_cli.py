@@ -231,7 +231,10 @@ def test_policies_lists_every_planner_and_parameter(run):
         (["race", "--ego", "random:Random"], "here it must be a driver, not an agent"),
         (["play", "--opponent", "nahs"], "did you mean 'nash'?"),
         (["tournament", "--track", "Pipkin", "--agents", "nahs", "nash"], "did you mean 'nash'?"),
-        (["tournament", "--track", "Pipkin", "--agents", "random-moves", "--archive", "x"], "unknown archive 'x'"),
+        (
+            ["tournament", "--track", "Pipkin", "--agents", "random-moves", "nash", "--archive", "x"],
+            "unknown archive 'x'",
+        ),
         (["track", "calibrate", "--write"], "--write changes a map folder: say which"),
         (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
         (["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"], "style 'baroque' is unknown"),
@@ -411,7 +414,7 @@ def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monk
     for place in ("own_racers.py", "own_racers"):
         straight = parse_driver(f"{place}:Straight")
         assert straight.name.endswith(":Straight")
-        assert parse_agent(f"{place}:Straight", setting).policies == (straight,)
+        assert parse_agent(f"{place}:Straight", setting).name == straight.name
         assert parse_agent(f"{place}:First", setting).name == "First"
         assert parse_agent(f"{place}:last", setting).name == "default"
         refused(
