@@ -190,7 +190,7 @@ def _kind_of_start(results: "ResultsFolder") -> str:
     "play",
     "pcs-racing play",
     "pcs-racing play --opponent response --race contest --track Pipkin",
-    "pcs-racing play --opponent lattice:pace=0.9 --no-open",
+    "pcs-racing play --drive --opponent lattice:pace=0.4 --no-open",
 )
 def run_play(
     *,
@@ -198,10 +198,13 @@ def run_play(
     track: Circuit = DEFAULT_TRACK,
     rules: Rules,
     archive: ArchiveName = None,
+    drive: Annotated[
+        bool, Option("steer the car yourself, with keys or a gamepad, instead of making its moves")
+    ] = False,
     port: Port = None,
     no_open: NoOpen = False,
 ) -> None:
-    """Make the moves of one car yourself, on a local page, against an agent."""
+    """Make the moves of one car yourself, or steer it, on a local page, against an agent."""
     from pcs_racing.game.archive_files import load_archive
     from pcs_racing.game.make import make_game
     from pcs_racing.track.loading import load_track
@@ -214,6 +217,14 @@ def run_play(
     config = rules.config()
     loaded = load_archive(archive_for(archive, config))
     rival = parse_agent(opponent, make_setting(loaded, config), seed=rules.seed)
+    if drive:
+        from pcs_racing_agents.view.person_drive import drive_page, make_person_drive
+
+        wheel = make_person_drive(rival, rules.seed, track=load_track(track), race=config, archive=loaded)
+        wheel.answer("/begin/0")  # what does not fit is told now
+        with make_server(drive_page(wheel), wheel.answer, port or 0) as server:
+            run_server(server, "play", open_it=not no_open)
+        return
     races = PersonRaces(make_game(load_track(track), loaded, config, stay=True), rival, rules.seed)
     # A competitor that does not fit is told now, and kernels are compiled before the page opens.
     races.situation(0, ())
