@@ -3,8 +3,9 @@
     python benchmarks/first_race.py                                  # the drivers that `pcs-racing race` has by itself
     python benchmarks/first_race.py --ego lattice --opponent lane-switcher:3 --track Brackwater --seeds 40
 
-A line for each seed whose race 0 ends without a crash and with an overtake, the closest first. `SEED` in
-pcs_racing_agents/cli/race.py is one of these seeds; start places or drivers that change may ask for another one.
+A line for each seed whose race 0 ends without a crash and with an overtake, the closest first. Seed 0, the default of
+all commands, must be one of these for `EGO` and `OPPONENT` in pcs_racing_agents/cli/race.py; start places that change
+may ask for other drivers.
 """
 
 import argparse

@@ -10,93 +10,52 @@ Examples
 (10,)
 """
 
+from importlib import import_module
 from typing import Any
 
-from pcs_racing.base.errors import ConfigError, InputError, MapError, UnknownNameError
-from pcs_racing.car.lidar import Lidar
-from pcs_racing.car.vehicle import F1TENTH, VehicleParams, simulate
 from pcs_racing.envs import register_environments
 from pcs_racing.f1tenth import register_environments as register_old_environments
-from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.archive_files import list_archives, load_archive, save_archive
-from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.make import make_game
-from pcs_racing.game.rules import RaceGame
-from pcs_racing.game.state import GameState
-from pcs_racing.planners.imported import drivers_from
-from pcs_racing.planners.planner import Parameter, Planner, Policy
-from pcs_racing.planners.registry import get_planner, parse_policy, planner_names, register_planner
-from pcs_racing.race.config import CONTEST, PAPER, ROBORACER, RaceConfig, load_race_config
-from pcs_racing.race.races import RaceResult, RaceSetup, advance, draw_starts, run_field, run_races, start_races
-from pcs_racing.race.recording import record_race
-from pcs_racing.race.replay import Replay
-from pcs_racing.race.replay_files import read_replay, save_replay
-from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import RaceState
-from pcs_racing.track.loading import load_track
-from pcs_racing.track.maps import list_tracks
-from pcs_racing.track.track import Track, build_track
 
-__all__ = [
-    "CONTEST",
-    "F1TENTH",
-    "PAPER",
-    "ROBORACER",
-    "ConfigError",
-    "GameConfig",
-    "GameState",
-    "InputError",
-    "Lidar",
-    "MapError",
-    "Parameter",
-    "Planner",
-    "Policy",
-    "PolicyArchive",
-    "RaceConfig",
-    "RaceGame",
-    "RaceResult",
-    "RaceSetup",
-    "RaceState",
-    "Replay",
-    "Starts",
-    "Track",
-    "UnknownNameError",
-    "VehicleParams",
-    "advance",
-    "build_track",
-    "draw_starts",
-    "drivers_from",
-    "env",
-    "get_planner",
-    "list_archives",
-    "list_tracks",
-    "load_archive",
-    "load_game_config",
-    "load_race_config",
-    "load_track",
-    "make_game",
-    "parallel_env",
-    "parse_policy",
-    "planner_names",
-    "read_replay",
-    "record_race",
-    "register_planner",
-    "run_field",
-    "run_races",
-    "save_archive",
-    "save_replay",
-    "simulate",
-    "start_races",
-]
+_PLACES = {
+    "base.errors": "ConfigError InputError MapError UnknownNameError",
+    "car.lidar": "Lidar",
+    "car.vehicle": "F1TENTH VehicleParams simulate",
+    "envs.duel": "env parallel_env",
+    "game.archive": "PolicyArchive",
+    "game.archive_files": "list_archives load_archive save_archive",
+    "game.config": "GameConfig load_game_config",
+    "game.make": "make_game",
+    "game.rules": "RaceGame",
+    "game.state": "GameState",
+    "planners.imported": "drivers_from",
+    "planners.planner": "Parameter Planner Policy",
+    "planners.registry": "get_planner parse_policy planner_names register_planner",
+    "race.config": "CONTEST PAPER ROBORACER RaceConfig load_race_config",
+    "race.races": "RaceResult RaceSetup advance draw_starts run_field run_races start_races",
+    "race.recording": "record_race",
+    "race.replay": "Replay",
+    "race.replay_files": "read_replay save_replay",
+    "race.start_grid": "Starts",
+    "race.state": "RaceState",
+    "track.loading": "load_track",
+    "track.maps": "list_tracks",
+    "track.track": "Track build_track",
+}
+"""Public names by their file. It is imported when a name is asked for: all files together take a second."""
+
+_FILES = {name: file for file, names in _PLACES.items() for name in names.split()}
+__all__ = sorted(_FILES)
 
 register_environments()
 register_old_environments()
 
 
 def __getattr__(name: str) -> Any:
-    """Import the makers of environments when they are asked for, as the registries do."""
-    if name in ("env", "parallel_env"):
-        from pcs_racing.envs import duel
+    """Import a public name when it is asked for; ``__init__.pyi`` has their types."""
+    if name not in _FILES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return globals().setdefault(name, getattr(import_module(f"pcs_racing.{_FILES[name]}"), name))
 
-        return getattr(duel, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

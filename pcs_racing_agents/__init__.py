@@ -5,7 +5,7 @@
 
 from typing import Any
 
-from pcs_racing.game.competitor_names import register_competitors
+from pcs_racing.game.competitor_collections import register_competitors
 
 register_competitors("zoo", "pcs_racing_agents.agents.opponents")
 

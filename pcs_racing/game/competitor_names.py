@@ -2,43 +2,25 @@
 
 A package that brings competitors names, in the entry point group ``pcs_racing.opponents``, a module with two functions:
 ``names(archive, config) -> list of str`` and ``make(text, archive, config) -> competitor``. A program may call
-:func:`register_competitors` instead.
+:func:`~pcs_racing.game.competitor_collections.register_competitors` instead.
 """
 
-from functools import lru_cache
-from importlib.metadata import entry_points
-from pkgutil import resolve_name
-from typing import Any
-
-from pcs_racing.base.errors import InputError, UnknownNameError, choices
+from pcs_racing.base.errors import UnknownNameError, choices
 from pcs_racing.game.competitor import Competitor, PolicySet, RandomMoves, SameMove, is_model
+from pcs_racing.game.competitor_collections import collections
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.registry import parse_policy, planner_names
-
-ENTRY_POINTS = "pcs_racing.opponents"
-"""Entry point group in which a distribution names its module of competitors."""
 
 NEVER_SWITCH = "never-switch"
 RANDOM_MOVES = "random-moves"
 ALWAYS = "always-"
-
-_registered: dict[str, str] = {}
-
-
-def register_competitors(name: str, module: str) -> None:
-    """Make the competitors of a module known in this process, under the name of their collection.
-
-    The module, as ``"package.module"``, is imported when a name is not known otherwise.
-    """
-    if _registered.setdefault(name, module) != module:
-        raise InputError(f"there are competitors {name!r} already, of {_registered[name]}; give yours another name")
 
 
 def competitor_names(game: RaceGame) -> list[str]:
     """Return the names of all competitors for a game, sorted; the policies of planners have more forms."""
     names = {NEVER_SWITCH, RANDOM_MOVES, *planner_names()}
     names |= {ALWAYS + move for move in game.competitor_moves}
-    for collection in _collections():
+    for collection in collections():
         names |= {name for name in collection.names(game.archive, game.config) if not name.startswith(ALWAYS)}
     return sorted(names)
 
@@ -63,23 +45,8 @@ def make_competitor(text: str, game: RaceGame) -> Competitor:
     if name in planner_names():
         return parse_policy(text)
     # Last: what other packages bring is only imported for names that are not ours.
-    for collection in _collections():
+    for collection in collections():
         if is_model(text) or name in collection.names(game.archive, game.config):
             made: Competitor = collection.make(text, game.archive, game.config)
             return made
     raise UnknownNameError(f"opponent {text!r} is unknown; {choices(text, competitor_names(game))}")
-
-
-def _collections() -> list[Any]:
-    modules = []
-    for name, place in {**_declared(), **_registered}.items():
-        try:
-            modules.append(resolve_name(place))
-        except Exception as error:  # whatever a third party's module raises when it is imported
-            raise InputError(f"the competitors {name!r} can't be loaded from {place}: {error}") from error
-    return modules
-
-
-@lru_cache(maxsize=1)
-def _declared() -> dict[str, str]:
-    return {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}

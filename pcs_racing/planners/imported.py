@@ -17,6 +17,7 @@ from functools import lru_cache
 from importlib.util import module_from_spec, spec_from_file_location
 from itertools import count
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -49,7 +50,10 @@ class _Drivers:
     numbers: "count[int]" = field(init=False, default_factory=lambda: count(1))
 
     def __post_init__(self) -> None:
-        self.classes = _classes(Path(self.path))
+        self.classes = driver_classes(self.path)
+        if not self.classes:
+            methods = f"{', '.join(METHODS[:-1])} or {METHODS[-1]}"
+            raise InputError(f"{self.path} has no driver: a class with a method {methods}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _Drivers, (self.path,)
@@ -84,9 +88,12 @@ def _ask(driver: Any, track: Track, view: NDArray[np.float64]) -> tuple[float, f
     return float(steering), float(speed)
 
 
-def _classes(path: Path) -> list[type]:
-    """Run a file and return its drivers, in their order."""
+def run_file(path: str | Path) -> ModuleType:
+    """Run a Python file, once in this process, and return it as a module."""
+    path = Path(path)
     name = f"drivers of {path.resolve()}"
+    if name in sys.modules:
+        return sys.modules[name]
     spec = spec_from_file_location(name, path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise InputError(f"there is no Python file {path}")
@@ -95,14 +102,18 @@ def _classes(path: Path) -> list[type]:
     try:
         spec.loader.exec_module(module)
     except Exception as error:  # whatever their code raises
+        del sys.modules[name]
         raise InputError(f"{path} can't be loaded: {type(error).__name__}: {error}") from error
     finally:
         sys.path.pop(0)
-    own = [value for value in vars(module).values() if isinstance(value, type) and value.__module__ == name]
-    found = [cls for cls in own if any(callable(getattr(cls, method, None)) for method in METHODS)]
-    if not found:
-        raise InputError(f"{path} has no driver: a class with a method {', '.join(METHODS[:-1])} or {METHODS[-1]}")
-    return found
+    return module
+
+
+def driver_classes(path: str | Path) -> list[type]:
+    """Return the drivers among the classes of a file, which is run, in their order."""
+    module = run_file(path)
+    own = [value for value in vars(module).values() if isinstance(value, type) and value.__module__ == module.__name__]
+    return [cls for cls in own if any(callable(getattr(cls, method, None)) for method in METHODS)]
 
 
 def drivers_from(path: str | Path) -> dict[str, Policy]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.calling import control_address, plan_address
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, hold_command, leave_path
 
@@ -222,10 +222,8 @@ class Planner:
             if parameters == "default":
                 return Policy(self, self.default, name or self.name)
             if parameters not in self.variants:
-                raise UnknownNameError(
-                    f"planner {self.name!r} has no variant {parameters!r}; it has "
-                    f"{', '.join(['default', *self.variants])}"
-                )
+                known = choices(parameters, ["default", *self.variants])
+                raise UnknownNameError(f"planner {self.name!r} has no variant {parameters!r}; {known}")
             return Policy(self, np.array(self.variants[parameters]), name or f"{self.name}:{parameters}")
         if isinstance(parameters, Mapping):
             theta = self.default

@@ -13,29 +13,10 @@ from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.shipped import SHIPPED
 
 ENTRY_POINTS = "pcs_racing.planners"
 """Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
-
-SHIPPED = {
-    "alpha-racer": "pcs_racing.planners.alpha_racer:ALPHA_RACER",
-    "bimatrix-game": "pcs_racing.planners.bimatrix:BIMATRIX",
-    "disparity-extender": "pcs_racing.planners.disparity_extender:DISPARITY_EXTENDER",
-    "follow-the-gap": "pcs_racing.planners.follow_the_gap:FOLLOW_THE_GAP",
-    "frenet-sampling": "pcs_racing.planners.frenet_sampling:FRENET_SAMPLING",
-    "gap-follower": "pcs_racing.planners.gap_follower:GAP_FOLLOWER",
-    "iterated-best-response": "pcs_racing.planners.best_response:BEST_RESPONSE",
-    "lane-switcher": "pcs_racing.planners.lane_switcher:LANE_SWITCHER",
-    "lattice": "pcs_racing.planners.lattice:LATTICE",
-    "lidar-cnn": "pcs_racing.planners.imitation:LIDAR_CNN",
-    "mppi": "pcs_racing.planners.mppi:MPPI",
-    "ppo-drive": "pcs_racing.planners.trained:PPO_DRIVE",
-    "predictive-spliner": "pcs_racing.planners.predictive_spliner:PREDICTIVE_SPLINER",
-    "pure-pursuit": "pcs_racing.planners.pure_pursuit:PURE_PURSUIT",
-    "spliner": "pcs_racing.planners.spliner:SPLINER",
-    "stanley": "pcs_racing.planners.stanley:STANLEY",
-}
-"""The planners of this package: name and place. A new one is a file and a line here."""
 
 _planners: dict[str, Planner] = {}
 _places: dict[str, str] = dict(SHIPPED)

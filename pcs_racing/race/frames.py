@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from pcs_racing.base.checks import check_number
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.files import write_atomically
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.race.rendering import Renderer
@@ -91,6 +91,31 @@ def write_gif(
             file, "GIF", save_all=True, append_images=rest, duration=round(100 / fps) * 10, loop=0, optimize=False
         ),
     )
+    return path
+
+
+def write_video(replay: Replay, path: str | os.PathLike[str], *, fps: float = 25.0, speed: float = 1.0) -> Path:
+    """Write a recorded race as an MP4 of 960 x 640 pixels, for which it needs imageio-ffmpeg (the extra video).
+
+    ``fps`` and ``speed`` as for :func:`replay_frames`.
+    """
+    path = Path(path)
+    if path.suffix != ".mp4":
+        raise InputError(f"write_video writes .mp4 files, got {path.name!r}")
+    require("imageio_ffmpeg", extra="video")
+    from imageio_ffmpeg import write_frames
+
+    frames = replay_frames(replay, Renderer(replay, 960, 640), fps=fps, speed=speed)
+    partial = path.with_name(f".{path.name[:100]}.part.mp4")
+    try:
+        writer = write_frames(str(partial), (960, 640), fps=fps, macro_block_size=None)
+        writer.send(None)
+        for frame in frames:
+            writer.send(np.ascontiguousarray(frame))
+        writer.close()
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
     return path
 
 

@@ -12,6 +12,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import COMMAND_PERIOD, F1TENTH, VehicleParams
 from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import CONTROL_EVERY, DT, PAPER, RaceConfig
@@ -23,6 +24,9 @@ from pcs_racing.race.state import MOST_CARS, NO_CRASH, RaceState, concatenate, e
 from pcs_racing.track.track import Track
 
 TIE_WITHIN = 0.01  # m of lead
+
+Drivers = Policy | str | Sequence[Policy | str]
+"""The driver of a car in all races, or one for each race."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,8 +273,8 @@ def winners(config: RaceConfig, state: RaceState) -> NDArray[np.int8]:
 
 def run_races(
     track: Track,
-    egos: Policy | Sequence[Policy],
-    opponents: Policy | Sequence[Policy],
+    egos: Drivers,
+    opponents: Drivers,
     config: RaceConfig = PAPER,
     *,
     seed: int = 0,
@@ -282,9 +286,9 @@ def run_races(
 
     Parameters
     ----------
-    egos, opponents : Policy or sequence of Policy
-        Drivers of car 0 and car 1 in each race; a single policy drives in all of them. Planners may differ from race to
-        race.
+    egos, opponents : Policy, str, or sequence of these
+        Drivers of car 0 and car 1 in each race, also as texts (:func:`pcs_racing.parse_policy`); a single one drives in
+        all of them. Planners may differ from race to race.
     seed : int
         Root of the start lines and of every race's noise.
     starts : Starts, optional
@@ -292,7 +296,7 @@ def run_races(
     threads : int, optional
         Threads to share the races; all cores by default. It does not change the result.
     """
-    counts = [len(one) for one in (egos, opponents) if not isinstance(one, Policy)]
+    counts = [len(one) for one in (egos, opponents) if not isinstance(one, Policy | str)]
     if len(set(counts)) > 1:
         raise InputError(f"there are {counts[0]} egos but {counts[1]} opponents; give one opponent for each ego")
     return run_field(track, (egos, opponents), config, seed=seed, starts=starts, vehicles=vehicles, threads=threads)
@@ -300,7 +304,7 @@ def run_races(
 
 def run_field(
     track: Track,
-    drivers: Sequence[Policy | Sequence[Policy]],
+    drivers: Sequence[Drivers],
     config: RaceConfig = PAPER,
     *,
     seed: int = 0,
@@ -312,11 +316,12 @@ def run_field(
 
     ``drivers`` holds the driver of each car, or its drivers in all races; the others are those of :func:`run_races`.
     """
-    given = [len(one) for one in drivers if not isinstance(one, Policy)]
+    policies = [_policies(one) for one in drivers]
+    given = [len(one) for one in policies if not isinstance(one, Policy)]
     races = given[0] if given else 1 if starts is None else len(starts)
     if any(number != races for number in given):
         raise InputError(f"cars have {given} drivers; give each car one driver, or one for each race")
-    cars = [[one] * races if isinstance(one, Policy) else list(one) for one in drivers]
+    cars = [[one] * races if isinstance(one, Policy) else list(one) for one in policies]
     if starts is None:
         starts = draw_starts(track, config, races, seed, cars=len(cars))
     if len(starts) != races:
@@ -338,6 +343,13 @@ def run_field(
     joined = [_widen_memory(state, widest) for _, state in parts] or [empty_state(0, 0, len(cars))]
     order = np.argsort(np.concatenate([members for members, _ in parts])) if parts else np.array([], np.intp)
     return RaceResult(config, take(concatenate(joined), order), starts)
+
+
+def _policies(given: Drivers) -> Policy | list[Policy]:
+    """Return the driver of all races, or those of each; texts are read."""
+    if isinstance(given, Policy | str):
+        return parse_policy(given) if isinstance(given, str) else given
+    return [parse_policy(one) if isinstance(one, str) else one for one in given]
 
 
 def _widen_memory(state: RaceState, size: int) -> RaceState:

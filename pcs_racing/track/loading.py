@@ -91,7 +91,7 @@ def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
         try:
             return find_shipped(name_or_path)
         except UnknownNameError:
-            if not os.path.exists(path):
+            if not os.path.exists(name_or_path):
                 raise
     return path.resolve() if os.path.exists(path) else path
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pcs_racing.base import artifacts
-from pcs_racing.base.errors import MapError, UnknownNameError
+from pcs_racing.base.errors import MapError, UnknownNameError, choices
 from pcs_racing.base.files import MAX_YAML, read_limited
 from pcs_racing.track.map_files import (
     CENTERLINE_COLUMNS,
@@ -87,7 +87,7 @@ def find_shipped(name: str) -> Path:
         if candidate.lower() == name.lower():
             return shipped_folder() / candidate
     raise UnknownNameError(
-        f"unknown track {name!r}: neither a map folder nor one of the shipped tracks ({', '.join(tracks) or 'none'})"
+        f"unknown track {name!r}: neither a map folder nor one of the shipped tracks; {choices(name.title(), tracks)}"
     )
 
 

@@ -1,21 +1,19 @@
 """The zoo: everything that answers ``predict(observation)``, and the drivers that make no moves."""
 
-from pcs_racing_agents.agents.agent import Agent, Competitor, Decider, Driver, Strategy, as_competitor
-from pcs_racing_agents.agents.setting import Setting, make_setting
-from pcs_racing_agents.agents.zoo import Entry, make, names, parse_agent, register_agent
+from importlib import import_module
+from typing import Any
 
-__all__ = [
-    "Agent",
-    "Competitor",
-    "Decider",
-    "Driver",
-    "Entry",
-    "Setting",
-    "Strategy",
-    "as_competitor",
-    "make",
-    "make_setting",
-    "names",
-    "parse_agent",
-    "register_agent",
-]
+_PLACES = {
+    "agent": "Agent Competitor Decider Driver Strategy as_competitor",
+    "setting": "Setting make_setting",
+    "zoo": "Entry make names parse_agent register_agent",
+}
+_FILES = {name: file for file, names in _PLACES.items() for name in names.split()}
+__all__ = sorted(_FILES)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is asked for; ``__init__.pyi`` has their types."""
+    if name not in _FILES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"pcs_racing_agents.agents.{_FILES[name]}"), name)

@@ -25,7 +25,9 @@ from pcs_racing.game.config import GameConfig
 from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.race.config import RaceConfig
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor, driver_of_model
+from pcs_racing_agents.agents.own_code import own_code
 from pcs_racing_agents.agents.setting import Setting, make_setting
+from pcs_racing_agents.agents.shipped import SHIPPED
 
 ENTRY_POINTS = "pcs_racing.agents"
 """Entry point group in which a distribution names its agents: ``name = "package.module:function"``."""
@@ -46,33 +48,6 @@ class Entry:
     defaults: Mapping[str, Any] = field(default_factory=dict)
     moves: bool = True  #: Whether it makes moves; drivers do not.
 
-
-SHIPPED = {
-    "never-switch": "pcs_racing_agents.agents.blind:NEVER_SWITCH",
-    "random-moves": "pcs_racing_agents.agents.blind:RANDOM_MOVES",
-    "best-schedule": "pcs_racing_agents.agents.blind:BEST_SCHEDULE",
-    "best-fixed": "pcs_racing_agents.agents.blind:BEST_FIXED",
-    "best-lead-plan": "pcs_racing_agents.agents.blind:BEST_LEAD_PLAN",
-    "cfr-argmax": "pcs_racing_agents.agents.from_network:CFR_ARGMAX",
-    "cfr-regret-matching": "pcs_racing_agents.agents.from_network:CFR_REGRET_MATCHING",
-    "nash": "pcs_racing_agents.agents.from_network:NASH",
-    "adaptive": "pcs_racing_agents.agents.from_network:ADAPTIVE",
-    "response": "pcs_racing_agents.agents.from_network:RESPONSE",
-    "robust": "pcs_racing_agents.agents.mixture:ROBUST",
-    "psro": "pcs_racing_agents.agents.mixture:PSRO",
-    "self-play": "pcs_racing_agents.agents.mixture:SELF_PLAY",
-    "ppo": "pcs_racing_agents.agents.from_network:PPO",
-    "receding-horizon": "pcs_racing_agents.agents.receding_horizon:RECEDING_HORIZON",
-    "random-policy": "pcs_racing_agents.agents.drivers:RANDOM_POLICY",
-    "lane-switcher": "pcs_racing_agents.agents.drivers:LANE_SWITCHER",
-    "ppo-drive": "pcs_racing_agents.agents.drivers:PPO_DRIVE",
-    "gap-follower": "pcs_racing_agents.agents.drivers:GAP_FOLLOWER",
-    "pure-pursuit": "pcs_racing_agents.agents.drivers:PURE_PURSUIT",
-}
-"""Agents and drivers of this package: name, and reference to the entry. A new one is a file and a line here.
-
-In addition there is ``always-MOVE`` for every move.
-"""
 
 _registered: dict[str, Entry] = {}
 
@@ -196,11 +171,15 @@ def build_member(member: str | Agent, setting: Setting, seed: int) -> Agent:
 def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
     """Make an agent from text: a name, or a name with options as in ``"cfr-argmax:network=out/net"``.
 
-    A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``.
+    A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``; others may be code of your
+    own (:mod:`pcs_racing_agents.agents.own_code`).
     """
     name, separator, rest = str(text).strip().partition(":")
     # "lane-switcher:3" is a variant of the planner, not an option of the agent of that name.
     if not separator or name not in entries() or name in planner_names():
+        own = own_code(str(text).strip(), setting)
+        if own is not None:
+            return as_competitor(own, rest if isinstance(own, Agent) or not hasattr(own, "name") else None)
         return build(str(text).strip(), setting, seed=seed)
     options: dict[str, Any] = {}
     for option in rest.split(","):

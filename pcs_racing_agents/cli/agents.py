@@ -2,11 +2,12 @@
 
 from typing import Annotated
 
-from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.base.errors import UnknownNameError, choices
+from pcs_racing.game.config import load_game_config
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import ArchiveName, Race
+from pcs_racing_agents.cli.options import ArchiveName, Race, archive_for
 from pcs_racing_agents.results.text_table import aligned
 
 _CONSTANT = "makes the same move again and again"
@@ -16,12 +17,12 @@ _CONSTANT = "makes the same move again and again"
     "agents",
     "pcs-racing agents",
     "pcs-racing agents best-fixed",
-    "pcs-racing agents response --archive contest --race contest",
+    "pcs-racing agents response --race contest",
 )
 def run(
     agent: Annotated[str | None, Option("name of the agent to describe (default: list all)")] = None,
     *,
-    archive: ArchiveName = "default",
+    archive: ArchiveName = None,
     race: Race = "paper",
 ) -> None:
     """List all agents and drivers, or describe one of them: options, training, strength, cost, hash."""
@@ -29,14 +30,15 @@ def run(
     from pcs_racing_agents.agents.setting import make_setting
     from pcs_racing_agents.agents.zoo import entries, names
 
-    setting = make_setting(archive, race)
+    config = load_game_config(race)
+    setting = make_setting(archive_for(archive, config.race), config)
     available, listed = entries(), names(setting.archive, setting.config)
     if agent is None:
         rows = [(name, available[name].summary if name in available else _CONSTANT) for name in listed]
         print("\n".join(aligned(rows, left=2)))
         return
     if agent not in listed:
-        raise UnknownNameError(f"agent {agent!r} is unknown; there are: {', '.join(listed)}")
+        raise UnknownNameError(f"agent {agent!r} is unknown; {choices(agent, listed)}")
     told = f"{_CONSTANT.capitalize()}.\n"
     if agent in available:
         told = describe(agent, available[agent]).replace("`", "")

@@ -15,14 +15,16 @@ an option. The type says how a value is read: ``bool`` is a switch, ``Sequence[T
 """
 
 import argparse
+import re
 from argparse import ArgumentParser, BooleanOptionalAction, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import partial
 from inspect import Parameter, getdoc, signature
 from types import ModuleType, NoneType, UnionType
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, NoReturn, get_args, get_origin, get_type_hints
 
+from pcs_racing.base.errors import choices
 from pcs_racing.base.settings import Settings, setting_words
 
 Parsers = argparse._SubParsersAction  # what ``add_subparsers`` returns; it has no public name
@@ -70,6 +72,18 @@ class Command:
     summary: str
     examples: tuple[str, ...]
     function: Callable[..., None] | None = None
+
+
+class Parser(ArgumentParser):
+    """Print an error as one line, with the nearest of the words that were possible."""
+
+    def error(self, message: str) -> NoReturn:
+        """End the process with status 2."""
+        found = re.match(r"(.*): invalid choice: '(.*)' \(choose from (.*)\)$", message)
+        if found:
+            where, word, known = found.groups()
+            message = f"{where} is {word!r}; {choices(word, known.replace(chr(39), '').split(', '))}"
+        self.exit(2, f"{self.prog}: error: {message}; 'pcs-racing help' lists what there is\n")
 
 
 def command(name: str, *examples: str) -> Callable[[Callable[..., None]], Command]:

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, ArchiveName, Rules, can_draw, output_folder
+from pcs_racing_agents.cli.options import (
+    AGENT_HELP,
+    DEFAULT_TRACK,
+    TRACK_HELP,
+    ArchiveName,
+    Rules,
+    archive_for,
+    can_draw,
+    output_folder,
+)
 
 if TYPE_CHECKING:
     from pcs_racing_agents.tournament.pairings import Pairing
@@ -16,14 +25,13 @@ if TYPE_CHECKING:
 class _Planned:
     """Races between two agents that are planned here, in place of a folder of results."""
 
-    agents: Annotated[tuple[str, str] | None, Option("instead of a folder: the agents of car 0 and car 1", "AGENT")] = (
-        None
-    )
+    agents: Annotated[
+        tuple[str, str] | None, Option(f"instead of a folder: the agents of car 0 and car 1: {AGENT_HELP}", "AGENT")
+    ] = None
     track: Annotated[str | None, Option(f"with --agents: {TRACK_HELP} (default: {DEFAULT_TRACK})", "T")] = None
     rules: Rules
-    archive: ArchiveName = "default"
+    archive: ArchiveName = None
     races: Annotated[int | None, Option("with --agents: number of planned races, even (default: 20)")] = None
-    index: Annotated[int | None, Option("with --agents: number of the race to explain (default: 0)", "K")] = None
 
     def pairing(self) -> "Pairing":
         """Return the races of a tournament between the two agents."""
@@ -31,11 +39,12 @@ class _Planned:
         from pcs_racing_agents.tournament import plan_tournament
 
         assert self.agents is not None
+        config = self.rules.config()
         plan = plan_tournament(
             load_track(DEFAULT_TRACK if self.track is None else self.track),
             self.agents,
-            self.rules.config(),
-            archive=self.archive,
+            config,
+            archive=archive_for(self.archive, config),
             races_per_pair=20 if self.races is None else self.races,
             seed=self.rules.seed,
         )
@@ -45,15 +54,17 @@ class _Planned:
 @command(
     "explain",
     "pcs-racing explain --agents cfr-argmax never-switch",
-    "pcs-racing explain out/mine 12",
-    "pcs-racing explain out/mine 12 --car 1 --out out/race-12",
+    "pcs-racing explain out/mine --index 12",
+    "pcs-racing explain out/mine --index 12 --car 1 --out out/race-12",
     "pcs-racing explain --agents random-moves lane-switcher --track Tarnfjord --seed 3 --out out/race",
     "pcs-racing explain out/mine --situations cfr-argmax --out out/cfr",
 )
 def run(
     results: Annotated[Path | None, Option("folder of a tournament or a study", "RACE")] = None,
-    number: Annotated[int | None, Option("line of its results, counted from 0 (default: 0)", "N")] = None,
     *,
+    index: Annotated[
+        int | None, Option("the race: its line in the results, or its number with --agents (default: 0)", "K")
+    ] = None,
     planned: _Planned,
     car: Annotated[
         int | None, Option("car whose moves are explained (default: the first that makes moves)", choices=(0, 1))
@@ -69,17 +80,17 @@ def run(
         raise InputError("give a folder of results, or two agents with --agents; one of the two")
     if results is not None:
         own = {"track": planned.track, "duration": planned.rules.duration, "races": planned.races}
-        for option, value in {**own, "index": planned.index}.items():
+        for option, value in own.items():
             if value is not None:
                 raise InputError(f"--{option} goes with --agents; the races of a folder have their own")
-    if situations is not None and (number is not None or planned.index is not None):
-        raise InputError("--situations is about all races; leave out the number of one")
+    if situations is not None and index is not None:
+        raise InputError("--situations is about all races; leave out --index")
     if out is not None:
         output_folder(out)
     if situations is not None:
         _situations(results, planned, situations, out)
     else:
-        _race(results, number or 0, planned, car, out)
+        _race(results, index or 0, planned, car, out)
 
 
 def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, out: Path | None) -> None:
@@ -94,7 +105,7 @@ def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, 
         row = results.row(number)
         pairing, race = results.pairing(row), row.race
     else:
-        pairing, race = planned.pairing(), planned.index or 0
+        pairing, race = planned.pairing(), number
         if not 0 <= race < len(pairing):
             raise InputError(f"--index is {race}; there are races 0 to {len(pairing) - 1}")
     if car is None:

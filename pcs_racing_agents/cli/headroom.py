@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.planners.registry import parse_policy
 from pcs_racing.track.loading import as_track, load_track
+from pcs_racing_agents.agents.own_code import parse_driver
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, Circuits, Rules, Workers
+from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, ArchiveName, Circuits, Rules, Workers, archive_for
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.csv_files import write_csv
@@ -33,7 +33,7 @@ class PoolOptions:
     """A pool of policies: where they come from, and the races of all pairs of them."""
 
     track: Circuits = (DEFAULT_TRACK,)
-    archive: Annotated[str, Option("archive: its name or folder", "A")] = "contest"
+    archive: ArchiveName = None
     size: Annotated[
         int | None,
         Option(
@@ -52,9 +52,9 @@ class PoolOptions:
         from pcs_racing_agents.payoffs.policy_pool import PolicyPool, spanning_policies
 
         if self.policies:
-            names, policies = list(self.policies), tuple(parse_policy(text) for text in self.policies)
+            names, policies = list(self.policies), tuple(parse_driver(text) for text in self.policies)
         else:
-            archive = load_archive(self.archive)
+            archive = load_archive(archive_for(self.archive, self.rules.config()))
             names, policies = spanning_policies(archive, min(MOST, len(archive)) if self.size is None else self.size)
         tracks = tuple(load_track(name) for name in self.track)
         return names, PolicyPool(policies, tracks, self.rules.config(), races=self.races, seed=self.rules.seed)
@@ -74,7 +74,7 @@ def pool_settings(pool: "PolicyPool") -> dict[str, Any]:
 
 @command(
     "headroom",
-    "pcs-racing headroom --archive contest --race contest --out out/headroom",
+    "pcs-racing headroom --race contest --out out/headroom",
     "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --race contest --out out/mine",
 )
 def run(

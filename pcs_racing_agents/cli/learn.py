@@ -11,7 +11,7 @@ from pcs_racing.game.make import make_game
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, ArchiveName, Circuits, Rules, Workers
+from pcs_racing_agents.cli.options import AGENT_HELP, DEFAULT_TRACK, ArchiveName, Circuits, Rules, Workers, archive_for
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
@@ -35,7 +35,7 @@ CONFIGS = {
 }
 
 # By default one opponent that keeps a policy of the archive, and one that changes it at random.
-Pool = Annotated[Sequence[str], Option("opponents, by name or name:option=value,...", "AGENT")]
+Pool = Annotated[Sequence[str], Option(f"opponents: {AGENT_HELP}", "AGENT")]
 POOL = ("never-switch", "random-moves")
 
 
@@ -44,7 +44,7 @@ class Games:
     """The games in which an agent learns."""
 
     track: Circuits = (DEFAULT_TRACK,)
-    archive: ArchiveName = "default"
+    archive: ArchiveName = None
     rules: Rules
 
     def make(self) -> "tuple[Setting, list[RaceGame]]":
@@ -53,7 +53,7 @@ class Games:
         from pcs_racing_agents.tournament.play import game_rules
 
         config = game_rules(self.rules.config())
-        setting = make_setting(self.archive, config)
+        setting = make_setting(archive_for(self.archive, config.race), config)
         return setting, [make_game(load_track(name), setting.archive, config) for name in self.track]
 
     def agents(self, texts: Sequence[str], setting: "Setting") -> "list[Competitor]":
@@ -65,8 +65,8 @@ class Games:
 
 @command(
     "learn",
-    "pcs-racing learn self-play --track Brackwater --archive contest --race contest --out out/self-play",
-    "pcs-racing learn robust --track Brackwater --archive contest --race contest --out out/robust",
+    "pcs-racing learn self-play --track Brackwater --race contest --out out/self-play",
+    "pcs-racing learn robust --track Brackwater --race contest --out out/robust",
     "pcs-racing learn psro --track Pipkin Saltmere --pool never-switch lane-switcher --out out/psro",
 )
 def run(
@@ -140,11 +140,11 @@ def run_identity(games: "list[RaceGame]", setting: "Setting", competitors: "list
 
 @command(
     "best-reply",
-    "pcs-racing best-reply response --track Pipkin --archive contest --race contest --out out/reply",
+    "pcs-racing best-reply response --track Pipkin --race contest --out out/reply",
     "pcs-racing best-reply lane-switcher --track Pipkin Saltmere --race contest --starts 512 --out out/quick",
 )
 def run_best_reply(
-    agent: Annotated[str, Option("name of an agent or driver, or name:option=value,... (see 'pcs-racing agents')")],
+    agent: Annotated[str, Option(f"agent or driver: {AGENT_HELP}")],
     *,
     games: Games,
     config: Annotated[

@@ -7,9 +7,11 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.cli.commands import add_commands
+from pcs_racing_agents.cli.commands import Parser, add_commands
+from pcs_racing_agents.cli.early import check_command, check_names
 from pcs_racing_agents.cli.options import load_drivers
 
 FAILED = 2
@@ -55,6 +57,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0, or 2 after an error that the user can correct, which is printed as one line on stderr.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
+    if words[:1] == ["help"]:
+        words = [*words[1:], "--help"]
+    try:
+        if words:
+            check_command(words[0], list(FILES))
+            check_names(words)
+    except InputError as error:
+        return _fail(error)
     return run_parsed(_parser(words[0] if words else None).parse_args(words))
 
 
@@ -95,14 +105,14 @@ def _fail(error: Exception) -> int:
 
 def _parser(command: str | None = None) -> argparse.ArgumentParser:
     """Return the parser of one command, or of all where there is no such command (for help and errors)."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="pcs-racing",
         description="Simulate head-to-head races of two cars; search, train and compare policies and agents for them.",
-        epilog="'pcs-racing COMMAND --help' shows the options of a command and an example of its use.",
+        epilog="'pcs-racing help COMMAND' shows the options of a command and an example of its use.",
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    commands: Any = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     # Each file imports what its commands need for their options, which for all of them takes longer than a race.
     wanted = [FILES[command]] if command in FILES else FILES.values()
     for file in dict.fromkeys(wanted):

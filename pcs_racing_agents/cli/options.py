@@ -11,17 +11,21 @@ from pathlib import Path
 from typing import Annotated
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.race.config import PRESETS, RaceConfig, load_race_config
+from pcs_racing.race.config import PAPER, PRESETS, RaceConfig, load_race_config
 from pcs_racing_agents.cli.commands import Option
 
 DEFAULT_TRACK = "Brackwater"
 """The circuit that commands and environments use by default."""
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
-POLICY_HELP = "planner, planner:variant, planner:parameter=value,... (see 'pcs-racing policies') or FILE.py:Class"
+OWN_CODE = "FILE.py:Class, module:function or model.zip"
+POLICY_HELP = f"planner, planner:variant, planner:parameter=value,... (see 'pcs-racing policies'), {OWN_CODE}"
+AGENT_HELP = f"name or name:option=value,... (see 'pcs-racing agents' and docs/agents.md), {OWN_CODE}"
 
 Circuit = Annotated[str, Option(TRACK_HELP, "T")]
 Circuits = Annotated[Sequence[str], Option(TRACK_HELP, "T")]
-ArchiveName = Annotated[str, Option("archive whose policies the agents drive: its name or folder", "A")]
+ArchiveName = Annotated[
+    str | None, Option("archive whose policies the agents drive: its name or folder (default: that of the rules)", "A")
+]
 Race = Annotated[str, Option(f"rules of the race: {', '.join(PRESETS)} or a YAML file")]
 NoOpen = Annotated[bool, Option("do not open the page in a browser")]
 
@@ -65,15 +69,21 @@ class Workers:
         return make_executor(self.executor, self.workers, self.scheduler)
 
 
+def archive_for(archive: str | None, rules: RaceConfig) -> str:
+    """Return the archive that was asked for; by default the one whose first axis is measured as the rules do it."""
+    return archive or ("default" if rules.aggressiveness == PAPER.aggressiveness else "contest")
+
+
 def load_drivers(parsed: Namespace) -> None:
     """Make known the drivers of the Python files that a command line names, like their_file.py:Class; they are run."""
     for value in vars(parsed).values():
         for text in value if isinstance(value, list | tuple) else [value]:
             name = text.partition(":")[0] if isinstance(text, str) else ""
             if name.endswith(".py"):
-                from pcs_racing.planners.imported import drivers_from
+                from pcs_racing.planners.imported import driver_classes, drivers_from
 
-                drivers_from(name)
+                if driver_classes(name) or text == name:
+                    drivers_from(name)
 
 
 def can_draw(picture: str) -> bool:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 from pcs_racing.base.files import write_atomically
-from pcs_racing.planners.registry import parse_policy
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
+from pcs_racing_agents.agents.own_code import parse_driver
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import POLICY_HELP, TRACK_HELP, output_file
 
@@ -33,7 +33,7 @@ def run(
     from pcs_racing_agents.benchmark.overtaking import detail, joined, made_lines, race_scenarios, read_lines, summary
 
     target = output_file(out, ".csv") if out else None
-    policies = [parse_policy(text) for text in drivers]
+    policies = [parse_driver(text) for text in drivers]
     tracks = [load_track(name) for name in track or list_tracks()]
     given = [made_lines(one) if lines is None else read_lines(one, lines) for one in tracks]
     found = [joined([race_scenarios(one, policy, seed=seed) for one in given]) for policy in policies]

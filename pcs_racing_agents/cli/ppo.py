@@ -1,9 +1,9 @@
 """``pcs-racing ppo``: train a baseline by PPO, at the strategy level or at the control level."""
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
+from pcs_racing.base.errors import require
 from pcs_racing_agents.cli.commands import Option, SettingOptions, command
 from pcs_racing_agents.cli.options import Workers
 from pcs_racing_agents.jobs.configuration import shipped_configs
@@ -38,10 +38,10 @@ def run(
     from pcs_racing_agents.pictures.style import save_picture
 
     settings = load_ppo_settings(config, **changes)
-    for package, needed in (("tensorboard", tensorboard), ("matplotlib", not no_picture)):
-        if needed and find_spec(package) is None:
-            extra = "plots" if package == "matplotlib" else "learning"
-            raise ModuleNotFoundError(f'the curves need {package}: pip install "pcs-racing[{extra}]"')
+    if tensorboard:
+        require("tensorboard", extra="learning")
+    if not no_picture:
+        require("matplotlib", extra="plots")
     with workers.start() as executor:
         trained = train_ppo(
             settings,

@@ -2,18 +2,17 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
 from pcs_racing.base.checks import check_seed, check_whole
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import InputError, UnknownNameError, require
 from pcs_racing.base.seeds import race_seed
-from pcs_racing.game.competitor import is_model
 from pcs_racing.planners.planner import Policy
-from pcs_racing.planners.registry import parse_policy
+from pcs_racing.planners.registry import planner_names
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_races, starts_of, winners
@@ -22,18 +21,14 @@ from pcs_racing.race.replay import Replay
 from pcs_racing.race.replay_files import save_replay
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
+from pcs_racing_agents.agents.own_code import parse_driver
+from pcs_racing_agents.agents.shipped import SHIPPED as AGENTS
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, Circuit, Rules, output_file
 
-# The default race. It lasts its full time and has an overtake; `python benchmarks/first_race.py` searched the seed.
-EGO = "lattice:pace=0.7"
-OPPONENT = "lattice"
-SEED = 15
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Rules(Rules):
-    seed: Annotated[int, Option("seed of the starts and of the noise")] = SEED
+# The default race. It lasts its full time and has an overtake; `python benchmarks/first_race.py` searched the drivers.
+EGO = "lattice:pace=0.5"
+OPPONENT = "lattice:pace=0.6"
 
 
 @command(
@@ -48,11 +43,13 @@ def run(
     track: Circuit = DEFAULT_TRACK,
     ego: Annotated[str, Option(f"policy of car 0: {POLICY_HELP}", "POLICY")] = EGO,
     opponent: Annotated[Sequence[str], Option("policy of car 1, or of car 1, 2 ... up to 7", "POLICY")] = (OPPONENT,),
-    rules: _Rules,
+    rules: Rules,
     index: Annotated[int, Option(f"number of the race of this seed, 0 to {LAST_INDEX}")] = 0,
     replay: Annotated[
         Path | None, Option("file for a replay: a page that plays the race (.html), or data (.json)", "FILE")
     ] = None,
+    video: Annotated[Path | None, Option("file for a video (.mp4, or .gif)", "FILE")] = None,
+    mcap: Annotated[Path | None, Option("file for the messages of ROS 2 that tell the race (.mcap)", "FILE")] = None,
 ) -> None:
     """Simulate one race between two or more policies."""
     config = rules.config()
@@ -60,6 +57,13 @@ def run(
     check_whole("index", index, 0, LAST_INDEX)
     driver, others = _policy("--ego", ego), [_policy("--opponent", text) for text in opponent]
     target = output_file(replay, ".html", ".json") if replay else None
+    film = output_file(video, ".mp4", ".gif") if video else None
+    bag = output_file(mcap, ".mcap") if mcap else None
+    # A missing library is told before the race, not after it.
+    if film is not None and film.suffix == ".mp4":
+        require("imageio_ffmpeg", extra="video")
+    if bag is not None:
+        require("mcap_ros2", extra="ros")
     circuit = load_track(track)
     # Before the race, which may have to be compiled first.
     about = f"preset {config.name}, seed {rules.seed}, race {index}"
@@ -76,22 +80,23 @@ def run(
         print(f"to watch it: {shlex.join(['pcs-racing', 'race', *words])} --replay race.html")
     else:
         print(f"replay: {save_replay(recorded, target)}")
+    if film is not None:
+        from pcs_racing.race.frames import write_gif, write_video
+
+        print(f"video: {(write_gif if film.suffix == '.gif' else write_video)(recorded, film)}")
+    if bag is not None:
+        from pcs_racing.race.ros_messages import write_bag
+
+        print(f"mcap: {write_bag(recorded, circuit, bag)}")
 
 
 def _policy(option: str, text: str) -> Policy:
     """Read a policy; an agent, which is none, is told where it can race."""
-    if is_model(text):
-        from pcs_racing_agents.agents.sb3_files import load_model
-
-        return load_model(text)
     try:
-        return parse_policy(text)
+        return parse_driver(text)
     except UnknownNameError:
-        from pcs_racing_agents.agents import zoo
-
-        # Looked up only after the error: the zoo takes longer to import than the race to drive.
         name = text.partition(":")[0].strip()
-        if name not in zoo.entries() and not name.startswith(zoo.ALWAYS):
+        if name in planner_names() or (name not in AGENTS and not name.startswith("always-")):
             raise
     raise InputError(
         f"{option} is {text!r}, an agent, which moves between the policies of an archive; this command takes policies "

@@ -32,15 +32,18 @@ def run(
         Sequence[str] | None,
         Option(f"{TRACK_HELP}; every policy races on all of them (default: {', '.join(SHIPPED_TRACKS)})", "T"),
     ] = None,
+    race: Annotated[str | None, Option("preset of the rules (default: that of the settings)")] = None,
     changes: Annotated[
         dict[str, Any],
-        SettingOptions(ArchiveConfig, "preset", "generations", "population", "method", "seed", "name"),
+        SettingOptions(ArchiveConfig, "generations", "population", "method", "seed", "name"),
     ],
     workers: Workers,
 ) -> None:
     """Search for an archive of policies that drive differently, by racing on one or more circuits."""
     if track is not None:
         changes["tracks"] = tuple(track)
+    if race is not None:
+        changes["preset"] = race
     if config is None:
         changes.setdefault("name", out.resolve().name)
     settings = load_archive_config(config, **changes)

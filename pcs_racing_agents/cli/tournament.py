@@ -4,10 +4,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-from pcs_racing.planners.registry import parse_policy
+from pcs_racing.base.errors import InputError
 from pcs_racing.track.loading import load_track
+from pcs_racing_agents.agents.own_code import parse_driver
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, ArchiveName, Circuits, Rules, Workers, can_draw
+from pcs_racing_agents.cli.options import (
+    AGENT_HELP,
+    DEFAULT_TRACK,
+    POLICY_HELP,
+    ArchiveName,
+    Circuits,
+    Rules,
+    Workers,
+    archive_for,
+    can_draw,
+)
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 
@@ -23,11 +34,11 @@ def run(
     track: Circuits = (DEFAULT_TRACK,),
     agents: Annotated[
         Sequence[str],
-        Option("name of an agent, or name:option=value,... (see 'pcs-racing agents' and docs/agents.md)", "AGENT"),
+        Option(f"agent or driver: {AGENT_HELP}", "AGENT"),
     ] = (),
     policies: Annotated[Sequence[str], Option(POLICY_HELP, "POLICY")] = (),
     rules: Rules,
-    archive: ArchiveName = "default",
+    archive: ArchiveName = None,
     races: Annotated[int, Option("number of races of each pair on each track, even")] = 20,
     out: Annotated[
         Path | None,
@@ -45,11 +56,14 @@ def run(
         write_results,
     )
 
+    if len(agents) + len(policies) < 2:
+        raise InputError("a tournament needs at least 2 competitors: name them behind --agents, or --policies")
+    config = rules.config()
     plan = plan_tournament(
         [load_track(name) for name in track],
-        [*agents, *(parse_policy(text) for text in policies)],
-        rules.config(),
-        archive=archive,
+        [*agents, *(parse_driver(text) for text in policies)],
+        config,
+        archive=archive_for(archive, config),
         races_per_pair=races,
         seed=rules.seed,
     )

@@ -16,6 +16,7 @@ from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Calibration, Track, calibration_values
 from pcs_racing_agents.cli.commands import Command, Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuit, Race, output_file
+from pcs_racing_agents.results.text_table import aligned
 
 group = Command(
     "track",
@@ -30,8 +31,8 @@ Name = Annotated[str | None, Option("name of the circuit (default: that of the f
 @command("track list", "pcs-racing track list")
 def run_list() -> None:
     """List the circuits that ship with the package."""
-    for name in list_tracks():
-        print(f"{name:14} {load_track(name).length:6.1f} m")
+    rows = [(name, f"{load_track(name).length:.1f}") for name in list_tracks()]
+    print("\n".join(aligned([("circuit", "lap, m"), *rows])))
 
 
 @command("track show", "pcs-racing track show Tarnfjord --out tarnfjord.png")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, require
 from pcs_racing_agents.cli.commands import Option, SettingOptions, command
 from pcs_racing_agents.cli.options import Workers, output_folder
 from pcs_racing_agents.jobs.configuration import shipped_configs
@@ -71,7 +71,10 @@ def run(
         learn = _from_ego(trees, settings, name)
     else:
         raise InputError(f"{trees[ego.index(True)]} holds ego trees, others do not; give folders of one kind")
-    _check_packages(tensorboard=not no_tensorboard, matplotlib=not no_picture)
+    # A missing library is told before any long work.
+    require("torch", *(("tensorboard",) if not no_tensorboard else ()), extra="learning")
+    if not no_picture:
+        require("matplotlib", extra="plots")
     with hold_folder(out), workers.start() as executor:
         folder = output_folder(out)
         network, result, table, scores = learn(executor)
@@ -202,17 +205,6 @@ def _about(manifests: Sequence[Mapping[str, Any]]) -> dict[str, str | int | floa
         "utility": rules["utility"],
         "step_seconds": rules["step_seconds"],
     }
-
-
-def _check_packages(*, tensorboard: bool, matplotlib: bool) -> None:
-    """Check that the optional libraries are installed, before any long work."""
-    from importlib.util import find_spec
-
-    packages = [("torch", "learning", True), ("tensorboard", "learning", tensorboard)]
-    packages += [("matplotlib", "plots", matplotlib)]
-    for package, extra, needed in packages:
-        if needed and find_spec(package) is None:
-            raise ModuleNotFoundError(f'training needs {package}: pip install "pcs-racing[{extra}]"')
 
 
 def _write_scores(scores: list[dict[str, str | float]], file: Path) -> None:

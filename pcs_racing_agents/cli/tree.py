@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.config import UTILITIES
+from pcs_racing.game.config import UTILITIES, load_game_config
 from pcs_racing.game.make import make_game
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, ArchiveName, Circuit, Race, Workers
+from pcs_racing_agents.cli.options import DEFAULT_TRACK, ArchiveName, Circuit, Race, Workers, archive_for
 from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.text_table import aligned
 from pcs_racing_agents.trees import StoredTrees, build_ego_trees, build_trees
@@ -20,13 +20,13 @@ from pcs_racing_agents.trees.tree import TreeStatistics
 @command(
     "tree",
     "pcs-racing tree --pairs 8 --out out/trees",
-    "pcs-racing tree --archive default --track Tarnfjord --pairs 20 --out out/trees",
-    "pcs-racing tree --archive default --track Tarnfjord --race contest --pairs 10 --seeds 4 --out out/contest",
-    "pcs-racing tree --archive default --track Tarnfjord --ego 640 --out out/ego",
+    "pcs-racing tree --track Tarnfjord --pairs 20 --out out/trees",
+    "pcs-racing tree --track Tarnfjord --race contest --pairs 10 --seeds 4 --out out/contest",
+    "pcs-racing tree --track Tarnfjord --ego 640 --out out/ego",
 )
 def run(
     *,
-    archive: ArchiveName = "default",
+    archive: ArchiveName = None,
     track: Circuit = DEFAULT_TRACK,
     race: Race = "paper",
     moves: Annotated[int | None, Option("number of moves of each player (default: 4)", "M")] = None,
@@ -58,7 +58,8 @@ def run(
     lengths = None if epsilon is None else tuple(epsilon)
     options = {"moves": moves, "step_seconds": step, "epsilon": lengths, "utility": utility, "stay": stay}
     changes: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
-    game = make_game(track, archive, race, **changes)
+    rules = load_game_config(race, **changes)
+    game = make_game(track, archive_for(archive, rules.race), rules)
     count = len(game.move_names)
     if ego is None:
         check_size(count, game.config.moves)

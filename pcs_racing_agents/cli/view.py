@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Annotated
 from pcs_racing.base.checks import check_seed
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, ArchiveName, Circuit, NoOpen, Rules, output_file
+from pcs_racing_agents.cli.options import (
+    AGENT_HELP,
+    DEFAULT_TRACK,
+    ArchiveName,
+    Circuit,
+    NoOpen,
+    Rules,
+    archive_for,
+    output_file,
+)
 from pcs_racing_agents.jobs.progress import show_progress
 
 if TYPE_CHECKING:
@@ -32,7 +41,7 @@ Port = Annotated[int | None, Option("port of the page on this machine (default: 
 @command(
     "view",
     "pcs-racing view out/mine",
-    "pcs-racing view out/mine --races 12 40 --out chosen.html",
+    "pcs-racing view out/mine --index 12 40 --out chosen.html",
     "pcs-racing view out/mine --serve",
 )
 def run(
@@ -43,9 +52,9 @@ def run(
     ] = None,
     replays: Annotated[
         int | None,
-        Option(f"number of races to include, selected by a rule (default: {REPLAYS}; with --races or --serve: 0)"),
+        Option(f"number of races to include, selected by a rule (default: {REPLAYS}; with --index or --serve: 0)"),
     ] = None,
-    races: Annotated[Sequence[int], Option("numbers of races to include", "K")] = (),
+    index: Annotated[Sequence[int], Option("numbers of races to include", "K")] = (),
     serve: Annotated[
         bool, Option("write no file; serve the page from this machine, where any race can be watched")
     ] = False,
@@ -67,15 +76,15 @@ def run(
         raise InputError("--port goes with --serve")
     if replays is not None and not 0 <= replays <= MOST_REPLAYS:
         raise InputError(f"--replays is {replays}; it must be from 0 to {MOST_REPLAYS}")
-    if len(races) > MOST_REPLAYS:
-        raise InputError(f"--races names {len(races)} races; a page holds at most {MOST_REPLAYS}")
+    if len(index) > MOST_REPLAYS:
+        raise InputError(f"--index names {len(index)} races; a page holds at most {MOST_REPLAYS}")
     target = _page_file(results, out)
     folder, file = _find(results)
-    if folder is None and (replays or races or serve):
+    if folder is None and (replays or index or serve):
         raise InputError(f"can't drive races of {results} again: {LONE_FILE}")
     table = folder.races if folder is not None else read_results(file)
-    default = 0 if races or serve or folder is None else REPLAYS
-    picks = _picks(table, races, default if replays is None else replays)
+    default = 0 if index or serve or folder is None else REPLAYS
+    picks = _picks(table, index, default if replays is None else replays)
     content = _content(results, table, folder, picks)
     if serve:
         assert folder is not None  # refused above
@@ -130,7 +139,7 @@ def _picks(table: "RaceTable", numbers: Sequence[int], count: int) -> "list[Sele
 
     for number in numbers:
         if not 0 <= number < len(table):
-            raise InputError(f"--races names {number}; there are races 0 to {len(table) - 1}")
+            raise InputError(f"--index names {number}; there are races 0 to {len(table) - 1}")
     requested = {number: SelectedRace(number, "a race that was asked for") for number in numbers}
     selected = {pick.race: pick for pick in choose_races(table, count)}
     # The order of the first, the reason of the last: what was asked for stands first and says so.
@@ -180,31 +189,42 @@ def _kind_of_start(results: "ResultsFolder") -> str:
 @command(
     "play",
     "pcs-racing play",
-    "pcs-racing play --opponent response --archive contest --race contest --track Pipkin",
-    "pcs-racing play --opponent lattice:pace=0.9 --no-open",
+    "pcs-racing play --opponent response --race contest --track Pipkin",
+    "pcs-racing play --drive --opponent lattice:pace=0.4 --no-open",
 )
 def run_play(
     *,
-    opponent: Annotated[
-        str, Option("agent, driver or policy in the other car (see 'pcs-racing agents')", "NAME")
-    ] = "cfr-argmax",
+    opponent: Annotated[str, Option(f"agent or driver in the other car: {AGENT_HELP}", "AGENT")] = "cfr-argmax",
     track: Circuit = DEFAULT_TRACK,
     rules: Rules,
-    archive: ArchiveName = "default",
+    archive: ArchiveName = None,
+    drive: Annotated[
+        bool, Option("steer the car yourself, with keys or a gamepad, instead of making its moves")
+    ] = False,
     port: Port = None,
     no_open: NoOpen = False,
 ) -> None:
-    """Make the moves of one car yourself, on a local page, against an agent."""
+    """Make the moves of one car yourself, or steer it, on a local page, against an agent."""
     from pcs_racing.game.archive_files import load_archive
     from pcs_racing.game.make import make_game
     from pcs_racing.track.loading import load_track
-    from pcs_racing_agents.agents.zoo import make
+    from pcs_racing_agents.agents.setting import make_setting
+    from pcs_racing_agents.agents.zoo import parse_agent
     from pcs_racing_agents.view.person_race import PersonRaces, play_page
     from pcs_racing_agents.view.view_server import make_server
 
     check_seed(rules.seed)
-    config, loaded = rules.config(), load_archive(archive)
-    rival = make(opponent, archive=loaded, race=config, seed=rules.seed)
+    config = rules.config()
+    loaded = load_archive(archive_for(archive, config))
+    rival = parse_agent(opponent, make_setting(loaded, config), seed=rules.seed)
+    if drive:
+        from pcs_racing_agents.view.person_drive import drive_page, make_person_drive
+
+        wheel = make_person_drive(rival, rules.seed, track=load_track(track), race=config, archive=loaded)
+        wheel.answer("/begin/0")  # what does not fit is told now
+        with make_server(drive_page(wheel), wheel.answer, port or 0) as server:
+            run_server(server, "play", open_it=not no_open)
+        return
     races = PersonRaces(make_game(load_track(track), loaded, config, stay=True), rival, rules.seed)
     # A competitor that does not fit is told now, and kernels are compiled before the page opens.
     races.situation(0, ())

@@ -96,6 +96,8 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
     values, unit = step.values, explanation.unit
     if values is None or unit is None:
         return ""
+    if step.next_policy == step.policy and explanation.moves[step.move] != "stay":
+        return "it keeps the policy, so it is worth what staying is worth"
     names = explanation.moves
     best = int(np.argmax(values))
     if explanation.default is not None and step.default_move is not None:

@@ -11,20 +11,3 @@ from pcs_racing_agents.payoffs.headroom import (
     transitive_share,
 )
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs, slot_payoffs, spanning_policies
-
-__all__ = [
-    "CyclicPlane",
-    "Headroom",
-    "PolicyPool",
-    "choose_pool",
-    "cyclic_part",
-    "cyclic_planes",
-    "denoised",
-    "headroom",
-    "pool_headroom",
-    "pool_payoffs",
-    "ratings",
-    "slot_payoffs",
-    "spanning_policies",
-    "transitive_share",
-]

@@ -20,37 +20,3 @@ from pcs_racing_agents.solvers.evaluation import (
 from pcs_racing_agents.solvers.exact import ExactResult, SequenceSolution, solve_exact, solve_sequence_form
 from pcs_racing_agents.solvers.game_tree import GameTree
 from pcs_racing_agents.solvers.matrix_games import MatrixSolution, solve_matrix_games
-
-__all__ = [
-    "METHODS",
-    "VARIANTS",
-    "BestResponse",
-    "CFRResult",
-    "ExactResult",
-    "Exploitability",
-    "GameTree",
-    "MatrixSolution",
-    "MethodRow",
-    "Profile",
-    "SequenceSolution",
-    "Variant",
-    "advantages",
-    "agreement",
-    "best_response",
-    "cfr",
-    "check_profile",
-    "compare_methods",
-    "efg_text",
-    "exploitability",
-    "infoset_name",
-    "node_values",
-    "play_value",
-    "q_values",
-    "reach_probabilities",
-    "regret_argmax",
-    "solve_exact",
-    "solve_matrix_games",
-    "solve_sequence_form",
-    "uniform_profile",
-    "write_efg",
-]

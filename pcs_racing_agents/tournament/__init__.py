@@ -16,28 +16,3 @@ from pcs_racing_agents.tournament.play import (
 )
 from pcs_racing_agents.tournament.runner import play_games, play_pairing, play_pairings, record_game
 from pcs_racing_agents.tournament.table import payoff_matrix, payoff_picture, standings, tournament_text
-
-__all__ = [
-    "Pairing",
-    "RaceRow",
-    "RaceTable",
-    "Tournament",
-    "TournamentPlan",
-    "cross_pairing",
-    "game_rules",
-    "payoff_matrix",
-    "payoff_picture",
-    "plan_tournament",
-    "play_games",
-    "play_pairing",
-    "play_pairings",
-    "play_plan",
-    "play_tournament",
-    "record_game",
-    "record_row",
-    "show_progress",
-    "standings",
-    "tournament_settings",
-    "tournament_text",
-    "write_results",
-]

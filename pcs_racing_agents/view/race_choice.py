@@ -1,8 +1,9 @@
 """Selection of races of a tournament to show: spread over agents and outcomes, typical ones first.
 
 For one of its agents a race is a win by switching, another win, a loss, a crash by its own fault or the other's, or a
-tie. Agents and outcomes take turns. Within an agent and outcome, opponents and circuits take turns, and of each the
-race with the median lead comes first, then those at a quarter and three quarters, and so on.
+tie. It is won by switching where "never-switch" loses to the same opponent, from the same start and policy. Agents and
+outcomes take turns. Within an agent and outcome, opponents and circuits take turns, and of each the race with the
+median lead comes first, then those at a quarter and three quarters, and so on.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,10 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.game.competitor_names import NEVER_SWITCH
 from pcs_racing_agents.results.races import RaceTable
 
 OUTCOMES = (
     "a win by switching",
+    "a win with switches",
     "a loss",
     "a crash of its own",
     "a win without switching",
@@ -39,9 +42,21 @@ def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
     own, other = fault[:, car], fault[:, 1 - car] & ~fault[:, car]
     won, lost = races.winner == car, races.winner == 1 - car
     switched = races.switches[:, car] > 0
-    cases = [crashed & own, crashed & other, ~crashed & won & switched, ~crashed & won, ~crashed & lost]
+    decided = won & switched & _lost_by_staying(races, car)
+    cases = [crashed & own, crashed & other, decided, won & switched, won, lost & ~crashed]
     # The first case that holds counts: a crash comes before who won it.
-    return np.select(cases, [2, 4, 0, 3, 1], 5)
+    return np.select(cases, [3, 5, 0, 1, 4, 2], 6)
+
+
+def _lost_by_staying(races: RaceTable, car: int) -> NDArray[np.bool_]:
+    """Whether the agent that never switches lost the same race of a car, shape (N,); False where it did not race."""
+    names = races.agents.codes
+    other, own = names[:, 1 - car], names[:, car]
+    starts = (races.preset.codes, races.track.codes, races.seed.codes, races.race, races.variants[:, car], other)
+    keys = np.stack(starts, axis=1).astype(np.int64)
+    staying = own == (races.agents.words.index(NEVER_SWITCH) if NEVER_SWITCH in races.agents.words else len(names))
+    lost = {tuple(key) for key in keys[staying & (races.winner == 1 - car)].tolist()}
+    return np.array([tuple(key) in lost for key in keys.tolist()], np.bool_)
 
 
 def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:

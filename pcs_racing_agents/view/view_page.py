@@ -48,7 +48,7 @@ def view_page(content: ViewContent) -> str:
     shared = player_parts(player)
     driven = {race.race: race for race in content.driven}
     table, path = content.races, shlex.quote(content.results)
-    commands = [f"pcs-racing view {path} --serve", f"pcs-racing view {path} --races {{race}}"]
+    commands = [f"pcs-racing view {path} --serve", f"pcs-racing view {path} --index {{race}}"]
     tracks, races = len(table.track.words), len(table)
     agents = len(table.agents.words)
     rules = ", ".join(word for word in table.preset.words if word)

@@ -14,7 +14,7 @@ from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import load_race_config
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.commands import Command, Option, SettingOptions, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, ArchiveName, Circuits, Rules, Workers, can_draw
+from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, Circuits, Rules, Workers, can_draw
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, spanning_policies
@@ -137,7 +137,7 @@ def run_show(
 def run_apply(
     *,
     track: Circuits = (DEFAULT_TRACK,),
-    archive: ArchiveName = "contest",
+    archive: Annotated[str, Option("archive: its name or folder", "A")] = "contest",
     learned: Annotated[Path | None, Option("learned characteristics", "FILE")] = None,
     axes: Annotated[
         Sequence[str], Option("axes of the new archive, learned or not (default: all learned ones)", "NAME")

@@ -7,7 +7,7 @@ from typing import Annotated
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, ArchiveName, Circuits, Rules, Workers
+from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuits, Rules, Workers
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 
@@ -20,7 +20,7 @@ def run(
     *,
     track: Circuits = (DEFAULT_TRACK,),
     unseen: Annotated[Sequence[str], Option(f"circuits that are not learned on: {TRACK_HELP}", "T")] = (),
-    archive: ArchiveName = "contest",
+    archive: Annotated[str, Option("archive: its name or folder", "A")] = "contest",
     rules: Rules,
     races: Annotated[int, Option("races of a match", "R")] = 3,
     matches: Annotated[int, Option("matches of each player against each policy on each track, even")] = 32,

@@ -1,14 +1,17 @@
+import importlib
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from repository import REPOSITORY, run_python
 from warm_start import call_python
 
-from pcs_racing import load_track
+from pcs_racing import Starts, load_race_config, load_track, run_races
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.imitation import read_imitator
+from pcs_racing.race.races import start_lines
 from pcs_racing_agents.agents.observing import own
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.benchmark.entrants import load_entrant
@@ -158,3 +161,43 @@ def test_an_unknown_opponent_is_told_before_training(tmp_path):
     assert done.returncode == 1
     assert done.stderr.startswith("ppo_against_cfr: error: agent 'nobody' is unknown")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_dataset_holds_what_an_expert_does_in_a_race(tmp_path, monkeypatch):
+    """Its return is the progress of that driver in that race, from the same start."""
+    for library in ("minari", "h5py"):
+        pytest.importorskip(library, reason=f"{library}, of the extra test, is not installed")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    arguments = ("--track", "Pipkin", "--races", 2, "--duration", 2, "--opponent", "lattice:pace=0.3")
+    out = run_python(EXAMPLES / "record_dataset.py", *arguments, folder=tmp_path)
+    assert "2 races, 200 steps, mean return " in out
+    (kept,) = re.findall(r"mean return (\S+)\n", out)
+    track, config = load_track("Pipkin"), load_race_config("paper", duration=2.0)
+    lines = start_lines(track, config, 0, split="train")
+    places = Starts(np.repeat(lines, 2), np.tile([0, 1], len(lines)))
+    driven = run_races(track, "lattice", "lattice:pace=0.3", config, starts=places).state.progress[:, 0]
+    assert driven.min() - 0.1 < float(kept) < driven.max() + 0.1
+    again = run_python(EXAMPLES / "record_dataset.py", *arguments, "--name", "again/lattice-v0", folder=tmp_path)
+    assert again.partition(": ")[2] == out.partition(": ")[2]
+
+
+def test_the_ros_bridge_drives_by_commands_and_publishes_what_the_gym_does(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES / "ros2_bridge"))
+    logic = importlib.import_module("logic")
+    bridge = logic.Bridge("Pipkin", opponent=None, beams=9)
+    bridge.put(*load_track("Pipkin").to_cartesian([0.0, 0.0]))
+    for _ in range(25):
+        bridge.command(0, 0.0, 2.0)
+        bridge.command(1, np.nan, 9.0)  # left out
+        messages = {message.topic: message for message in bridge.step()}
+    assert set(messages) == {"/scan", "/opp_scan", "/ego_racecar/odom", "/opp_racecar/odom", "/tf"}
+    assert {message.time for message in messages.values()} == {500_000_000}
+    speeds = [messages[f"/{car}_racecar/odom"].fields["twist"]["twist"]["linear"]["x"] for car in ("ego", "opp")]
+    assert 1.5 < speeds[0] < 2.1
+    assert abs(speeds[1]) < 0.1
+    assert len(messages["/scan"].fields["ranges"]) == 9
+    frames = SimpleNamespace(transforms=None)
+    new = lambda: SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace()), transform=SimpleNamespace(  # noqa: E731
+        translation=SimpleNamespace(), rotation=SimpleNamespace()))  # fmt: skip
+    logic.fill(frames, messages["/tf"].fields, {"transforms": new})
+    assert [frame.child_frame_id for frame in frames.transforms][:2] == ["ego_racecar/base_link", "ego_racecar/laser"]

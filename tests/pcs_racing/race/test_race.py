@@ -80,6 +80,8 @@ def test_the_seed_decides_a_race_and_its_times_to_collision_do_not(oval):
     one, other = (run_races(oval, [lattice()] * 4, lattice(), NOISY, seed=seed) for seed in (1, 2))
     assert not np.array_equal(one.starts.s, other.starts.s)
     assert not np.array_equal(one.state.disturbance, other.state.disturbance)
+    texts = run_races(oval, ["lattice"] * 4, "lattice", NOISY, seed=1)
+    np.testing.assert_array_equal(texts.state.cars, one.state.cars)
     moved = run_races(oval, [lattice()] * 4, lattice(), NOISY, seed=2, starts=one.starts)
     assert not np.array_equal(one.state.cars, moved.state.cars)
     batch = draw_starts(oval, PAPER, 200, seed=3)

@@ -106,7 +106,7 @@ def test_shipped_tracks_are_found_whatever_the_case(folder, monkeypatch):
     monkeypatch.setattr(maps, "shipped_folder", lambda: folder.parent)
     assert list_tracks() == ["Ring"]
     assert find_shipped("rInG") == folder
-    refused(r"unknown track 'Rong': .* \(Ring\)", find_shipped, "Rong", error=UnknownNameError)
+    refused("unknown track 'Rong': .* did you mean 'Ring'?", find_shipped, "Rong", error=UnknownNameError)
 
 
 @pytest.mark.parametrize(("negate", "wall"), [(0, 0), (1, 255)])

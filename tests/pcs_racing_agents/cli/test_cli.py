@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import yaml
 from PIL import Image
+from refusal import refused
 
 from pcs_racing import list_tracks, load_track, read_replay
 from pcs_racing.base.settings import Settings, names, setting, whole
@@ -22,6 +23,8 @@ from pcs_racing.planners.registry import SHIPPED
 from pcs_racing.race.calibration import calibrate
 from pcs_racing.track.maps import shipped_folder
 from pcs_racing.track.track import calibration_values
+from pcs_racing_agents.agents import make_setting, parse_agent
+from pcs_racing_agents.agents.own_code import parse_driver
 from pcs_racing_agents.cli.commands import Option, SettingOptions, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
 
@@ -129,7 +132,7 @@ def test_a_tournament_without_a_folder_prints_its_table_and_writes_nothing(run, 
 def test_track_list_and_show(run, tmp_path):
     code, out, _ = run("track", "list")
     assert code == 0
-    assert [line.split()[0] for line in out.splitlines()] == list_tracks()
+    assert [line.split()[0] for line in out.splitlines()] == ["circuit", *list_tracks()]
     code, out, _ = run("track", "show", "pipkin", "--out", tmp_path / "picture.png")
     assert code == 0
     assert out.startswith("Pipkin")
@@ -218,13 +221,25 @@ def test_policies_lists_every_planner_and_parameter(run):
         (["race", "--ego", "cfr-argmax"], "pcs-racing tournament --agents cfr-argmax"),
         (["race", "--opponent", "always-speed+"], "--opponent is 'always-speed+'"),
         (["tournament", "--track", "Pipkin", "--policies", "lattice"], "a tournament needs at least 2"),
+        (["tournament"], "name them behind --agents"),
+        (["tornament"], "command 'tornament' is unknown; did you mean 'tournament'?"),
+        (["race", "--ego", "lane-switcher:33"], "no variant '33'; did you mean '3'?"),
+        (["race", "--track", ""], "unknown track ''"),
+        (["race", "--track", "pipkn"], "did you mean 'Pipkin'?"),
+        (["race", *PAIR, "--video", "race.avi"], "must end in .mp4 or .gif"),
+        (["race", "--ego", "os.path:nothing"], "os.path has no class and no function 'nothing'"),
+        (["race", "--ego", "random:Random"], "here it must be a driver, not an agent"),
+        (["play", "--opponent", "nahs"], "did you mean 'nash'?"),
         (["tournament", "--track", "Pipkin", "--agents", "nahs", "nash"], "did you mean 'nash'?"),
-        (["tournament", "--track", "Pipkin", "--agents", "random-moves", "--archive", "x"], "unknown archive 'x'"),
+        (
+            ["tournament", "--track", "Pipkin", "--agents", "random-moves", "nash", "--archive", "x"],
+            "unknown archive 'x'",
+        ),
         (["track", "calibrate", "--write"], "--write changes a map folder: say which"),
         (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
         (["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"], "style 'baroque' is unknown"),
         (["policies", "latice"], "did you mean 'lattice'?"),
-        (["agents", "cfr"], "agent 'cfr' is unknown"),
+        (["agents", "robot"], "agent 'robot' is unknown; did you mean 'robust'?"),
         (["headroom", "--size", "2", "--out", "x"], "2"),
         (["headroom", "--size", "1000", "--out", "x"], "1000"),
         (["headroom", "--races", "33", "--out", "x"], "33"),
@@ -339,18 +354,85 @@ def test_each_command_is_found_in_its_file():
         assert f"pcs-racing {name}" in dict(commands(_parser(name)))
 
 
+def modules_after(code: str) -> set[str]:
+    """What a process has imported after some code."""
+    code = f"import sys; from pcs_racing_agents.cli.main import main, _parser; {code}; print(*sys.modules)"
+    return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+
+
 def test_a_race_begins_without_what_other_commands_need():
     """The rest of the agents takes longer to import than the race takes."""
-    code = "import sys; from pcs_racing_agents.cli.main import _parser; _parser('race'); print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    loaded = modules_after("_parser('race')")
     assert "pcs_racing_agents.cli.race" in loaded
     assert not {name for name in loaded if name.startswith(("pcs_racing_agents.study", "pcs_racing_agents.learning"))}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "race --ego latice",
+        "tournament --agents nahs nash",
+        "rcae",
+        "race --track Pipkn",
+        "race --race cup",
+        "play --opponent x",
+    ],
+)
+def test_an_unknown_name_is_told_before_compiled_code_is_imported(words):
+    assert "numba" not in modules_after(f"assert main({words.split()}) == 2")
+
+
+def test_a_word_that_is_no_choice_is_one_line_with_the_nearest(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["track", "lsit"])
+    assert stop.value.code == 2
+    err = capsys.readouterr().err
+    assert "COMMAND is 'lsit'; did you mean 'list'? there are: list, show" in err
+    assert err.count("\n") == 1
+
+
+OWN = """
+class Straight:
+    def plan(self, obs):
+        return 0.0, 1.0
+
+class First:
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return 0 * observation[:, 0].astype(int), state
+
+def last(setting):
+    return type("Last", (First,), {"name": setting.archive.name})()
+"""
+
+
+def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monkeypatch):
+    """A driver's class, an agent's class and a function of the setting, of a file and of a module beside it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "own_racers.py").write_text(OWN)
+    setting = make_setting("default", "paper")
+    for place in ("own_racers.py", "own_racers"):
+        straight = parse_driver(f"{place}:Straight")
+        assert straight.name.endswith(":Straight")
+        assert parse_agent(f"{place}:Straight", setting).name == straight.name
+        assert parse_agent(f"{place}:First", setting).name == "First"
+        assert parse_agent(f"{place}:last", setting).name == "default"
+        refused(
+            "no driver and no agent: .* has no class and no function 'Nobody'", parse_agent, f"{place}:Nobody", setting
+        )
+        refused("here it must be a driver, not an agent", parse_driver, f"{place}:First")
+
+
+@pytest.mark.parametrize(("race", "archive"), [("paper", "default"), ("contest", "contest"), ("roboracer", "contest")])
+def test_rules_bring_their_archive(run, race, archive):
+    assert f"With archive {archive} in the {race} race:" in run("agents", "random-moves", "--race", race)[1]
+    assert "With archive default in" in run("agents", "random-moves", "--race", race, "--archive", "default")[1]
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_a_help_text_with_examples_that_it_understands(name, capsys):
     with pytest.raises(SystemExit) as stop:
-        main([*name.split()[1:], "--help"])
+        main(["help", *name.split()[1:]])
     assert stop.value.code == 0
     captured = capsys.readouterr().out
     examples = re.findall(r"^(?:examples?:)?\s*(pcs-racing .*)$", captured[captured.rindex("example") :], re.MULTILINE)

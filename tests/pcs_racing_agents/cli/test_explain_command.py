@@ -28,7 +28,7 @@ def test_every_race_of_a_tournament_is_found_again(tournament_folder):
 
 def test_a_race_is_told_and_drawn(tournament_folder, tmp_path, capsys):
     place, tournament = tournament_folder
-    assert main(["explain", str(place), "1", "--out", str(tmp_path / "out")]) == 0
+    assert main(["explain", str(place), "--index", "1", "--out", str(tmp_path / "out")]) == 0
     captured = capsys.readouterr().out
     assert captured.startswith("random-moves (car 0) against lane-switcher on Pipkin, contest rules: ")
     assert (tmp_path / "out" / "race.txt").read_text() in captured
@@ -40,7 +40,7 @@ def test_a_race_is_told_and_drawn(tournament_folder, tmp_path, capsys):
 def test_drivers_are_left_to_the_other_car(tournament_folder, capsys):
     place, tournament = tournament_folder
     number = next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher")
-    assert main(["explain", str(place), str(number)]) == 0
+    assert main(["explain", str(place), "--index", str(number)]) == 0
     assert capsys.readouterr().out.startswith("never-switch (car 1) against lane-switcher")
 
 
@@ -84,14 +84,14 @@ def test_a_picture_that_is_left_out_is_told(saved_archive, capsys, tmp_path, mon
     ("arguments", "message"),
     [
         ([], "give a folder of results, or two agents"),
-        (["{folder}", "--agents", "a", "b"], "give a folder of results, or two agents"),
+        (["{folder}", "--agents", "nash", "nash"], "give a folder of results, or two agents"),
         (["--agents", "a", "b"], "agent 'a' is unknown"),
         (["{folder}", "--races", "4"], "--races goes with --agents"),
-        (["{folder}", "1", "--situations", "a"], "leave out the number of one"),
-        (["{folder}", "18"], "there is no race 18"),
+        (["{folder}", "--index", "1", "--situations", "a"], "leave out --index"),
+        (["{folder}", "--index", "18"], "there is no race 18"),
         (["{folder}", "--situations", "a"], "'a' did not race"),
         (["{folder}/chunks"], "holds no races"),
-        (["{folder}", "5", "--car", "0"], "'lane-switcher' in car 0 makes no moves"),
+        (["{folder}", "--index", "5", "--car", "0"], "'lane-switcher' in car 0 makes no moves"),
         (["--agents", "random-moves", "nobody", "--track", "Pipkin"], "agent 'nobody' is unknown"),
         (["--agents", "random-moves", "never-switch", "--track", "Pipkin", "--index", "20"], "there are races 0 to 19"),
     ],
@@ -121,13 +121,13 @@ def test_agents_and_races_that_have_changed_are_noticed(tournament_folder, tmp_p
             text = (place / file).read_text()
             (copy / file).write_text(text.replace(old, new) if file == name else text)
         number = str(len(open_results(place).races) - 1)
-        assert main(["explain", str(copy), number]) == (2 if message else 0)
+        assert main(["explain", str(copy), "--index", number]) == (2 if message else 0)
         assert message in capsys.readouterr().err
     rows = (place / "results.csv").read_text().splitlines()
     lead = rows[1].split(",")[8]
     (copy / "job.yaml").write_text((place / "job.yaml").read_text())
     (copy / "results.csv").write_text("\n".join([rows[0], rows[1].replace(lead, "99.0000"), *rows[2:]]))
-    assert main(["explain", str(copy), "0"]) == 2
+    assert main(["explain", str(copy), "--index", "0"]) == 2
     assert "a lead of" in (error := capsys.readouterr().err)
     assert "instead of 99.0000 m" in error
 
@@ -140,9 +140,9 @@ def test_races_of_a_study_are_found_again(study_folder, capsys):
     assert pairing.variants.tolist() == drawn.variants.tolist()
     assert pairing.noise.tolist() == drawn.noise.tolist()
     assert pairing.starts.s.tolist() == drawn.starts.s.tolist()
-    assert main(["explain", str(place), str(len(drawn) + 3)]) == 0
+    assert main(["explain", str(place), "--index", str(len(drawn) + 3)]) == 0
     assert capsys.readouterr().out.startswith("always-aggressiveness+ (car 0) against lane-switcher on Pipkin")
-    assert main(["explain", str(place), str(2 * len(drawn) + 2)]) == 0
+    assert main(["explain", str(place), "--index", str(2 * len(drawn) + 2)]) == 0
     assert main(["explain", str(place), "--situations", "never-switch"]) == 0
     assert "24/24 races" in capsys.readouterr().err
 
@@ -151,5 +151,5 @@ def test_settings_of_another_version_are_named(study_folder, tmp_path, capsys):
     place, _ = study_folder
     (tmp_path / "results.csv").write_text((place / "results.csv").read_text())
     (tmp_path / "job.yaml").write_text((place / "job.yaml").read_text().replace("  egos:", "  drivers:"))
-    assert main(["explain", str(tmp_path), "0"]) == 2
+    assert main(["explain", str(tmp_path), "--index", "0"]) == 2
     assert "settings are of another version" in capsys.readouterr().err

@@ -41,7 +41,7 @@ def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
     assert '"front"' in content  # the contest's cars start one behind the other
     assert "http://" not in content.replace("http://www.w3.org/2000/svg", "")
     assert "https://" not in content
-    assert main(["view", str(folder / "results.csv"), "--races", "3", "17", "--no-open"]) == 0
+    assert main(["view", str(folder / "results.csv"), "--index", "3", "17", "--no-open"]) == 0
     assert opened == [page.as_uri()]
     content = page.read_text()
     assert content.count('<script type="application/json" id="race-') == 2
@@ -65,7 +65,7 @@ def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, capsys):
     assert "18 races, 0 of them to be watched" in captured
     assert "can't be driven again" in captured
     assert "lone.csv" in (tmp_path / "lone-view.html").read_text()
-    for option in (["--serve"], ["--races", "1"], ["--replays", "3"]):
+    for option in (["--serve"], ["--index", "1"], ["--replays", "3"]):
         assert main(["view", str(lone), *option, "--no-open"]) == 2
         assert "there is no job.yaml beside this file" in capsys.readouterr().err
     (folder / "job.yaml").unlink()
@@ -74,9 +74,9 @@ def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, capsys):
 
 def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, capsys):
     folder = shutil.copytree(study_folder[0], tmp_path / "study")
-    assert main(["view", str(folder), "--races", "0", "12", "--no-open"]) == 0
+    assert main(["view", str(folder), "--index", "0", "12", "--no-open"]) == 0
     assert "40 races, 2 of them to be watched" in capsys.readouterr().out
-    assert main(["view", str(folder / "ratings.csv"), "--races", "1", "--no-open"]) == 0
+    assert main(["view", str(folder / "ratings.csv"), "--index", "1", "--no-open"]) == 0
     assert "2 races, 1 of them to be watched" in capsys.readouterr().out
     assert (folder / "ratings-view.html").is_file()
 
@@ -92,8 +92,8 @@ def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, capsys):
         (["{folder}", "--out", "a.html", "--serve"], "--out goes without --serve"),
         (["{folder}", "--port", "80"], "--port goes with --serve"),
         (["{folder}", "--replays", "-1"], "--replays is -1; it must be from 0 to"),
-        (["{folder}", "--races", "18"], "--races names 18; there are races 0 to 17"),
-        (["{folder}", "--races", "-1"], "--races names -1"),
+        (["{folder}", "--index", "18"], "--index names 18; there are races 0 to 17"),
+        (["{folder}", "--index", "-1"], "--index names -1"),
         (["{folder}", "--serve", "--port", "70000"], "port is 70000"),
     ],
 )

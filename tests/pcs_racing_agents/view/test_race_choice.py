@@ -33,12 +33,27 @@ def test_outcomes_are_told_by_agent():
         ("a", "b", "t", 1, "none", "car", "none", "1; 1"),
     ])  # fmt: skip
     of_a = [
-        "a win by switching", "a win without switching", "a crash of its own", "a crash of its own", "a tie",
+        "a win with switches", "a win without switching", "a crash of its own", "a crash of its own", "a tie",
         "a tie",
     ]  # fmt: skip
     of_b = ["a loss", "a loss", "a crash of the other's", "a crash of its own", "a tie", "a tie"]
     for car, expected in enumerate((of_a, of_b)):
         assert [OUTCOMES[i].split(",")[0] for i in outcomes(columns, car)] == expected
+
+
+def test_a_win_by_switching_is_one_that_staying_loses():
+    """Of the four races that "a" wins with a switch, "never-switch" loses the first one, from the same policy."""
+    rows = [
+        RaceRow(ego=ego, opponent="b", track="t", race=race, winner=winner, ego_variant=variant, ego_path=path)
+        for ego, race, winner, variant, path in [
+            *(("a", race, "ego", 1, (1, 2)) for race in range(4)),
+            ("never-switch", 0, "opponent", 1, (1, 1)), ("never-switch", 1, "ego", 1, (1, 1)),
+            ("never-switch", 2, "opponent", 3, (3, 3)),
+        ]
+    ]  # fmt: skip
+    found = [OUTCOMES[i] for i in outcomes(race_table(rows), 0)]
+    assert found[:4] == ["a win by switching", *["a win with switches"] * 3]
+    assert found[4:] == ["a loss", "a win without switching", "a loss"]
 
 
 def test_agents_and_outcomes_take_turns_and_the_typical_comes_first():
@@ -51,10 +66,10 @@ def test_agents_and_outcomes_take_turns_and_the_typical_comes_first():
                 races.append((*pair, track, lead, winner, "none", "none", "1; 2" if lead % 2 else "1; 1"))
     columns = columns_of(races)
     picks = choose_races(columns, 12)
-    assert [pick.why for pick in picks[:3]] == ["a: a win by switching", "b: a win by switching", "a: a loss"]
+    assert [pick.why for pick in picks[:3]] == ["a: a win with switches", "b: a win with switches", "a: a loss"]
     assert max(Counter(pick.why.split(": ")[0] for pick in picks).values()) <= 6
-    assert {pick.why.split(": ")[1] for pick in picks} >= {"a win by switching", "a loss"}
-    first = next(pick for pick in picks if pick.why == "a: a win by switching")
+    assert {pick.why.split(": ")[1] for pick in picks} >= {"a win with switches", "a loss"}
+    first = next(pick for pick in picks if pick.why == "a: a win with switches")
     pile = sorted(race[3] for race in races if race[:3] == races[first.race][:3] and race[3] > 0 and race[3] % 2)
     assert races[first.race][3] == pile[(len(pile) - 1) // 2]
     losses = [races[pick.race] for pick in choose_races(columns, 60) if pick.why == "a: a loss"]

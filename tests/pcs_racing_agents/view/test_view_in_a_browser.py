@@ -229,7 +229,7 @@ def test_a_phone_shows_the_list_and_then_the_race_or_how_to_watch_it(browser, pa
     absent = browser.run("[...Array(N).keys()].find((i) => !here(i))")
     browser.run(f"choose({absent}, true)")
     text = browser.run("document.getElementById('instead').innerText")
-    assert f"pcs-racing view '{tournament_folder[0]}' --races {absent}" in text
+    assert f"pcs-racing view '{tournament_folder[0]}' --index {absent}" in text
     assert f"Race {absent}: " in text
 
 

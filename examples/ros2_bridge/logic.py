@@ -1,0 +1,85 @@
+"""What the bridge does with a race, without ROS: commands go in, messages come out."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pcs_racing import Lidar, load_track
+from pcs_racing.envs.drive import DriveHeadToHeadEnv
+from pcs_racing.race.ros_messages import RosMessage, map_message, pose_messages, scan_message
+
+TIME_STEP = 0.02  # s: 50 scans and commands a second
+STILL = np.zeros(2, np.float32)
+
+
+@dataclass
+class Bridge:
+    """A race that goes on step by step with the last command of each car."""
+
+    track: str = "Brackwater"
+    opponent: str | None = "lattice"  #: Who drives the second car; None: commands of ``/opp_drive``.
+    race: str = "paper"
+    seed: int = 0
+    beams: int = 1080
+    commands: dict[str, np.ndarray] = field(init=False, default_factory=dict)  #: Steering (rad) and speed (m/s).
+    steps: int = field(init=False, default=0)
+
+    def __post_init__(self) -> None:
+        self.env = DriveHeadToHeadEnv(
+            self.track, self.race, opponent=self.opponent, time_step=TIME_STEP, normalized=False, duration=3600.0
+        )
+        self.circuit = load_track(self.track)
+        self.lidar = Lidar(self.circuit, beams=self.beams)
+        self.info = self.env.reset(seed=self.seed)[1]
+
+    def command(self, car: int, steering: float, speed: float) -> None:
+        """Keep a command until the next one; what is not finite is left out."""
+        if np.isfinite([steering, speed]).all():
+            limits = self.env.action_space(f"car_{car}")
+            self.commands[f"car_{car}"] = np.clip([steering, speed], limits.low, limits.high).astype(np.float32)
+
+    def step(self) -> list[RosMessage]:
+        """Drive a step and return what is published after it; after the end of a race the next one begins."""
+        if not self.env.agents:
+            self.info, self.commands = self.env.reset()[1], {}
+        actions = {agent: self.commands.get(agent, STILL) for agent in self.env.agents}
+        self.info = self.env.step(actions)[4]
+        self.steps += 1
+        return self.messages()
+
+    def put(self, x: float, y: float, heading: float) -> None:
+        """Put the ego at a place, at rest; the other car stays where it is. Refused in a wall."""
+        poses = np.array(self.info["car_0"]["poses"], float)
+        poses[0] = x, y, heading
+        self.info, self.commands = self.env.reset(options={"poses": poses})[1], {}
+
+    def messages(self) -> list[RosMessage]:
+        """Return the scans, odometry and frames of this moment; the time goes on over all races."""
+        time = round(1e9 * TIME_STEP * self.steps)
+        poses, velocities = (np.asarray(self.info["car_0"][key], float) for key in ("poses", "velocities"))
+        cars = np.zeros((len(poses), 7))
+        cars[:, [0, 1, 4]], cars[:, [3, 5, 6]] = poses, velocities
+        ranges = [self.lidar.scan(poses[car], poses[1 - car]) for car in range(2)]
+        scans = [scan_message(self.lidar, seen, car, time) for car, seen in enumerate(ranges)]
+        return [*scans, *pose_messages(cars, time)]
+
+    def map(self) -> RosMessage:
+        """Return the circuit."""
+        return map_message(self.circuit)
+
+
+def fill(message: Any, fields: dict[str, Any], kinds: dict[str, Any]) -> Any:
+    """Set the fields of a message of ROS from a mapping.
+
+    ``kinds`` holds the class of the items of each field that is a list of messages: ``{"transforms":
+    TransformStamped}``.
+    """
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            fill(getattr(message, name), value, kinds)
+        elif name in kinds:
+            setattr(message, name, [fill(kinds[name](), item, kinds) for item in value])
+        else:
+            setattr(message, name, value)
+    return message

@@ -1,0 +1,175 @@
+"""A race as messages of ROS 2, under the topics and frames of f1tenth_gym_ros, and as an MCAP file of them.
+
+A message is a mapping of its fields; a field that is left out is 0 or empty. Their definitions, those of ROS 2 Humble
+and later, are in ``ros2_messages.txt``. Times are those of the race: it begins at 0.
+"""
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.elementary import sines_cosines
+from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.files import write_atomically
+from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.car.lidar import Lidar
+from pcs_racing.race.replay import Replay
+from pcs_racing.track.track import Track
+
+Floats = NDArray[np.float64]
+CUBE, LINE_STRIP = 1, 4  # types of markers
+COLOURS = ((0.16, 0.44, 0.86), (0.93, 0.49, 0.13))  # of car 0 and of all others
+
+
+class RosMessage(NamedTuple):
+    """A message, and where and when it is published."""
+
+    topic: str
+    kind: str  #: Its type, like "sensor_msgs/msg/LaserScan".
+    time: int  #: Since the start of the race, ns.
+    fields: dict[str, Any]
+
+
+def car_topics(car: int) -> tuple[str, str, str]:
+    """Return the name of a car's frames, and its topics of scans and odometry."""
+    name = ("ego", "opp")[car] if car < 2 else f"opp{car}"
+    return f"{name}_racecar", "/scan" if car == 0 else f"/{name}_scan", f"/{name}_racecar/odom"
+
+
+def stamp(time: int) -> dict[str, int]:
+    """Return a time in ns as the two numbers of a message."""
+    return {"sec": time // 10**9, "nanosec": time % 10**9}
+
+
+def _header(time: int, frame: str) -> dict[str, Any]:
+    return {"stamp": stamp(time), "frame_id": frame}
+
+
+def _point(x: float, y: float) -> dict[str, float]:
+    return {"x": float(x), "y": float(y), "z": 0.0}
+
+
+def _turned(psi: float) -> dict[str, float]:
+    """Quaternion of a heading."""
+    sin, cos = sines_cosines(np.array([0.5 * psi]))
+    return {"x": 0.0, "y": 0.0, "z": float(sin[0]), "w": float(cos[0])}
+
+
+def _pose(x: float, y: float, psi: float = 0.0) -> dict[str, Any]:
+    return {"position": _point(x, y), "orientation": _turned(psi)}
+
+
+def map_message(track: Track) -> RosMessage:
+    """Return the circuit as ``/map``: 100 where walls are, 0 where cars can be."""
+    arrays = track.arrays
+    height, width = arrays.distance.shape
+    info = {"resolution": arrays.cell, "width": width, "height": height, "map_load_time": stamp(0)}
+    info["origin"] = _pose(arrays.origin_x, arrays.origin_y)
+    cells = np.where(arrays.distance > 0.0, 0, 100).ravel().tolist()
+    return RosMessage(
+        "/map", "nav_msgs/msg/OccupancyGrid", 0, {"header": _header(0, "map"), "info": info, "data": cells}
+    )
+
+
+def scan_message(lidar: Lidar, ranges: Sequence[float] | Floats, car: int, time: int) -> RosMessage:
+    """Return what the lidar of a car measured, m, shape (beams,)."""
+    name, topic, _ = car_topics(car)
+    fields = {
+        "header": _header(time, f"{name}/laser"),
+        "angle_min": float(lidar.angles[0]),
+        "angle_max": float(lidar.angles[-1]),
+        "angle_increment": lidar.kernel.step,
+        "range_max": lidar.max_range,
+        "ranges": np.asarray(ranges).tolist(),
+    }
+    return RosMessage(topic, "sensor_msgs/msg/LaserScan", time, fields)
+
+
+def pose_messages(cars: Floats, time: int) -> list[RosMessage]:
+    """Return odometry and ``/tf`` of the states of all cars, shape (N, 7)."""
+    messages, frames = [], []
+    for car, state in enumerate(cars):
+        name, _, topic = car_topics(car)
+        at = state[[_vehicle.X, _vehicle.Y, _vehicle.PSI]]
+        sin, cos = sines_cosines(state[[_vehicle.BETA]])
+        speed = state[_vehicle.V]
+        twist = {"linear": _point(speed * cos[0], speed * sin[0]), "angular": {"z": float(state[_vehicle.PSI_DOT])}}
+        odometry = {"child_frame_id": f"{name}/base_link", "pose": {"pose": _pose(*at)}, "twist": {"twist": twist}}
+        messages.append(RosMessage(topic, "nav_msgs/msg/Odometry", time, {"header": _header(time, "map"), **odometry}))
+        for parent, child, pose in (("map", "base_link", at), (f"{name}/base_link", "laser", np.zeros(3))):
+            moved = {"translation": _point(pose[0], pose[1]), "rotation": _turned(pose[2])}
+            head = {"header": _header(time, parent), "child_frame_id": f"{name}/{child}"}
+            frames.append({**head, "transform": moved})
+    return [*messages, RosMessage("/tf", "tf2_msgs/msg/TFMessage", time, {"transforms": frames})]
+
+
+def _markers(replay: Replay, frame: int, time: int) -> RosMessage:
+    """The cars as boxes, and the plan that each follows."""
+    markers: list[dict[str, Any]] = []
+    plan = min(int(time / 1e9 / replay.plan_dt + 1e-6), 0 if replay.paths is None else len(replay.paths) - 1)
+    for car, state in enumerate(replay.cars[frame]):
+        length, width = 2.0 * np.asarray(replay.half_sizes)[car]
+        colour = dict(zip("rgba", (*COLOURS[min(car, 1)], 1.0), strict=True))
+        shared = {"header": _header(time, "map"), "id": car, "color": colour}
+        pose = _pose(*state[[_vehicle.X, _vehicle.Y, _vehicle.PSI]])
+        size = {"x": float(length), "y": float(width), "z": 0.15}
+        markers.append({**shared, "ns": "cars", "type": CUBE, "pose": pose, "scale": size})
+        if replay.paths is not None and len(replay.paths):
+            path = replay.paths[plan, car]
+            points = [_point(*at) for at in path[~np.isnan(path[:, 0]), :2]]
+            line = {"type": LINE_STRIP, "pose": _pose(0.0, 0.0), "scale": {"x": 0.05}, "points": points}
+            markers.append({**shared, "ns": "plans", **line})
+    return RosMessage("/race_markers", "visualization_msgs/msg/MarkerArray", time, {"markers": markers})
+
+
+def race_messages(replay: Replay, track: Track, *, beams: int = 1080) -> Iterator[RosMessage]:
+    """Yield the messages of a race in the order of their times, 25 times a second; ``/map`` comes first."""
+    yield map_message(track)
+    lidar = Lidar(track, beams=beams)
+    poses = replay.cars[:, :, [_vehicle.X, _vehicle.Y, _vehicle.PSI]]
+    for frame, cars in enumerate(replay.cars):
+        time = round(1e9 * frame * replay.frame_dt)
+        for car in range(len(cars)):
+            # A lidar sees one other car: of several, the nearest thing in the way of each beam counts.
+            others = [poses[frame, other] for other in range(len(cars)) if other != car] or [None]
+            seen = [lidar.scan(poses[frame, car], other) for other in others]
+            yield scan_message(lidar, np.min(seen, axis=0), car, time)
+        yield from pose_messages(cars, time)
+        yield _markers(replay, frame, time)
+
+
+def definition(kind: str) -> str:
+    """Return the definition of a type of message with those that it is made of, as files of ROS 2 hold them."""
+    text = (Path(__file__).parent / "ros2_messages.txt").read_text(encoding="utf-8")
+    known = dict(part.split("\n", 1) for part in re.split(r"^MSG: ", text, flags=re.MULTILINE)[1:])
+    needed = [kind]
+    for one in needed:  # grows on the way
+        parts = [f"{package}/msg/{name}" for package, name in re.findall(r"^(\w+)/(\w+)", known[one], re.MULTILINE)]
+        needed += [part for part in parts if part not in needed]
+    rest = [f"{'=' * 80}\nMSG: {one.replace('/msg/', '/')}\n{known[one].strip()}\n" for one in needed[1:]]
+    return "".join([f"{known[kind].strip()}\n", *rest])
+
+
+def write_bag(replay: Replay, track: Track, path: str | os.PathLike[str], *, beams: int = 1080) -> Path:
+    """Write a recorded race as an MCAP file, which Foxglove and ``ros2 bag play`` open (the extra ros)."""
+    path = Path(path)
+    if path.suffix != ".mcap":
+        raise InputError(f"write_bag writes .mcap files, got {path.name!r}")
+    require("mcap_ros2", extra="ros")
+    from mcap_ros2.writer import Writer
+
+    def write(file: Any) -> None:
+        with Writer(file) as writer:
+            schemas: dict[str, Any] = {}
+            for topic, kind, time, fields in race_messages(replay, track, beams=beams):
+                if kind not in schemas:
+                    schemas[kind] = writer.register_msgdef(kind, definition(kind))
+                writer.write_message(topic, schemas[kind], fields, time, time)
+
+    write_atomically(path, write)
+    return path

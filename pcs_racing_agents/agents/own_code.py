@@ -1,0 +1,64 @@
+"""Code of your own where an agent or a driver is named: ``package.module:name``, ``file.py:name`` or ``model.zip``."""
+
+import importlib
+import inspect
+import sys
+from pathlib import Path
+from typing import Any
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.competitor import is_model
+from pcs_racing.planners.imported import METHODS, drivers_from, run_file
+from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.registry import parse_policy, planner_names
+
+
+def own_code(text: str, *given: Any) -> Any:
+    """Return what a text names, or None if it names no code.
+
+    A driver's class becomes its policy (:func:`pcs_racing.drivers_from`). Any other class or function is called with
+    what is ``given``, if it takes an argument. A module is looked for in the working directory as well.
+    """
+    place, separator, name = text.partition(":")
+    if not separator or not name.isidentifier() or place in planner_names():
+        return None
+    if place.endswith(".py"):
+        module = run_file(place)
+    else:
+        here = str(Path.cwd())
+        if here not in sys.path:
+            # As with "python -m", but at the end, so that a file here hides no installed package.
+            sys.path.append(here)
+        if not _is_module(place):
+            return None
+        module = importlib.import_module(place)
+    made = getattr(module, name, None)
+    if isinstance(made, type) and any(callable(getattr(made, method, None)) for method in METHODS):
+        return drivers_from(inspect.getfile(made))[name]
+    if callable(made):
+        needed = [one for one in inspect.signature(made).parameters.values() if one.default is one.empty]
+        made = made(*given[: len(needed)])
+    if made is None:
+        raise InputError(f"{text} is no driver and no agent: {place} has no class and no function {name!r}")
+    return made.policy() if isinstance(made, Planner) else made
+
+
+def _is_module(name: str) -> bool:
+    try:
+        return name.replace(".", "").isidentifier() and importlib.util.find_spec(name) is not None
+    except (ImportError, ValueError):
+        return False
+
+
+def parse_driver(text: str) -> Policy:
+    """Return the policy that a text names: as :func:`pcs_racing.parse_policy`, or by code of your own."""
+    if is_model(text):
+        from pcs_racing_agents.agents.sb3_files import load_model
+
+        return load_model(text)
+    made = own_code(text)
+    if made is None:
+        return parse_policy(text)
+    if not isinstance(made, Policy):
+        raise InputError(f"{text} gives {type(made).__name__!r}; here it must be a driver, not an agent")
+    return made

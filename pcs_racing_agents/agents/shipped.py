@@ -1,0 +1,28 @@
+"""The names of the agents of this package, apart from their code, which takes a second to import."""
+
+SHIPPED = {
+    "never-switch": "pcs_racing_agents.agents.blind:NEVER_SWITCH",
+    "random-moves": "pcs_racing_agents.agents.blind:RANDOM_MOVES",
+    "best-schedule": "pcs_racing_agents.agents.blind:BEST_SCHEDULE",
+    "best-fixed": "pcs_racing_agents.agents.blind:BEST_FIXED",
+    "best-lead-plan": "pcs_racing_agents.agents.blind:BEST_LEAD_PLAN",
+    "cfr-argmax": "pcs_racing_agents.agents.from_network:CFR_ARGMAX",
+    "cfr-regret-matching": "pcs_racing_agents.agents.from_network:CFR_REGRET_MATCHING",
+    "nash": "pcs_racing_agents.agents.from_network:NASH",
+    "adaptive": "pcs_racing_agents.agents.from_network:ADAPTIVE",
+    "response": "pcs_racing_agents.agents.from_network:RESPONSE",
+    "robust": "pcs_racing_agents.agents.mixture:ROBUST",
+    "psro": "pcs_racing_agents.agents.mixture:PSRO",
+    "self-play": "pcs_racing_agents.agents.mixture:SELF_PLAY",
+    "ppo": "pcs_racing_agents.agents.from_network:PPO",
+    "receding-horizon": "pcs_racing_agents.agents.receding_horizon:RECEDING_HORIZON",
+    "random-policy": "pcs_racing_agents.agents.drivers:RANDOM_POLICY",
+    "lane-switcher": "pcs_racing_agents.agents.drivers:LANE_SWITCHER",
+    "ppo-drive": "pcs_racing_agents.agents.drivers:PPO_DRIVE",
+    "gap-follower": "pcs_racing_agents.agents.drivers:GAP_FOLLOWER",
+    "pure-pursuit": "pcs_racing_agents.agents.drivers:PURE_PURSUIT",
+}
+"""Agents and drivers of this package: name, and reference to the entry. A new one is a file and a line here.
+
+In addition there is ``always-MOVE`` for every move.
+"""
