@@ -7,6 +7,7 @@ The last argument is a checkout; networks go to ``networks/``, choices to ``pcs_
 """
 
 import argparse
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +20,7 @@ from pcs_racing_agents.study.study import SET_AGENTS, Study
 def ship(study: Study, checkout: Path) -> list[Path]:
     """Copy a study's networks and choices to where the zoo looks for them; return what was written.
 
-    The first response is what the agent "adaptive" asks: its network is called ``gain`` there. The study's PPO baseline
-    stays in the study: the shipped one learned longer (``pcs-racing ppo --config duel-paper``).
+    The first response is what the agent "adaptive" asks: its network is called ``gain`` there.
     """
     setting = study.setting
     stem = f"{setting.archive.name}-{setting.race}"
@@ -34,6 +34,11 @@ def ship(study: Study, checkout: Path) -> list[Path]:
         written.append(
             save_network(replace(load_network(study.network(found)), name=name), checkout / "networks" / name)
         )
+    if study.config.ppo is not None:
+        name = f"{stem}-ppo"
+        place = save_network(replace(load_network(study.network("ppo")), name=name), checkout / "networks" / name)
+        shutil.copyfile(study.network("ppo") / "curve.csv", place / "curve.csv")
+        written.append(place)
     for kind in SET_AGENTS:
         if study.network(kind).is_dir():
             name = f"{stem}-{kind}"
