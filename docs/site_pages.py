@@ -159,7 +159,7 @@ def pages_of_data() -> dict[str, str]:
     if tools not in sys.path:
         sys.path.append(tools)
     circuits, gallery, zoo = (importlib.import_module(name) for name in ("circuits_page", "gallery", "zoo_page"))
-    cards = read_cards([REPOSITORY / "benchmarks" / "bench_v1"])
+    cards = read_cards([REPOSITORY / "benchmarks" / "bench_v2"])
     return {
         "circuits.md": circuits.circuits_page(),
         "gallery.md": gallery.gallery_page(),

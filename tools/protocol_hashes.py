@@ -1,6 +1,6 @@
 """Write the hashes of everything that a protocol's results depend on into its file, when a new version is made.
 
-python tools/protocol_hashes.py bench_v1
+python tools/protocol_hashes.py bench_v2
 """
 
 import argparse

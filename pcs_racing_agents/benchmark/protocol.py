@@ -37,7 +37,7 @@ KINDS = {
 class ProtocolConfig(Settings):
     """A protocol: opponents by kind, circuits, number of races."""
 
-    name: str = setting("bench-v1", text(), "Name, with the version.")
+    name: str = setting("bench-v2", text(), "Name, with the version.")
     archive: str = setting("contest", text(), "Archive of the agents.")
     race: str = setting("contest", text(), "Rules of the race.")
     seen: tuple[str, ...] = setting(("Pipkin", "Quillburg"), names(), "Circuits that may be trained on.")
@@ -117,7 +117,7 @@ class Protocol:
                 )
 
 
-def load_protocol(source: str | ProtocolConfig = "bench_v1", **changes: Any) -> Protocol:
+def load_protocol(source: str | ProtocolConfig = "bench_v2", **changes: Any) -> Protocol:
     """Return a protocol from a shipped one's name, a YAML file or a configuration, with some fields changed."""
     config = load_config("protocol", ProtocolConfig(), source, **changes)
     rules: GameConfig = game_rules(load_race_config(config.race))

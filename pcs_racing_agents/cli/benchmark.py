@@ -49,7 +49,7 @@ def run(
     drive: Annotated[bool, Option("AGENT is a driver at control level: its name or folder")] = False,
     weights: Annotated[Path | None, Option("file that is handed to module:function", "FILE")] = None,
     name: Annotated[str | None, Option("name on the card (default: that of the agent)")] = None,
-    protocol: Annotated[str, Option("protocol: its name or a YAML file")] = "bench_v1",
+    protocol: Annotated[str, Option("protocol: its name or a YAML file")] = "bench_v2",
     full: Annotated[bool, Option("also train a best reply to the agent and measure the loss to it (minutes)")] = False,
     out: Annotated[Path, Option("folder of the card; a run that was stopped there goes on", "DIR")],
     workers: Workers,

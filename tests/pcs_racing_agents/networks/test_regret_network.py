@@ -171,7 +171,7 @@ def made_for(game, **changes) -> RegretNetwork:
 def test_a_network_of_the_game_fits(game):
     made_for(game).check_fits(game)
     made_for(game).check_fits(make_game("Pipkin", epsilon=0.35, stay=True))  # the move that it does not know comes last
-    made_for(game).check_fits(make_game("Tarnfjord", race="contest", epsilon=0.35, stay=False))
+    made_for(game).check_fits(make_game("Tarnfjord", race="contest", moves=4, epsilon=0.35, stay=False))
     state = game.reset(games=2)
     assert made_for(game).choose(game.observation(state)).shape == (2, 2)
 

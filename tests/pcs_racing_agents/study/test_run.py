@@ -155,7 +155,7 @@ def test_what_was_found_can_be_shipped(finished, tmp_path):
     fits = tmp_path / "pcs_racing_agents" / "agents" / "fits"
     fits.mkdir(parents=True)
     load_tool("ship_study").ship(Study(config, finished.folder), tmp_path)
-    kinds = ("advantage", "gain", "psro", "regret", "robust", "self-play")
+    kinds = ("advantage", "gain", "ppo", "psro", "regret", "robust", "self-play")
     assert sorted(path.name for path in (tmp_path / "networks").iterdir()) == [
         f"default-paper-{kind}" for kind in kinds
     ]
