@@ -1,17 +1,16 @@
-"""The adaptivity gain by family of opponents, pooled over opponents and circuits.
+"""The adaptivity gain by opponent, pooled over circuits, and over all drivers that were met or held out.
 
-An agent that learned against one kind of opponent may lose to another that it never met. So opponents are sorted into
-families, and a family is either for training or for testing: never both.
+An agent that learned against one kind of opponent may lose to another that it never met.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.planners.registry import planner_names
 from pcs_racing_agents.results.csv_files import csv_cell, write_csv
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.results.text_table import Column, interval_text
@@ -21,43 +20,14 @@ from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 TRAINING, TEST = "training", "test"
 
 
-@dataclass(frozen=True)
-class OpponentFamily:
-    """Opponents that drive alike."""
-
-    name: str
-    use: str  #: "training" or "test"
-    members: tuple[str, ...]  #: Names in the zoo.
-    what: str  #: What they have in common.
-
-
-FAMILIES = (
-    OpponentFamily("archive", TRAINING, ("never-switch",), "policies of the game's archive, kept for the whole race"),
-    OpponentFamily("random moves", TRAINING, ("random-moves",), "policies of the archive, changed at random"),
-    OpponentFamily("gap follower", TRAINING, ("gap-follower",), "follows the largest gap in its lidar scan"),
-    OpponentFamily(
-        "other lattice",
-        TEST,
-        ("random-policy",),
-        "policies of the lattice planner that are not in the archive",
-    ),
-    OpponentFamily("lane switcher", TEST, ("lane-switcher",), "race line or overtaking lane"),
-    OpponentFamily("pure pursuit", TEST, ("pure-pursuit",), "follows the race line and never overtakes"),
-    OpponentFamily("trained driver", TEST, ("ppo-drive",), "a network that steers"),
-    OpponentFamily(
-        "switching agents",
-        TEST,
-        ("best-schedule", "best-lead-plan", "cfr-argmax", "response", "robust", "psro", "self-play", "ppo"),
-        "agents that choose their moves",
-    ),
-)
-"""All families; each opponent belongs to one."""
-
-
-def family_of(opponent: str) -> OpponentFamily | None:
-    """Return the family of an opponent by name, options left out; None if it belongs to none."""
-    name = opponent.partition(":")[0]
-    return next((family for family in FAMILIES if name in family.members), None)
+def families(opponents: Sequence[str], trained: Collection[str]) -> Iterator[tuple[str, str, list[str]]]:
+    """Yield a name, a use and the members of each family: every opponent, then all drivers of each use together."""
+    used = {name: TRAINING if name in trained else TEST for name in opponents}
+    yield from ((name, use, [name]) for name, use in used.items())
+    for use, name in ((TRAINING, "drivers that were met"), (TEST, "drivers held out")):
+        drivers = [one for one in opponents if used[one] == use and one.partition(":")[0] in planner_names()]
+        if len(drivers) > 1:
+            yield name, use, drivers
 
 
 class FamilyGain(NamedTuple):
@@ -91,19 +61,20 @@ COLUMNS = (
 )
 
 
-def family_gains(races: RaceTable, best: str, blind: str) -> list[FamilyGain]:
-    """Return the gain of an agent over a blind one, a line for each family, in the order of the families.
+def family_gains(races: RaceTable, best: str, blind: str, trained: Collection[str] = ()) -> list[FamilyGain]:
+    """Return the gain of an agent over a blind one, a line for each of :func:`families`.
+
+    ``trained`` are the opponents that were met in training.
 
     Races that share the ego's start policy, the opponent's variant or the start line form clusters.
     """
     pairs = {(track, opponent, ego): numbers for (track, ego, opponent, _), numbers in races.pairs.items()}
     cells = list(dict.fromkeys((track, opponent) for track, opponent, ego in pairs if ego == best))
     gains = []
-    for family in FAMILIES:
+    against = list(dict.fromkeys(opponent for _, opponent in cells if opponent not in (best, blind)))
+    for name, use, members in families(against, trained):
         own = [
-            (track, opponent)
-            for track, opponent in cells
-            if family_of(opponent) is family and (track, opponent, blind) in pairs and opponent not in (best, blind)
+            (track, opponent) for track, opponent in cells if opponent in members and (track, opponent, blind) in pairs
         ]
         if not own:
             continue
@@ -117,7 +88,7 @@ def family_gains(races: RaceTable, best: str, blind: str) -> list[FamilyGain]:
         # Races are pooled, not gains of rows: a row with few races must not count as much as one with many.
         gain = _estimate(np.concatenate(differences), np.concatenate(labels))
         numbers = (gain.units, gain.mean, gain.low, gain.high, gain.se, gain.df)
-        gains.append(FamilyGain(family.name, family.use, opponents, tracks, *numbers))
+        gains.append(FamilyGain(name, use, opponents, tracks, *numbers))
     return gains
 
 

@@ -162,17 +162,17 @@ def _families(study: Study, study_races: Sequence[StudyRaces], table: StudyTable
         return
     name = "further" if study.config.further_lines else "main"
     races = concatenate_races(cell.races for cell in study_races if cell.table == name)
-    gains = family_gains(races, table.best, table.blind)
+    gains = family_gains(races, table.best, table.blind, study.config.response_pool)
     if not gains:
         return
     write_family_gains(gains, study.folder / "families.csv")
     rows = table_rows(FAMILY_COLUMNS, gains)
     yield TitledTable(
-        f"Gain by family of opponents: {table.best} minus {table.blind}",
+        f"Gain by opponent: {table.best} minus {table.blind}",
         rows[0],
         rows[1:],
-        "Mean over all races of the table against a family. Agents may learn against the families for training; those "
-        "for tests they never met.",
+        "Mean over all races of the table. Agents learned against the opponents for training; those for tests they "
+        "never met.",
     )
 
 
