@@ -17,22 +17,6 @@ settings.register_profile(
 settings.load_profile("everywhere")
 
 
-FORMER_ARCHIVES = ("sha256 8f85f6bb3c5c", "sha256 8179219fdb5d")
-FORMER = (
-    "needs a network or fit that was made for an archive of the former driver (commit a58241f); what was made with it "
-    "is made again once, when the drivers of the field are there"
-)
-
-
-@pytest.hookimpl(hookwrapper=True)
-def pytest_runtest_makereport(item, call):
-    """Skip what needs the networks and fits that ship, with one reason, until they are made for the new archives."""
-    report = (yield).get_result()
-    if report.failed and any(f"({former})" in report.longreprtext for former in FORMER_ARCHIVES):
-        report.outcome = "skipped"
-        report.longrepr = (str(item.path), item.location[1] or 0, f"Skipped: {FORMER}")
-
-
 def _folder(variable: str, default: Path, what: str) -> Path:
     folder = Path(os.environ.get(variable, default))
     if not folder.is_dir():
