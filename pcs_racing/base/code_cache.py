@@ -5,8 +5,8 @@ an edit or an update it would go on running parts of the old code. Here the cach
 sources that it may be made of beside it, and is deleted when that digest is another one.
 
 Numba ends with an error if it can't read a cached file (after a full disk or a power cut), in every later run, and
-runs machine code in which bits have changed. Here each file ends with a digest of its name and content. If a file fails,
-those of its function are deleted, and it is compiled again.
+runs machine code in which bits have changed. Here each file ends with a digest of its name and content. If it is wrong,
+the files of that function are deleted, and it is compiled again.
 
 Numba reads the index of a function's code, adds a line and writes it back. Two processes that do so at the same time
 may end with a line of one that points to the code of the other. Here they take turns.
