@@ -3,14 +3,17 @@
 import argparse
 import logging
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli.commands import add_commands
-from pcs_racing_agents.cli.options import load_drivers
+from pcs_racing_agents.cli.options import Terminated, load_drivers
 
 FAILED = 2
 
@@ -52,7 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0, or 2 after an error that the user can correct, which is printed as one line on stderr.
+        0, or 2 after an error that the user can correct, which is printed as one line on stderr; 130 after Ctrl-C,
+        and 143 after SIGTERM.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     return run_parsed(_parser(words[0] if words else None).parse_args(words))
@@ -62,9 +66,10 @@ def run_parsed(parsed: argparse.Namespace) -> int:
     """Run a command whose words were parsed, and return the exit status of :func:`main`."""
     logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
     try:
-        load_drivers(parsed)
-        parsed.run(parsed)
-        sys.stdout.flush()
+        with _terminable():
+            load_drivers(parsed)
+            parsed.run(parsed)
+            sys.stdout.flush()
     except (InputError, ModuleNotFoundError) as error:
         return _fail(error)
     except BrokenPipeError:
@@ -75,9 +80,10 @@ def run_parsed(parsed: argparse.Namespace) -> int:
         if error.filename is None or error.strerror is None:
             return _fail(error)
         return _fail(InputError(f"can't read or write {error.filename}: {error.strerror}"))
-    except KeyboardInterrupt:
-        print("pcs-racing: interrupted", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as stop:
+        terminated = isinstance(stop, Terminated)
+        print(f"pcs-racing: {'terminated' if terminated else 'interrupted'}", file=sys.stderr)
+        return 143 if terminated else 130
     except Exception as error:
         # Here, since it takes as long to import as a race to drive.
         from pcs_racing_agents.jobs.executors import is_lost
@@ -86,6 +92,23 @@ def run_parsed(parsed: argparse.Namespace) -> int:
             raise
         return _fail(InputError(f"a worker died or the cluster is gone ({error}); mend that and start the same again"))
     return 0
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM end the block as Ctrl-C would: files are closed, folders unlocked and workers sent home."""
+    if threading.current_thread() is not threading.main_thread():  # only there Python handles signals
+        yield
+        return
+
+    def stop(*_: object) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _fail(error: Exception) -> int:

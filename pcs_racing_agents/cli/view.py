@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from pcs_racing.base.checks import check_seed
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, ArchiveName, Circuit, NoOpen, Rules, output_file
+from pcs_racing_agents.cli.options import DEFAULT_TRACK, ArchiveName, Circuit, NoOpen, Rules, Terminated, output_file
 from pcs_racing_agents.jobs.progress import show_progress
 
 if TYPE_CHECKING:
@@ -228,5 +228,7 @@ def run_server(server: ThreadingHTTPServer, what: str, *, open_it: bool) -> None
         open_page(address)
     try:
         server.serve_forever()
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
+        if isinstance(stop, Terminated):
+            raise
         print("ended", file=sys.stderr)

@@ -111,11 +111,11 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
     """
     client = _dask_client(executor)
     if client is None and not isinstance(executor, ProcessPoolExecutor):
-        yield partial(executor.submit, function)
+        yield partial(executor.submit, call_task, function)
         return
     packed = dumps(function)
     if len(packed) < LARGE:
-        yield partial(executor.submit, function)
+        yield partial(executor.submit, _call, function)
     elif client is not None:
         import dask
 
@@ -130,12 +130,29 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
             yield partial(executor.submit, _call_packed, str(file))
 
 
-def _call(function: Callable[..., Any], *arguments: Any) -> Any:
-    return function(*arguments)
+def call_task(function: Callable[..., Any], argument: Any) -> Any:
+    """Call the function of a task; ``SystemExit`` is an error of this task, not the end of the process."""
+    try:
+        return function(argument)
+    except SystemExit as error:
+        raise JobError(f"a task ended with SystemExit({error.code!r}); it must return its result") from error
 
 
-def _call_packed(file: str, *arguments: Any) -> Any:
-    return _unpacked(file)(*arguments)
+def _call(function: Callable[..., Any], argument: Any) -> Any:
+    """Call it in another process; an error that can't be unpickled would look like the death of a worker."""
+    try:
+        return call_task(function, argument)
+    except Exception as error:
+        try:
+            loads(dumps(error))
+        except Exception:
+            kind = type(error)
+            raise RuntimeError(f"{kind.__module__}.{kind.__qualname__}: {error}") from error
+        raise
+
+
+def _call_packed(file: str, argument: Any) -> Any:
+    return _call(_unpacked(file), argument)
 
 
 # Room for the functions of a few circuits, whose tasks alternate.
@@ -183,6 +200,17 @@ def _end_with(sentinel: int) -> None:
 
 
 @contextmanager
+def _errors_alone(log: logging.Logger) -> Iterator[None]:
+    """Leave out what a cluster tells of its beginning and end: a screen of lines, and more after Ctrl-C."""
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
+@contextmanager
 def _dask(workers: int, address: str | None) -> Iterator[Executor]:
     try:
         import dask
@@ -193,13 +221,16 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
         ) from None
     if address is None:
         # Port 0 is any free one: the usual port may be taken by another cluster.
-        quiet = {"dashboard": False, "dashboard_address": ":0"}
+        dashboard = {"dashboard": False, "dashboard_address": ":0"}
+        quiet: dict[str, Any] = {"silence_logs": logging.ERROR, "scheduler_kwargs": dashboard}
         with (
+            _errors_alone(logging.getLogger("distributed")),
             _one_thread_each(),
             dask.config.set({"distributed.comm.timeouts.connect": "120s"}),  # a busy machine starts workers slowly
-            LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, scheduler_kwargs=quiet) as cluster,
+            LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, **quiet) as cluster,
             Client(cluster) as client,
         ):
+            client.run(_prepare)
             yield client.get_executor(pure=False)
         return
     with _client(Client, address) as client:

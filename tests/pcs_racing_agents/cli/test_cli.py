@@ -2,6 +2,7 @@ import argparse
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -252,6 +253,7 @@ def test_an_error_is_one_line(run, arguments, message, tmp_path, monkeypatch):
     ("stopped", "code", "told"),
     [
         (KeyboardInterrupt(), 130, "pcs-racing: interrupted\n"),
+        (None, 143, "pcs-racing: terminated\n"),
         (
             PermissionError(13, "Permission denied", "results.csv"),
             2,
@@ -262,13 +264,15 @@ def test_an_error_is_one_line(run, arguments, message, tmp_path, monkeypatch):
 )
 def test_what_stops_a_command_is_told_in_a_line(run, monkeypatch, stopped, code, told):
     def fails(_name):
-        raise stopped
+        raise stopped or signal.raise_signal(signal.SIGTERM)
 
+    before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr("pcs_racing_agents.cli.agents.get_planner", fails)
     result, _, err = run("policies", "lattice")
     assert result == code
     assert told in err
     assert err.count("\n") == 1
+    assert signal.getsignal(signal.SIGTERM) == before
     # An error in the program itself is not hidden.
     monkeypatch.setattr("pcs_racing_agents.cli.agents.get_planner", lambda name: 1 / 0)
     with pytest.raises(ZeroDivisionError):
