@@ -1,6 +1,7 @@
 """The command line ``pcs-racing``: parse the arguments, run the command, and print an error as one line."""
 
 import argparse
+import io
 import logging
 import os
 import signal
@@ -58,6 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         0, or 2 after an error that the user can correct, which is printed as one line on stderr; 130 after Ctrl-C,
         and 143 after SIGTERM.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # what a terminal can't show is escaped: names of files, say
+            stream.reconfigure(errors="backslashreplace")
     words = sys.argv[1:] if arguments is None else list(arguments)
     return run_parsed(_parser(words[0] if words else None).parse_args(words))
 

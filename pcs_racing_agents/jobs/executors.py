@@ -110,24 +110,25 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
     passes it from worker to worker, and makes it again where the worker that had it is gone.
     """
     client = _dask_client(executor)
+    submit: Callable[..., Any] = executor.submit
     if client is None and not isinstance(executor, ProcessPoolExecutor):
-        yield partial(executor.submit, call_task, function)
+        yield partial(submit, call_task, function)
         return
     packed = dumps(function)
     if len(packed) < LARGE:
-        yield partial(executor.submit, _call, function)
+        yield partial(submit, _call, function)
     elif client is not None:
         import dask
 
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "4GB"}):  # large, but only once
             sent = client.submit(loads, packed, pure=False)
-        yield partial(executor.submit, _call, sent)
+        yield partial(submit, _call, sent)
     else:
         # A file in place of an argument: a ProcessPoolExecutor packs its arguments anew for every task.
         with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
             file = Path(folder) / "function"
             file.write_bytes(packed)
-            yield partial(executor.submit, _call_packed, str(file))
+            yield partial(submit, _call_packed, str(file))
 
 
 def call_task(function: Callable[..., Any], argument: Any) -> Any:

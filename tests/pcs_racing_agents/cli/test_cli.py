@@ -1,4 +1,5 @@
 import argparse
+import os
 import re
 import shlex
 import shutil
@@ -375,6 +376,10 @@ def test_as_a_process(tmp_path):
     assert done.returncode == 2
     assert done.stderr.startswith("pcs-racing: error: unknown track 'Nowhere'")
     assert "Traceback" not in done.stderr
+    drawn = [*command, "track", "show", "Pipkin", "--out", str(tmp_path / "Küche.png")]
+    terminal = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(drawn, capture_output=True, text=True, check=True, env=terminal)
+    assert done.stdout.endswith("K\\xfcche.png\n")
     done = subprocess.run(
         f"'{sys.executable}' -m pcs_racing_agents policies | head -n 1",
         shell=True, capture_output=True, text=True, check=True,
