@@ -46,18 +46,10 @@ FILES = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command.
+    """Run a command of these words behind ``pcs-racing``, by default those of the process; return the exit status.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        The words after ``pcs-racing``; by default those of the process.
-
-    Returns
-    -------
-    int
-        0, or 2 after an error that the user can correct, which is printed as one line on stderr; 130 after Ctrl-C,
-        and 143 after SIGTERM.
+    It is 0, or 2 after an error that the user can correct, which is printed as one line on stderr; 130 after Ctrl-C,
+    and 143 after SIGTERM.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # what a terminal can't show is escaped: names of files, say

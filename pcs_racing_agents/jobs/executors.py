@@ -41,7 +41,7 @@ _log = logging.getLogger("pcs_racing_agents")
 def make_executor(
     kind: str = "threads", workers: int | None = None, address: str | None = None
 ) -> Iterator[Executor | None]:
-    """Provide an executor for as long as a ``with`` block lasts.
+    """Provide an executor for as long as a ``with`` block lasts; None for "serial".
 
     Parameters
     ----------
@@ -52,11 +52,6 @@ def make_executor(
         How many; as many as this process may use cores by default. A running dask cluster has its own.
     address : str, optional
         Of a running dask scheduler, like ``tcp://host:8786``; without it a cluster of processes is started here.
-
-    Yields
-    ------
-    Executor or None
-        None for "serial".
     """
     if kind not in EXECUTORS:
         raise InputError(f"executor is {kind!r}; it must be one of {', '.join(EXECUTORS)}")
