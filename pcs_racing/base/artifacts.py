@@ -103,8 +103,8 @@ class ArtifactFormat(ManifestFormat):
         if not folder.exists():
             folder.parent.mkdir(parents=True, exist_ok=True)
             temporary = folder.with_name(f".{folder.name[:100]}.{secrets.token_hex(4)}")
-            temporary.mkdir()
             try:
+                temporary.mkdir()
                 (temporary / self.data_file).write_bytes(data)
                 (temporary / MANIFEST).write_bytes(manifest)
                 temporary.rename(folder)

@@ -4,8 +4,9 @@ Numba looks at the file of the function that it loads, but not at the files of t
 an edit or an update it would go on running parts of the old code. Here the cached code of a folder has a digest of all
 sources that it may be made of beside it, and is deleted when that digest is another one.
 
-Numba ends with an error if it can't read a cached file (after a full disk or a power cut), in every later run. Here the
-files of that function are deleted, and it is compiled again.
+Numba ends with an error if it can't read a cached file (after a full disk or a power cut), in every later run, and
+runs machine code in which bits have changed. Here each file ends with a digest of its name and content. If it is wrong,
+the files of that function are deleted, and it is compiled again.
 
 Numba reads the index of a function's code, adds a line and writes it back. Two processes that do so at the same time
 may end with a line of one that points to the code of the other. Here they take turns.
@@ -13,13 +14,15 @@ may end with a line of one that points to the code of the other. Here they take 
 
 import glob
 import hashlib
+import io
 import os
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from pcs_racing.base.errors import say
 
@@ -33,11 +36,42 @@ NOTE = "sources.sha256"
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
+class _CheckedFiles(IndexDataCacheFile):
+    """Numba's files of one function. What follows a pickle is not read by numba: there the digest stands."""
+
+    @contextmanager
+    def _open_for_write(self, path: str) -> Iterator[IO[bytes]]:
+        with super()._open_for_write(path) as file:
+            content = io.BytesIO()
+            yield content
+            file.write(content.getvalue() + _seal(path, content.getvalue()))
+
+    def _load_index(self) -> Any:
+        with suppress(FileNotFoundError):
+            _check_seal(self._index_path)
+        return super()._load_index()
+
+    def _load_data(self, name: str) -> Any:
+        _check_seal(self._data_path(name))
+        return super()._load_data(name)
+
+
+def _seal(path: str, content: bytes) -> bytes:
+    return hashlib.sha256(os.path.basename(path).encode() + content).digest()
+
+
+def _check_seal(path: str) -> None:
+    content = Path(path).read_bytes()
+    if content[-32:] != _seal(path, content[:-32]):
+        raise ValueError("damaged")
+
+
 class CodeCache(FunctionCache):
     """Numba's cache of one function's compiled code."""
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
+        self._cache_file.__class__ = _CheckedFiles
         forget_stale_code(os.path.dirname(function.__code__.co_filename), self.cache_path)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -58,7 +92,10 @@ class CodeCache(FunctionCache):
         with ExitStack() as turn:
             with suppress(OSError):  # a file system without locks
                 turn.enter_context(FileLock(Path(self.cache_path) / ".lock"))
-            super().save_overload(sig, data)
+            try:
+                super().save_overload(sig, data)
+            except OSError as error:
+                _say_once(f"compiled code can't be kept in {self.cache_path}: {error.strerror}")
 
 
 @cache

@@ -69,12 +69,14 @@ def _address(function: Callable[..., None], arguments: tuple[types.Type, ...]) -
     python = getattr(function, "py_func", function)
     if getattr(config, "DISABLE_JIT", 0):
         return python
-    own = _renamed(python)  # compiled without the wrapper for Python, a tenth of the time before a first race
+    checked = getattr(function, "bounds_checked", False)
+    # Compiled without the wrapper for Python, a tenth of the time before a first race.
+    own = _renamed(python, "checked" if checked else "driven")
     try:  # without reference counts where the function allocates nothing
-        dispatcher: Any = inner_kernel(own)
+        dispatcher: Any = inner_kernel(own, boundscheck=checked)
         dispatcher.compile(arguments)
     except (RuntimeError, NumbaError):
-        dispatcher = compiled(own)
+        dispatcher = compiled(own, boundscheck=checked)
         dispatcher.compile(arguments)
     code = dispatcher.overloads[arguments]
     if code.signature.return_type != types.none:
@@ -86,10 +88,20 @@ def _address(function: Callable[..., None], arguments: tuple[types.Type, ...]) -
     return code.library.get_pointer_to_function(code.fndesc.llvm_func_name)
 
 
-def _renamed(python: Any) -> FunctionType:
+def bounds_checked(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a planner's function that raises an IndexError where it would read or write beyond an array's end.
+
+    Compiled functions that it calls are not checked.
+    """
+    own = _renamed(getattr(function, "py_func", function), "checked")
+    own.bounds_checked = True  # type: ignore[attr-defined]
+    return own
+
+
+def _renamed(python: Any, what: str) -> FunctionType:
     """Return a function under a name of its own, or numba would take code from its cache that has other options."""
     own = FunctionType(python.__code__, python.__globals__, python.__name__, python.__defaults__, python.__closure__)
-    own.__module__, own.__qualname__ = python.__module__, f"{python.__qualname__}.driven"
+    own.__module__, own.__qualname__ = python.__module__, f"{python.__qualname__}.{what}"
     return own
 
 

@@ -195,15 +195,7 @@ def _flat(folder: Path, network: Any, content: bytes) -> NDArray[np.float64]:
 
 
 def read_imitator(source: str | Path) -> tuple[str, str, NDArray[np.float64]]:
-    """Return name, network and weights of a lidar driver, from the name of a shipped one or from its folder.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name and no such folder.
-    InputError
-        If a file is missing, damaged, too large, from another version, or its contents do not fit each other.
-    """
+    """Return name, network and weights of a lidar driver, from the name of a shipped one or from its folder."""
     folder = IMITATOR_FORMAT.find(source)
     fields, content = IMITATOR_FORMAT.load(folder)
     if not isinstance(fields["name"], str) or fields["beams"] != BEAMS or not isinstance(fields["training"], dict):

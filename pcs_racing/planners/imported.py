@@ -121,11 +121,6 @@ def drivers_from(path: str | Path) -> dict[str, Policy]:
 
     From then on this process knows them as ``"their_file.py:Class"``, with the path as it is given here, wherever a
     driver is named; ``"their_file.py"`` is the first one.
-
-    Raises
-    ------
-    InputError
-        If the file does not exist, fails, or has no driver.
     """
     name = Path(path).as_posix()
     if name not in planner_names():

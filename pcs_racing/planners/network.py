@@ -159,11 +159,6 @@ def network_planner(
     Planner
         Its parameters lie in [-10, 10].
 
-    Raises
-    ------
-    InputError
-        If a width is no whole number from 1 on, or the weights have the wrong shape, are not finite or too large.
-
     Examples
     --------
     >>> network_planner("tiny", hidden=(4,)).parameter_names[3:5]
@@ -199,12 +194,6 @@ def check_driver(name: str, sizes: Sequence[int], weights: ArrayLike | None, hol
         All of them, :meth:`pcs_racing.base.dense.DenseLayers.flat`.
     hold : int
         Simulation steps for which a decision holds.
-
-    Raises
-    ------
-    InputError
-        If the network has other inputs or outputs than a driver, or too many weights, one of them is not finite or
-        too large, or decisions can't hold for so long.
     """
     if (sizes[0], sizes[-1]) != (len(INPUTS), OUTPUTS):
         raise InputError(

@@ -147,13 +147,7 @@ class Planner:
         return plan_address(plan), control_address(control)
 
     def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
-        """Where parameters stand in ``theta``, by name.
-
-        Raises
-        ------
-        UnknownNameError
-            If a name is none of the planner's parameters.
-        """
+        """Where parameters stand in ``theta``, by name."""
         for name in names:
             if name not in self.parameter_names:
                 raise UnknownNameError(
@@ -162,13 +156,7 @@ class Planner:
         return np.array([self.parameter_names.index(name) for name in names], np.int64)
 
     def without(self, fixed: Sequence[str]) -> tuple[str, ...]:
-        """Names of the parameters that are left when some keep their defaults.
-
-        Raises
-        ------
-        UnknownNameError
-            If a name is none of the planner's parameters.
-        """
+        """Names of the parameters that are left when some keep their defaults."""
         self.indices(fixed)
         return tuple(name for name in self.parameter_names if name not in fixed)
 
@@ -184,11 +172,6 @@ class Planner:
         Returns
         -------
         ndarray, shape (K, P)
-
-        Raises
-        ------
-        UnknownNameError
-            If a name is none of the planner's parameters.
         """
         given = np.asarray(values, np.float64)
         theta = np.tile(self.default, (len(given), 1))
@@ -207,15 +190,7 @@ class Planner:
     def policy(
         self, parameters: ArrayLike | Mapping[str, float] | str | None = None, name: str | None = None
     ) -> "Policy":
-        """Make a policy from a vector, from named values over the defaults, or from the name of a variant.
-
-        Raises
-        ------
-        InputError
-            If a value is not finite or outside its bounds, or if there are too few or too many.
-        UnknownNameError
-            If a name is none of the planner's parameters or variants.
-        """
+        """Make a policy from a vector, from named values over the defaults, or from the name of a variant."""
         if parameters is None:
             parameters = "default"
         if isinstance(parameters, str):

@@ -31,11 +31,6 @@ def register_planner(planner: Planner | str, *, name: str | None = None) -> None
         The planner, or where it is (``"package.module:PLANNER"``), to be imported when it is first needed.
     name : str, optional
         Its name; needed for a place, as a planner brings its own.
-
-    Raises
-    ------
-    InputError
-        If the name is missing, holds signs that separate parts of a policy's text, or belongs to another planner.
     """
     if isinstance(planner, Planner):
         name = planner.name
@@ -56,15 +51,7 @@ def planner_names() -> list[str]:
 
 
 def get_planner(name: str) -> Planner:
-    """Return the planner of a name.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none; the message lists the names that exist.
-    InputError
-        If the object of that name can't be imported or is no planner.
-    """
+    """Return the planner of a name."""
     if name not in _planners:
         if name not in _declared():
             raise UnknownNameError(f"planner {name!r} is unknown; {choices(name, planner_names())}")
@@ -87,13 +74,6 @@ def parse_policy(text: str) -> Policy:
     text : str
         ``"lattice"``, ``"lattice:pace=0.8,side_margin=0.2"`` (the rest as in the default) or ``"lane-switcher:3"``. It
         becomes the policy's name.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such planner, variant or parameter.
-    InputError
-        If a value is not a number or lies outside its bounds.
     """
     if not isinstance(text, str):
         raise InputError(f"policy {text!r} must be text such as 'lattice:pace=0.8'")

@@ -39,11 +39,6 @@ def trained_planner(name: str, layers: DenseLayers, hold: int) -> Planner:
         16 inputs, any hidden layers, 2 outputs; ``tanh`` behind each layer.
     hold : int
         Simulation steps of 0.01 s for which a decision holds, an even number.
-
-    Raises
-    ------
-    InputError
-        If the layers have other inputs or outputs, or a number is too large.
     """
     flat = layers.flat().astype(np.float64)
     check_driver(name, layers.sizes, flat, hold)
@@ -74,15 +69,7 @@ def save_driver(folder: str | Path, layers: DenseLayers, *, name: str, hold: int
 
 
 def read_driver(source: str | Path = NAME) -> tuple[DenseLayers, dict[str, Any]]:
-    """Return the layers and the manifest of a driver, from the name of a shipped one or from its folder.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is none of that name and no such folder.
-    InputError
-        If a file is missing, damaged, too large, from another version, or its contents do not fit each other.
-    """
+    """Return the layers and the manifest of a driver, from the name of a shipped one or from its folder."""
     folder = DRIVER_FORMAT.find(source)
     fields, content = DRIVER_FORMAT.load(folder)
     if fields["inputs"] != list(INPUTS) or fields["top_speed"] != TOP_SPEED:

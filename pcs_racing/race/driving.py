@@ -200,11 +200,20 @@ def _ask_python_drivers(
             memory = state.memory[race, car]
             # The first numbers hold the command until the next one; the driver's own memory follows.
             own = memory[COMMAND_SLOTS : COMMAND_SLOTS + planner.memory_size]
-            answer = planner.drive(track, theta[race, car, : len(planner.parameters)], view.copy(), own)
-            command = np.asarray(answer, dtype=np.float64)
+            given = theta[race, car, : len(planner.parameters)]
+            given.flags.writeable = False
+            who = f"race {race}, car {car}: planner {planner.name!r}"
+            try:
+                answer = planner.drive(track, given, view.copy(), own)
+            except Exception as error:  # whatever their code raises
+                raise InputError(f"{who} raised {type(error).__name__}: {error}") from error
+            try:
+                command = np.asarray(answer, dtype=np.float64)
+            except (TypeError, ValueError):
+                command = np.array(np.nan)
             if command.shape != (2,) or not np.isfinite(command).all():
                 raise InputError(
-                    f"race {race}, car {car}: planner {planner.name!r} returned {command!r}; it must return two finite "
-                    "numbers, steering angle (rad) and speed (m/s)"
+                    f"{who} returned {answer!r:.80}; it must return two finite numbers, steering angle (rad) and speed "
+                    "(m/s)"
                 )
             memory[:COMMAND_SLOTS] = command

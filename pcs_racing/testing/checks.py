@@ -7,6 +7,7 @@ Each raises an :class:`AssertionError` that says what is wrong, and returns noth
 """
 
 import tempfile
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from pcs_racing.game.characteristics import Characteristic, Segment
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.moves import no_op_share
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.planners.calling import bounds_checked
 from pcs_racing.planners.planner import Planner
 from pcs_racing.race.config import PAPER, load_race_config
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
@@ -32,10 +34,10 @@ RACES = 6
 def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed: int = 0) -> None:
     """Check that a planner drives, and depends on nothing but its arguments.
 
-    Policies between its bounds race each other: all numbers must stay finite and the parameters untouched; the same
-    race must end the same driven again, alone, or cut in pieces; with the default policy the cars must not stand still;
-    and opponents beyond the planner's ``sight`` must make no difference, except by who leads. The races last a multiple
-    of 0.4 ``seconds``.
+    Policies between its bounds race each other: compiled functions must stay within their arrays (those that they call
+    are not checked); all numbers must stay finite and the parameters untouched; the same race must end the same driven
+    again, alone, or cut in pieces; with the default policy the cars must not stand still; and opponents beyond the
+    planner's ``sight`` must make no difference, except by who leads. The races last a multiple of 0.4 ``seconds``.
     """
     setup = RaceSetup(track, load_race_config(PAPER, duration=seconds), (planner, planner))
     rng = np.random.default_rng(seed)
@@ -54,6 +56,11 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
         assert np.array_equal(given, parameters), f"{who} writes to its parameters; it must leave theta as it is"
         return after
 
+    careful = replace(planner, plan=bounds_checked(planner.plan), control=bounds_checked(planner.control))
+    try:
+        advance(RaceSetup(track, setup.config, (careful, careful)), grid.copy(), theta.copy(), ticks)
+    except IndexError as error:
+        raise AssertionError(f"{who} reads or writes beyond the end of an array: {error}") from error
     end = drive(grid, theta)
     for name in ("cars", "command", "path", "memory"):
         array = getattr(end, name)

@@ -1,13 +1,13 @@
 """Cache on disk for results of slow computations on maps.
 
-The folder is ``$PCS_RACING_CACHE``, else ``~/.cache/pcs_racing``; it may be deleted at any time. A damaged file counts
-as missing, and a file that can't be written is left out.
+The folder is ``$PCS_RACING_CACHE``, else ``~/.cache/pcs_racing``; it may be deleted at any time. A file that
+is damaged or stands under the name of another counts as missing, and one that can't be written is left out.
 """
 
 import contextlib
 import hashlib
+import io
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.code_cache import SIMULATOR, sources_digest
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import read_limited, unpack_arrays
+from pcs_racing.base.files import read_limited, unpack_arrays, write_atomically
 
 TRACK, CALIBRATION = "track", "calibration"  # kinds of results
 
 MAX_BYTES = 256_000_000
+_SEAL = 32  # bytes at the end of a file
 
 # Floors whose code decides what is cached: a change in any of their files makes all of it out of date.
 _FLOORS = {TRACK: ("base", "track"), CALIBRATION: SIMULATOR}
@@ -49,12 +50,14 @@ def cache_key(parts: Mapping[str, bytes], kind: str) -> str:
 
 
 def load_cached(kind: str, key: str) -> dict[str, NDArray[Any]] | None:
-    """Return the arrays stored under a key; None if they are missing or damaged."""
+    """Return the arrays stored under a key; None if they are missing, damaged or those of another key."""
     folder = cache_folder()
     if folder is None:
         return None
     try:
-        return unpack_arrays(read_limited(folder / f"{kind}-{key[:40]}.npz", MAX_BYTES, f"a {kind}"), 4 * MAX_BYTES)
+        content = read_limited(folder / f"{kind}-{key[:40]}.npz", MAX_BYTES, f"a {kind}")
+        arrays, seal = content[:-_SEAL], content[-_SEAL:]
+        return unpack_arrays(arrays, 4 * MAX_BYTES) if seal == _seal(key, arrays) else None
     except (OSError, InputError):
         return None
 
@@ -64,14 +67,14 @@ def store(kind: str, key: str, arrays: Mapping[str, Any]) -> None:
     folder = cache_folder()
     if folder is None:
         return
-    with contextlib.suppress(OSError):
+    content = io.BytesIO()
+    np.savez(content, **arrays)
+    sealed = content.getvalue() + _seal(key, content.getvalue())
+    with contextlib.suppress(OSError, InputError):
         folder.mkdir(parents=True, exist_ok=True)
-        # Another process may read or write the same file: it is filled elsewhere and put in its place as a whole.
-        handle, temporary = tempfile.mkstemp(dir=folder, suffix=".part")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                np.savez(file, **arrays)
-            os.replace(temporary, folder / f"{kind}-{key[:40]}.npz")
-        except BaseException:
-            os.unlink(temporary)
-            raise
+        write_atomically(folder / f"{kind}-{key[:40]}.npz", lambda file: file.write(sealed))
+
+
+def _seal(key: str, content: bytes) -> bytes:
+    """Return the end of a file: a digest of the arrays and the whole key, whose first letters are the file's name."""
+    return hashlib.sha256(key.encode() + content).digest()

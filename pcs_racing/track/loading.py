@@ -185,14 +185,16 @@ def _flatten(track: Track, note: str) -> dict[str, Any]:
 
 
 def _restore(name: str, folder: Path | None, stored: dict[str, NDArray[Any]]) -> tuple[Track, str] | None:
-    """Return the track of arrays from `_flatten`; None if an array is missing."""
+    """Return the track of arrays from `_flatten`; None if an array is missing or does not fit the others."""
     try:
+        if not _fit(stored):
+            return None
         drivable = np.unpackbits(stored["drivable"], axis=1, count=int(stored["columns"])).view(np.bool_)
         note, content_hash, own = json.loads(str(stored["text"]))
         center = stored["centerline"]
         center.flags.writeable = False  # as in every Track
         values: dict[str, Any] = {name: stored[name] for name in TrackArrays._fields if name != "distance"}
-    except (KeyError, ValueError):
+    except (KeyError, ValueError, IndexError, TypeError):
         return None
     # An array without axes is of another type than a number: kernels would be compiled once more for it.
     for field, value in values.items():
@@ -201,3 +203,17 @@ def _restore(name: str, folder: Path | None, stored: dict[str, NDArray[Any]]) ->
     arrays = TrackArrays(distance=distance_to_walls(drivable, values["cell"]), **values)
     calibration = {preset: calibration_from_values(values) for preset, values in own.items()}
     return Track(name, arrays, center, calibration, folder, content_hash), note
+
+
+def _fit(stored: dict[str, NDArray[Any]]) -> bool:
+    """Whether lengths and indices of the arrays agree: compiled code looks up what they say, and checks nothing."""
+    samples, walls, stretches = (len(stored[name]) for name in ("line", "walls", "seen_middle"))
+    listed, corners = int(stored["seen_start"][-1]), int(stored["corners_start"][-1])
+    shapes = {
+        **{"line": (samples, 9), "walls": (walls, 4), "seen_middle": (stretches, 2), "corners": (2, corners)},
+        **dict.fromkeys(("seen_start", "corners_start"), (stretches + 1,)),
+        **dict.fromkeys(("seen", "seen_distance"), (listed,)),
+    }
+    rising = all(np.diff(stored[name], prepend=0).min() >= 0 for name in ("seen_start", "corners_start"))
+    known = all(0 <= stored[name].min() <= stored[name].max() < n for name, n in (("seen", walls), ("lookup", samples)))
+    return rising and known and all(stored[name].shape == shape for name, shape in shapes.items())

@@ -112,7 +112,7 @@ class Agent:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Any, None]:
-        """Return moves as a model of Stable-Baselines3 would.
+        """Return moves, indices in :attr:`Setting.moves`, as a model of Stable-Baselines3 would.
 
         Parameters
         ----------
@@ -122,12 +122,6 @@ class Agent:
         deterministic : bool
             Not used: the same observation always gives the same move. A mixed strategy draws it by a hash of the
             observation and the agent's seed.
-
-        Returns
-        -------
-        actions : ndarray of int, shape () or (B,)
-            Indices in :attr:`Setting.moves`.
-        state : None
         """
         observed = np.asarray(observation, np.float32)
         rows = observed[None] if observed.ndim == 1 else observed

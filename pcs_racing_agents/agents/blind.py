@@ -99,17 +99,14 @@ def walk_to(setting: Setting, target: int) -> WalkStrategy:
 def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.int64]:
     """Return the first move of a shortest path from each policy to a target, shape (K,).
 
+    At the end of its path, a policy gets the move whose outcome lies nearest: one that keeps it, if there is one.
+
     Parameters
     ----------
     table : array_like, shape (K, M)
         Where every move leads from every policy.
     points : array_like, shape (K, G)
         Where the policies lie.
-
-    Returns
-    -------
-    ndarray, shape (K,)
-        At the end of its path, a policy gets the move whose outcome lies nearest: one that keeps it, if there is one.
     """
     leads_to = np.asarray(table, np.int64)
     coordinates = np.asarray(points, np.float64)

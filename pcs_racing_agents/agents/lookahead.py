@@ -77,7 +77,7 @@ def look_ahead(
     leaf: str,
     value: Callable[[RaceGame, GameState, int], Floats],
 ) -> Floats:
-    """Simulate all histories of moves of the next steps, and return the values of their ends.
+    """Simulate all histories of moves of the next steps; return the values of their ends (B, A**depth, C**depth).
 
     Parameters
     ----------
@@ -87,12 +87,7 @@ def look_ahead(
         Indices of the moves of the car that searches, and of those of the opponent.
     leaf : {"rollout", "now", "network"}
         Where a branch ends: at the end of the race, both cars keeping the policies of the last move; or after the last
-        move, with observations for "network".
-
-    Returns
-    -------
-    ndarray, shape (B, A**depth, C**depth)
-        Histories of the own moves and of the opponent's, in row-major order, first move first.
+        move, with observations for "network". Histories are in row-major order, first move first.
     """
     options = tuple(len(m) for m in moves)
     tables = tuple(search.table[:, m] for m in moves)

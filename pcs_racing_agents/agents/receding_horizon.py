@@ -114,13 +114,8 @@ class RecedingHorizon:
     def root_games(self, game: RaceGame, state: GameState, car: int) -> tuple[Floats, NDArray[np.float32]]:
         """Return the results of the search as matrix games of the next moves.
 
-        Returns
-        -------
-        games : ndarray, shape (B, A, C)
-            Value of each pair of own move and opponent's move to the car; C = 1 against a static opponent. 0 in games
-            that are over.
-        observation : ndarray, shape (B, D), float32
-            Observations of the car.
+        They are the values of each pair of own move and opponent's move to the car, shape (B, A, C), with C = 1 against
+        a static opponent and 0 in games that are over; and the car's observations, shape (B, D), float32.
         """
         self.setting.check_fits(game, self.name)
         outside = np.flatnonzero(state.policy[:, car] < 0)

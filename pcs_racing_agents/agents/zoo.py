@@ -97,7 +97,7 @@ def make(
     seed: int = 0,
     **options: Any,
 ) -> Any:
-    """Make an agent or a driver by name.
+    """Make an agent or a driver by name; a third party's may be any object with ``predict``.
 
     Parameters
     ----------
@@ -110,18 +110,6 @@ def make(
         Seed of the draws of mixed strategies.
     **options
         Options of the agent; ``docs/agents.md`` lists them.
-
-    Returns
-    -------
-    Agent or Driver
-        Third parties' agents may be any object with ``predict``.
-
-    Raises
-    ------
-    UnknownNameError
-        If there is no such agent, or if its network or fit does not exist.
-    InputError
-        If an option is unknown or impossible, or a network or fit belongs to another game.
 
     Examples
     --------

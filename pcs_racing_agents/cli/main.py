@@ -1,10 +1,14 @@
 """The command line ``pcs-racing``: parse the arguments, run the command, and print an error as one line."""
 
 import argparse
+import io
 import logging
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -12,7 +16,7 @@ from typing import Any
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli.commands import Parser, add_commands
 from pcs_racing_agents.cli.early import check_command, check_names
-from pcs_racing_agents.cli.options import load_drivers
+from pcs_racing_agents.cli.options import Terminated, load_drivers
 
 FAILED = 2
 
@@ -44,18 +48,14 @@ FILES = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command.
+    """Run a command of these words behind ``pcs-racing``, by default those of the process; return the exit status.
 
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        The words after ``pcs-racing``; by default those of the process.
-
-    Returns
-    -------
-    int
-        0, or 2 after an error that the user can correct, which is printed as one line on stderr.
+    It is 0, or 2 after an error that the user can correct, which is printed as one line on stderr; 130 after Ctrl-C,
+    and 143 after SIGTERM.
     """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # what a terminal can't show is escaped: names of files, say
+            stream.reconfigure(errors="backslashreplace")
     words = sys.argv[1:] if arguments is None else list(arguments)
     if words[:1] == ["help"]:
         words = [*words[1:], "--help"]
@@ -72,9 +72,10 @@ def run_parsed(parsed: argparse.Namespace) -> int:
     """Run a command whose words were parsed, and return the exit status of :func:`main`."""
     logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
     try:
-        load_drivers(parsed)
-        parsed.run(parsed)
-        sys.stdout.flush()
+        with _terminable():
+            load_drivers(parsed)
+            parsed.run(parsed)
+            sys.stdout.flush()
     except (InputError, ModuleNotFoundError) as error:
         return _fail(error)
     except BrokenPipeError:
@@ -85,9 +86,10 @@ def run_parsed(parsed: argparse.Namespace) -> int:
         if error.filename is None or error.strerror is None:
             return _fail(error)
         return _fail(InputError(f"can't read or write {error.filename}: {error.strerror}"))
-    except KeyboardInterrupt:
-        print("pcs-racing: interrupted", file=sys.stderr)
-        return 130
+    except KeyboardInterrupt as stop:
+        terminated = isinstance(stop, Terminated)
+        print(f"pcs-racing: {'terminated' if terminated else 'interrupted'}", file=sys.stderr)
+        return 143 if terminated else 130
     except Exception as error:
         # Here, since it takes as long to import as a race to drive.
         from pcs_racing_agents.jobs.executors import is_lost
@@ -96,6 +98,23 @@ def run_parsed(parsed: argparse.Namespace) -> int:
             raise
         return _fail(InputError(f"a worker died or the cluster is gone ({error}); mend that and start the same again"))
     return 0
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM end the block as Ctrl-C would: files are closed, folders unlocked and workers sent home."""
+    if threading.current_thread() is not threading.main_thread():  # only there Python handles signals
+        yield
+        return
+
+    def stop(*_: object) -> None:
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _fail(error: Exception) -> int:

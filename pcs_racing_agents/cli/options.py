@@ -30,6 +30,10 @@ Race = Annotated[str, Option(f"rules of the race: {', '.join(PRESETS)} or a YAML
 NoOpen = Annotated[bool, Option("do not open the page in a browser")]
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM: what ends after Ctrl-C ends after this, too."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rules:
     """The rules of a race, and the seed of its random draws."""

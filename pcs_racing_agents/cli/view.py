@@ -18,6 +18,7 @@ from pcs_racing_agents.cli.options import (
     Circuit,
     NoOpen,
     Rules,
+    Terminated,
     archive_for,
     output_file,
 )
@@ -248,5 +249,7 @@ def run_server(server: ThreadingHTTPServer, what: str, *, open_it: bool) -> None
         open_page(address)
     try:
         server.serve_forever()
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
+        if isinstance(stop, Terminated):
+            raise
         print("ended", file=sys.stderr)

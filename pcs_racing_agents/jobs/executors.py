@@ -41,7 +41,7 @@ _log = logging.getLogger("pcs_racing_agents")
 def make_executor(
     kind: str = "threads", workers: int | None = None, address: str | None = None
 ) -> Iterator[Executor | None]:
-    """Provide an executor for as long as a ``with`` block lasts.
+    """Provide an executor for as long as a ``with`` block lasts; None for "serial".
 
     Parameters
     ----------
@@ -52,11 +52,6 @@ def make_executor(
         How many; as many as this process may use cores by default. A running dask cluster has its own.
     address : str, optional
         Of a running dask scheduler, like ``tcp://host:8786``; without it a cluster of processes is started here.
-
-    Yields
-    ------
-    Executor or None
-        None for "serial".
     """
     if kind not in EXECUTORS:
         raise InputError(f"executor is {kind!r}; it must be one of {', '.join(EXECUTORS)}")
@@ -110,32 +105,50 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
     passes it from worker to worker, and makes it again where the worker that had it is gone.
     """
     client = _dask_client(executor)
+    submit: Callable[..., Any] = executor.submit
     if client is None and not isinstance(executor, ProcessPoolExecutor):
-        yield partial(executor.submit, function)
+        yield partial(submit, call_task, function)
         return
     packed = dumps(function)
     if len(packed) < LARGE:
-        yield partial(executor.submit, function)
+        yield partial(submit, _call, function)
     elif client is not None:
         import dask
 
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "4GB"}):  # large, but only once
             sent = client.submit(loads, packed, pure=False)
-        yield partial(executor.submit, _call, sent)
+        yield partial(submit, _call, sent)
     else:
         # A file in place of an argument: a ProcessPoolExecutor packs its arguments anew for every task.
         with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
             file = Path(folder) / "function"
             file.write_bytes(packed)
-            yield partial(executor.submit, _call_packed, str(file))
+            yield partial(submit, _call_packed, str(file))
 
 
-def _call(function: Callable[..., Any], *arguments: Any) -> Any:
-    return function(*arguments)
+def call_task(function: Callable[..., Any], argument: Any) -> Any:
+    """Call the function of a task; ``SystemExit`` is an error of this task, not the end of the process."""
+    try:
+        return function(argument)
+    except SystemExit as error:
+        raise JobError(f"a task ended with SystemExit({error.code!r}); it must return its result") from error
 
 
-def _call_packed(file: str, *arguments: Any) -> Any:
-    return _unpacked(file)(*arguments)
+def _call(function: Callable[..., Any], argument: Any) -> Any:
+    """Call it in another process; an error that can't be unpickled would look like the death of a worker."""
+    try:
+        return call_task(function, argument)
+    except Exception as error:
+        try:
+            loads(dumps(error))
+        except Exception:
+            kind = type(error)
+            raise RuntimeError(f"{kind.__module__}.{kind.__qualname__}: {error}") from error
+        raise
+
+
+def _call_packed(file: str, argument: Any) -> Any:
+    return _call(_unpacked(file), argument)
 
 
 # Room for the functions of a few circuits, whose tasks alternate.
@@ -183,6 +196,17 @@ def _end_with(sentinel: int) -> None:
 
 
 @contextmanager
+def _errors_alone(log: logging.Logger) -> Iterator[None]:
+    """Leave out what a cluster tells of its beginning and end: a screen of lines, and more after Ctrl-C."""
+    before = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
+@contextmanager
 def _dask(workers: int, address: str | None) -> Iterator[Executor]:
     try:
         import dask
@@ -193,13 +217,16 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
         ) from None
     if address is None:
         # Port 0 is any free one: the usual port may be taken by another cluster.
-        quiet = {"dashboard": False, "dashboard_address": ":0"}
+        dashboard = {"dashboard": False, "dashboard_address": ":0"}
+        quiet: dict[str, Any] = {"silence_logs": logging.ERROR, "scheduler_kwargs": dashboard}
         with (
+            _errors_alone(logging.getLogger("distributed")),
             _one_thread_each(),
             dask.config.set({"distributed.comm.timeouts.connect": "120s"}),  # a busy machine starts workers slowly
-            LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, scheduler_kwargs=quiet) as cluster,
+            LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, **quiet) as cluster,
             Client(cluster) as client,
         ):
+            client.run(_prepare)
             yield client.get_executor(pure=False)
         return
     with _client(Client, address) as client:

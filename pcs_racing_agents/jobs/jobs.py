@@ -54,7 +54,7 @@ class Job:
         progress: Progress | None = None,
         keep: bool = True,
     ) -> list[Arrays]:
-        """Return the results of all tasks; those that an earlier run has done are read from its chunks.
+        """Return the results of all tasks in their order; those that an earlier run has done are read from its chunks.
 
         Parameters
         ----------
@@ -70,11 +70,6 @@ class Job:
             Called as ``progress(done, len(arguments), name)`` when the chunks are counted and after every task.
         keep : bool
             Whether to return the results; without them (an empty list) memory does not grow with the tasks.
-
-        Returns
-        -------
-        list of dict of ndarray
-            In the order of the tasks.
         """
         group = TaskGroup(self, name, function, arguments)
         return run_groups([group], executor=executor, progress=progress, keep=keep)[0]

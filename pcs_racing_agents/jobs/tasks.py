@@ -5,7 +5,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExec
 from contextlib import ExitStack
 from typing import Any, Generic, NamedTuple, TypeVar, cast
 
-from pcs_racing_agents.jobs.executors import is_lost, sent_once, tasks_in_flight
+from pcs_racing_agents.jobs.executors import call_task, is_lost, sent_once, tasks_in_flight
 from pcs_racing_agents.jobs.folders import GO_ON, JobError
 
 A = TypeVar("A")
@@ -35,7 +35,7 @@ def run_tasks(
     waiting = iter(tasks)
     if executor is None:
         for one in waiting:
-            yield one.key, one.function(one.argument)
+            yield one.key, call_task(one.function, one.argument)
         return
     limit = tasks_in_flight(executor)
     under_way: dict[Future[Any], K] = {}

@@ -58,7 +58,7 @@ def pool_headroom(payoffs: Floats, pools: Indices) -> Floats:
 def choose_pool(
     payoffs: ArrayLike, groups: Sequence[ArrayLike], count: int, *, starts: int = 8, seed: int = 0
 ) -> Indices:
-    """Choose the pool with the greatest headroom, mean over circuits, by exchanging one policy at a time.
+    """Choose the pool with the greatest headroom, mean over circuits, by exchanging one policy at a time; ascending.
 
     Parameters
     ----------
@@ -73,11 +73,6 @@ def choose_pool(
         Random pools from which the exchange begins; the best result is returned.
     seed : int
         Of these pools.
-
-    Returns
-    -------
-    ndarray of int, shape (count,)
-        Ascending.
     """
     check_whole("count", count, 3)
     matrices, sets = np.asarray(payoffs, np.float64), [np.asarray(group, np.int64) for group in groups]

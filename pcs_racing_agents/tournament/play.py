@@ -11,6 +11,7 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import list_archives
 from pcs_racing.game.competitor import competitor_name
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.rules import RaceGame
@@ -40,6 +41,7 @@ class TournamentPlan:
     schedules: tuple[RaceSchedule, ...]  #: The races of each pair, by track.
     races_per_pair: int  #: On each track.
     seed: int
+    archive: str = ""  #: Name of a shipped archive, or the path of a folder, from which it is loaded again.
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -126,7 +128,10 @@ def plan_tournament(
     _check_distinct("competitors", [competitor_name(entrant) for entrant in competitors], 2)
     rules = setting.config.race_rules
     schedules = tuple(draw_schedule(track, rules, races_per_pair, seed) for track in circuits)
-    plan = TournamentPlan(tuple(competitors), tuple(circuits), setting, schedules, races_per_pair, seed)
+    source = setting.identity.archive
+    if not isinstance(archive, PolicyArchive) and archive not in list_archives():
+        source = str(Path(archive).resolve())
+    plan = TournamentPlan(tuple(competitors), tuple(circuits), setting, schedules, races_per_pair, seed, source)
     for track in circuits:
         game = RaceGame(track, setting.archive, setting.config)
         for entrant in competitors:
@@ -182,7 +187,7 @@ def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
         "seed": plan.seed,
         "races_per_pair": plan.races_per_pair,
         "game": setting.config,
-        "archive": setting.identity.archive,
+        "archive": plan.archive,
         "archive_sha256": setting.identity.archive_sha256,
         "tracks": {track.name: track.content_hash for track in plan.tracks},
         "agents": {competitor_name(competitor): competitor_hash(competitor) for competitor in plan.competitors},

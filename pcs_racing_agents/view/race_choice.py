@@ -60,13 +60,7 @@ def _lost_by_staying(races: RaceTable, car: int) -> NDArray[np.bool_]:
 
 
 def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
-    """Select races to show, by a deterministic rule.
-
-    Returns
-    -------
-    list of SelectedRace
-        In order of selection.
-    """
+    """Select races to show, by a deterministic rule; return them in order of selection."""
     agents = range(len(races.agents.words))
     by_car = np.array([outcomes(races, car) for car in range(2)])
     # Outcomes outside, agents inside: of each outcome every agent has its turn before the next one.

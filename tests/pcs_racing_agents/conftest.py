@@ -107,8 +107,7 @@ def tournament_folder(saved_archive, tmp_path_factory):
     rules = load_race_config("contest", duration=5.0, steps=(1.0,) * 5)
     agents = ["random-moves", "lane-switcher", "never-switch"]
     plan = plan_tournament(load_track("Pipkin"), agents, rules, archive=saved_archive, races_per_pair=6, seed=2)
-    settings = {**tournament_settings(plan), "archive": str(saved_archive)}
-    with open_job(folder, "tournament", settings) as job:
+    with open_job(folder, "tournament", tournament_settings(plan)) as job:
         tournament = play_plan(plan, job=job)
         write_results(tournament.races, folder / "results.csv")
     return folder, tournament

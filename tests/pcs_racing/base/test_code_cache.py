@@ -168,6 +168,7 @@ BROKEN = {
     "zeroed at the end": lambda content: content[: len(content) // 2].ljust(len(content), b"\0"),
     "of a module that is gone": lambda content: b"cno_such_module\nno_such_name\n.",
     "text": lambda content: b"not a pickle",
+    "with another bit": lambda content: content[:-99] + bytes([content[-99] ^ 1]) + content[-98:],
 }
 
 
@@ -201,6 +202,31 @@ def test_broken_code_of_one_function_leaves_that_of_others(tmp_path):
     assert runpy.run_path(str(module))["found"] == 1
     assert {file.name for file in tmp_path.glob("__pycache__/module.answer_2-*")} == before
     assert len(before) == 2
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+def test_code_of_another_function_is_not_taken(tmp_path, capsys, ending):
+    module = tmp_path / "module.py"
+    module.write_text(MODULE + MODULE.replace("answer", "answer_2").replace("0.5", "0.7"))
+    code_cache._say_once.cache_clear()
+    runpy.run_path(str(module))
+    (file,) = tmp_path.glob(f"__pycache__/module.answer-*.{ending}")
+    (other,) = tmp_path.glob(f"__pycache__/module.answer_2-*.{ending}")
+    other.write_bytes(file.read_bytes())
+    assert runpy.run_path(str(module))["value"] == pytest.approx(31.5)
+    assert "compiled again" in capsys.readouterr().err
+
+
+def test_a_full_disk_is_told_once_and_the_function_runs(tmp_path, capsys, monkeypatch):
+    def full(self, name, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(IndexDataCacheFile, "_save_data", full)
+    code_cache._say_once.cache_clear()
+    (tmp_path / "module.py").write_text(MODULE + MODULE.replace("answer", "answer_2"))
+    assert runpy.run_path(str(tmp_path / "module.py"))["value"] == 22.5
+    cached = tmp_path / "__pycache__"
+    assert capsys.readouterr().err == f"pcs-racing: compiled code can't be kept in {cached}: No space left on device\n"
 
 
 def add(a):

@@ -292,6 +292,8 @@ def test_starts_off_the_track_and_in_the_wall_are_refused(oval):
 
 LINE = Starts(np.zeros(1), np.zeros(1, np.int64))
 BROKEN = Planner("broken", (), drive=lambda track, theta, view, memory: (np.nan, 1.0))
+LOST = Planner("lost", (), drive=lambda track, theta, view, memory: {}["way"])
+MUTE = Planner("mute", (), drive=lambda track, theta, view, memory: ("left", None))
 
 
 def test_bad_arguments_are_refused(oval):
@@ -300,10 +302,9 @@ def test_bad_arguments_are_refused(oval):
         (lambda *_: race_seeds(-1, 2), "seed is -1"),
         (lambda oval, *_: run_races(oval, [lattice()] * 2, [lattice()] * 3, SHORT), "2 egos but 3 opponents"),
         (lambda oval, *_: run_races(oval, [lattice()] * 2, lattice(), SHORT, starts=LINE), "2 races but 1 starts"),
-        (
-            lambda oval, *_: run_races(oval, BROKEN.policy(), lattice(), SHORT),
-            "race 0, car 0: planner 'broken' returned",
-        ),
+        (lambda oval, *_: run_races(oval, BROKEN.policy(), lattice(), SHORT), "0, car 0: planner 'broken' returned"),
+        (lambda oval, *_: run_races(oval, lattice(), LOST.policy(), SHORT), "0, car 1: planner 'lost' raised KeyError"),
+        (lambda oval, *_: run_races(oval, lattice(), MUTE.policy(), SHORT), r"'mute' returned \('left', None\); it"),
         (lambda _, setup, state, theta: advance(setup, state, theta, 3), "ticks is 3"),
         (lambda _, setup, state, theta: advance(setup, state, theta[..., :3], 2), r"theta .*\(1, 2, 3\)"),
         (lambda _, setup, state, theta: advance(setup, state, theta.astype(np.float32), 2), "type float32"),

@@ -47,6 +47,11 @@ def writes_to_theta(track, theta, view, memory):
     return 0.0, 2.0
 
 
+def writes_beyond(track, theta, view, memory, scratch, path, command):
+    memory[3] = 1.0
+    command[0], command[1] = 0.0, 2.0
+
+
 def remembers_nonsense(track, theta, view, memory):
     memory[0] = np.nan
     return 0.0, 2.0
@@ -55,10 +60,11 @@ def remembers_nonsense(track, theta, view, memory):
 def test_the_checks_find_what_is_wrong_with_planners_and_archives(track):
     for planner, message in [
         (driver(keeps_a_secret()), "end differently"),
-        (driver(writes_to_theta), "writes to its parameters"),
         (driver(remembers_nonsense, 1), "memory of race 0"),
+        (Planner("mine", (PACE,), control=writes_beyond, memory_size=3), "writes beyond the end of an array"),
     ]:
         refused(f"planner 'mine'.*{message}", check_planner, planner, track, seconds=0.8, error=AssertionError)
+    refused("read-only", check_planner, driver(writes_to_theta), track)
     check_archive(load_archive("default"))
     check_archive(load_archive("default"), track)
     refused("planner 'nobody' is unknown", check_archive, change(planner="nobody"), error=AssertionError)

@@ -43,8 +43,6 @@ def study_folder(saved_archive, tmp_path_factory):
         plan = plan_tournament(
             load_track("Pipkin"), rated, config.game, archive=saved_archive, races_per_pair=2, seed=7
         )
-        with open_job(
-            place / "ratings", "tournament", {**tournament_settings(plan), "archive": str(saved_archive)}
-        ) as job:
+        with open_job(place / "ratings", "tournament", tournament_settings(plan)) as job:
             write_results(play_plan(plan, job=job).races, place / "ratings.csv")
     return place, pairings

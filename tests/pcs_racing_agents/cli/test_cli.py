@@ -1,7 +1,9 @@
 import argparse
+import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -267,6 +269,7 @@ def test_an_error_is_one_line(run, arguments, message, tmp_path, monkeypatch):
     ("stopped", "code", "told"),
     [
         (KeyboardInterrupt(), 130, "pcs-racing: interrupted\n"),
+        (None, 143, "pcs-racing: terminated\n"),
         (
             PermissionError(13, "Permission denied", "results.csv"),
             2,
@@ -277,13 +280,15 @@ def test_an_error_is_one_line(run, arguments, message, tmp_path, monkeypatch):
 )
 def test_what_stops_a_command_is_told_in_a_line(run, monkeypatch, stopped, code, told):
     def fails(_name):
-        raise stopped
+        raise stopped or signal.raise_signal(signal.SIGTERM)
 
+    before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr("pcs_racing_agents.cli.agents.get_planner", fails)
     result, _, err = run("policies", "lattice")
     assert result == code
     assert told in err
     assert err.count("\n") == 1
+    assert signal.getsignal(signal.SIGTERM) == before
     # An error in the program itself is not hidden.
     monkeypatch.setattr("pcs_racing_agents.cli.agents.get_planner", lambda name: 1 / 0)
     with pytest.raises(ZeroDivisionError):
@@ -453,6 +458,10 @@ def test_as_a_process(tmp_path):
     assert done.returncode == 2
     assert done.stderr.startswith("pcs-racing: error: unknown track 'Nowhere'")
     assert "Traceback" not in done.stderr
+    drawn = [*command, "track", "show", "Pipkin", "--out", str(tmp_path / "Küche.png")]
+    terminal = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(drawn, capture_output=True, text=True, check=True, env=terminal)
+    assert done.stdout.endswith("K\\xfcche.png\n")
     done = subprocess.run(
         f"'{sys.executable}' -m pcs_racing_agents policies | head -n 1",
         shell=True, capture_output=True, text=True, check=True,

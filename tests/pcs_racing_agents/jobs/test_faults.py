@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from subprocess import PIPE, Popen
 
 import numpy as np
 import pytest
@@ -68,6 +69,19 @@ def test_killed_at_random_moments_the_results_are_the_same(long_commands, tmp_pa
     assert killed > 0
     assert main([*command, "--out", str(tmp_path / "killed")]) == 0
     assert files(tmp_path / "killed") == files(tmp_path / "whole")
+
+
+def test_sigterm_ends_a_command_and_its_workers_as_ctrl_c_does(long_commands, tmp_path):
+    command = [*long_commands["tree"], "--executor", "processes", "--workers", "1", "--out", tmp_path]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    # A new interpreter: its own tracker of semaphores says what was left behind.
+    with Popen([sys.executable, "-m", "pcs_racing_agents", *command], stderr=PIPE, text=True, env=environment) as run:
+        while run.poll() is None and not list(tmp_path.glob("chunks/*.npz")):
+            time.sleep(0.02)
+        run.terminate()
+        said = run.communicate()[1]
+    assert run.returncode == 143
+    assert said.endswith("pcs-racing: terminated\n")
 
 
 def test_ppo_killed_after_a_seed_ends_with_the_same_weights(long_commands, tmp_path):

@@ -1,11 +1,14 @@
 """Work that is more than a list of tasks: several groups side by side."""
 
+import logging
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from pcs_racing_agents.jobs.executors import make_executor, tasks_in_flight
+from pcs_racing_agents.jobs.folders import JobError
 from pcs_racing_agents.jobs.jobs import TaskGroup, open_job, run_groups
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
 from pcs_racing_agents.networks.torch_layers import torch_alone
@@ -25,6 +28,34 @@ def test_results_come_with_their_keys_and_only_threads_are_here():
         assert in_other_processes(threads) is None
         assert in_other_processes(processes) is processes
     assert in_other_processes(None) is None
+
+
+class OddError(Exception):
+    """Can be pickled, but not unpickled."""
+
+    def __init__(self, what: str, where: str) -> None:
+        super().__init__(f"{what} in {where}")
+
+
+def fail(task: str) -> None:
+    if task == "exit":
+        sys.exit(3)
+    raise OddError("fog", task)
+
+
+@pytest.mark.parametrize("kind", ["serial", "threads", "processes", "dask"])
+def test_errors_of_tasks_are_named_wherever_they_run(kind, caplog):
+    if kind == "dask":
+        pytest.importorskip("distributed")
+    caplog.set_level(logging.INFO, "distributed")
+    with make_executor(kind, None if kind == "serial" else 1) as executor:
+        with pytest.raises(JobError, match=r"a task ended with SystemExit\(3\)"):
+            run_task(fail, "exit", executor)
+        with pytest.raises((OddError, RuntimeError), match="fog in Spa") as stop:
+            run_task(fail, "Spa", executor)
+        assert "OddError" in repr(stop.value)
+        assert run_task(double, 21, executor) == {"value": 42}  # no worker was lost
+    assert not [record for record in caplog.records if record.levelno < logging.ERROR]
 
 
 @pytest.mark.parametrize("workers", [None, 2])
