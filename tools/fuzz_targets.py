@@ -55,7 +55,6 @@ from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
-from pcs_racing_agents.networks.from_ego import ego_values
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.results.race_files import read_results
@@ -64,7 +63,7 @@ from pcs_racing_agents.study.report_inputs import read_curves, read_losses
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.tournament.play import plan_tournament, tournament_settings
-from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees, load_trees
+from pcs_racing_agents.trees import build_trees, load_trees
 from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_page import packed_races
 
@@ -238,25 +237,18 @@ def artifact_data(kind: str, data: bytes) -> object:
 
 
 @cache
-def trees(ego: bool) -> tuple[Path, bytes, bytes]:
+def trees() -> tuple[Path, bytes, bytes]:
     """A folder of trees, its manifest and its first chunk."""
-    folder = scratch() / ("ego-trees" if ego else "trees")
-    if ego:
-        build_ego_trees(small_game(), folder, roots=2, seed=0)
-    else:
-        build_trees(small_game(), folder, pairs=1, seed=0)
-    chunk = chunk_file(folder, "ego" if ego else "tree", 0)
-    return folder, (folder / "job.yaml").read_bytes(), unsigned(chunk)
+    folder = scratch() / "trees"
+    build_trees(small_game(), folder, pairs=1, seed=0)
+    return folder, (folder / "job.yaml").read_bytes(), unsigned(chunk_file(folder, "tree", 0))
 
 
-def read_trees(ego: bool, manifest: bool, data: bytes) -> object:
-    folder, sound, chunk = trees(ego)
+def read_trees(manifest: bool, data: bytes) -> object:
+    folder, sound, chunk = trees()
     (folder / "job.yaml").write_bytes(data if manifest else sound)
     # Both files are written every time: the other target may have left broken ones in the same folder.
-    signed(chunk_file(folder, "ego" if ego else "tree", 0), chunk if manifest else data)
-    if ego:
-        found = load_ego_trees(folder)
-        return [found.observations(k) for k in range(found.moves)], ego_values(found)
+    signed(chunk_file(folder, "tree", 0), chunk if manifest else data)
     stored = load_trees(folder)
     return stored.check(small_game()), stored[0].observations(0), stored[0].game_tree(), stored[0].statistics
 
@@ -521,10 +513,8 @@ TARGETS: dict[str, Target] = {
         as_file(read_chunk, "chunk.npz"), lambda: [chunk_seed(), (scratch() / "seed.npz").read_bytes()], "binary"
     ),
     "chunk, signed": Target(signed_chunk, lambda: [chunk_seed()], "npz"),
-    "tree manifest": Target(partial(read_trees, False, True), lambda: [trees(False)[1]], "yaml"),
-    "tree chunk, signed": Target(partial(read_trees, False, False), lambda: [trees(False)[2]], "npz"),
-    "ego tree manifest": Target(partial(read_trees, True, True), lambda: [trees(True)[1]], "yaml"),
-    "ego tree chunk, signed": Target(partial(read_trees, True, False), lambda: [trees(True)[2]], "npz"),
+    "tree manifest": Target(partial(read_trees, True), lambda: [trees()[1]], "yaml"),
+    "tree chunk, signed": Target(partial(read_trees, False), lambda: [trees()[2]], "npz"),
     "job manifest": Target(
         in_folder(job_folder, "job.yaml", job), lambda: [(job_folder() / "job.yaml").read_bytes()], "yaml"
     ),

@@ -1,18 +1,16 @@
-"""``pcs-racing tree``: build game trees, or the cheaper ego trees, and store them in a folder."""
+"""``pcs-racing tree``: build game trees and store them in a folder."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.game.config import UTILITIES, load_game_config
 from pcs_racing.game.make import make_game
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, ArchiveName, Circuit, Race, Workers, archive_for
 from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.results.text_table import aligned
-from pcs_racing_agents.trees import StoredTrees, build_ego_trees, build_trees
-from pcs_racing_agents.trees.ego import OPPONENTS
+from pcs_racing_agents.trees import StoredTrees, build_trees
 from pcs_racing_agents.trees.paths import check_size
 from pcs_racing_agents.trees.tree import TreeStatistics
 
@@ -22,7 +20,6 @@ from pcs_racing_agents.trees.tree import TreeStatistics
     "pcs-racing tree --pairs 8 --out out/trees",
     "pcs-racing tree --track Tarnfjord --pairs 20 --out out/trees",
     "pcs-racing tree --track Tarnfjord --race contest --pairs 10 --seeds 4 --out out/contest",
-    "pcs-racing tree --track Tarnfjord --ego 640 --out out/ego",
 )
 def run(
     *,
@@ -40,16 +37,6 @@ def run(
     stay: Annotated[bool | None, Option("whether the game has a move that keeps the policy")] = None,
     pairs: Annotated[int, Option("number of pairs of starting policies")] = 20,
     seeds: Annotated[int | None, Option("noise realisations per pair (default: 4 with noise, else 1)", "S")] = None,
-    ego: Annotated[
-        int | None, Option("build N ego trees instead: all moves of car 0 against one sequence of moves of car 1")
-    ] = None,
-    opponent: Annotated[
-        str,
-        Option(
-            f"behaviour of car 1 in ego trees: {'; '.join(f'{name}: {text}' for name, text in OPPONENTS.items())}",
-            choices=OPPONENTS,
-        ),
-    ] = "random",
     seed: Annotated[int, Option("seed of all random draws")] = 0,
     out: Annotated[Path, Option("folder for the trees; a command that was stopped resumes in its folder", "DIR")],
     workers: Workers,
@@ -61,26 +48,15 @@ def run(
     rules = load_game_config(race, **changes)
     game = make_game(track, archive_for(archive, rules.race), rules)
     count = len(game.move_names)
-    if ego is None:
-        check_size(count, game.config.moves)
-    elif seeds is not None:
-        raise InputError(f"--seeds {seeds} does not go with --ego: every ego tree has its own noise")
+    check_size(count, game.config.moves)
     print(f"{game.track.name}, archive {game.archive.name}, preset {game.config.race.name}, {count} moves", flush=True)
     with workers.start() as executor:
-        if ego is None:
-            progress = show_progress("trees")
-            trees = build_trees(
-                game, out, pairs=pairs, seeds_per_pair=seeds, seed=seed, executor=executor, progress=progress
-            )
-            print(tree_table(trees))
-            print(f"{len(trees)} trees in {out}")
-        else:
-            progress = show_progress("batches of ego trees")
-            built = build_ego_trees(
-                game, out, roots=ego, opponent=opponent, seed=seed, executor=executor, progress=progress
-            )
-            print(f"{int(built.driven.sum())} segments driven, {built.driven.mean():.1f} for each root")
-            print(f"{len(built)} ego trees in {out}")
+        progress = show_progress("trees")
+        trees = build_trees(
+            game, out, pairs=pairs, seeds_per_pair=seeds, seed=seed, executor=executor, progress=progress
+        )
+    print(tree_table(trees))
+    print(f"{len(trees)} trees in {out}")
 
 
 def tree_table(trees: StoredTrees) -> str:

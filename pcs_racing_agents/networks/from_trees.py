@@ -22,14 +22,14 @@ from pcs_racing_agents.networks.training import TrainingResult, train_network
 
 
 class TrainedOnTrees(NamedTuple):
-    """A network trained on game trees or ego trees."""
+    """A network trained on game trees."""
 
     network: RegretNetwork  #: Its scores on the held-out trees are among what it knows of its training.
     result: TrainingResult
     #: Choices on the rows of the held-out trees, or of the validation pairs where no tree is held out.
     rows: list[RowScore]
-    #: Of the network and other strategies on each held-out tree; empty if none are held out. On game trees
-    #: :class:`TreeScore`, shape (trees, 4); on ego trees the utility, shape (trees,).
+    #: :class:`TreeScore` of the network and other strategies on each held-out tree, shape (trees, 4); empty if none
+    #: are held out.
     scores: dict[str, NDArray[np.float64]]
 
 
@@ -63,7 +63,7 @@ def train_on_trees(
     """
     settings = settings_for_trees(settings)
     numbers = pair_number(pairs)
-    held_out = hold_out(numbers, settings, 3 if settings.test_share > 0.0 else 2, "trees")
+    held_out = _hold_out(numbers, settings)
     rows: list[Rows | None] = [None] * len(held_out)
     tasks = numbered_tasks(partial(_solve, settings), (tree_at(i) for i in range(len(held_out))))
     for done, (i, block) in enumerate(run_tasks(tasks, executor, "solving trees"), start=1):
@@ -98,12 +98,12 @@ def train_on_trees(
     return TrainedOnTrees(replace(network, training=summary), result, scores, trees)
 
 
-def hold_out(numbers: NDArray[np.int64], settings: TrainSettings, least: int, noun: str) -> NDArray[np.bool_]:
+def _hold_out(numbers: NDArray[np.int64], settings: TrainSettings) -> NDArray[np.bool_]:
     """Return which trees are held out for evaluation, shape (trees,), by the numbers of their starting pairs."""
-    different = len(np.unique(numbers))
+    different, least = len(np.unique(numbers)), 3 if settings.test_share > 0.0 else 2
     if different < least:
         raise InputError(
-            f"the {noun} come from {different} starting pairs; it takes {least}: some to learn from, some to stop by"
+            f"the trees come from {different} starting pairs; it takes {least}: some to learn from, some to stop by"
             f"{', and some to judge by' if least == 3 else ''}"
         )
     if settings.test_share == 0.0:

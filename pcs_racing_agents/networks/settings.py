@@ -28,12 +28,6 @@ class TrainSettings(Settings):
         choice(tuple(VARIANTS)),
         'Variant of CFR; "vanilla" is that of the paper, whose cumulative regrets can be negative.',
     )
-    continuation: str = setting(
-        "learned",
-        choice(("learned", "best")),
-        "Moves after the evaluated one in the targets of ego trees: those of the networks for later steps, or the best "
-        "ones in hindsight.",
-    )
     row_weights: str | None = setting(
         None,
         choice(tuple(ROW_WEIGHTS)),
@@ -54,13 +48,13 @@ class TrainSettings(Settings):
         None,
         number(0.0, 1000.0),
         "Targets are raised to at most this many times what random moves lose on average below the best of their row; "
-        "0 for no floor. None takes 0.25 for trees and ego trees, and 0 for rows of any other source.",
+        "0 for no floor. None takes 0.25 for trees, and 0 for rows of any other source.",
     )
     differences: bool | None = setting(
         None,
         flag(),
         "Whether the mean of a row's moves, and how they differ from it, are learned each in units of its own spread. "
-        "None takes true for trees and ego trees, and false for rows of any other source.",
+        "None takes true for trees, and false for rows of any other source.",
     )
     below_zero: float = setting(
         1.0,
@@ -90,7 +84,7 @@ class TrainSettings(Settings):
 
 
 def settings_for_trees(settings: TrainSettings) -> TrainSettings:
-    """Return settings with the defaults for rows of trees or ego trees in place of None."""
+    """Return settings with the defaults for rows of trees in place of None."""
     weights = "uniform" if settings.target == "regret" else "random"
     values = settings.target != "nash"  # which are probabilities
     return replace(

@@ -1,4 +1,4 @@
-"""Game trees and ego trees in a folder: built by a resumable job on any executor; game trees are read one by one."""
+"""Game trees in a folder: built by a resumable job on any executor, and read one by one."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -21,13 +21,11 @@ from pcs_racing_agents.jobs.folders import read_job
 from pcs_racing_agents.jobs.jobs import TaskGroup, open_job, run_groups
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.trees.build import build_tree, check_game
-from pcs_racing_agents.trees.ego import MOST_ROOTS, EgoTrees, check_ego, join_ego, play_ego
 from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
 
-KIND, EGO_KIND = "game trees", "ego trees"
-NAME, EGO_NAME = "tree", "ego"
-ROOTS = 32  # ego trees of a chunk
+KIND = "game trees"
+NAME = "tree"
 MAKE_AGAIN = "run the command that made the folder again, and it is made anew"
 
 
@@ -216,7 +214,7 @@ def _read(file: Path) -> Arrays:
 
 def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> StoredTrees:
     """Open a folder of trees, played with the archive if one is given."""
-    trees = StoredTrees(Path(folder), _checked(read_settings(folder, KIND), Path(folder) / "job.yaml"))
+    trees = StoredTrees(Path(folder), _read_settings(Path(folder) / "job.yaml"))
     archive_settings = trees.settings["archive"]
     if archive is not None and archive_settings["sha256"] != archive.content_hash:
         raise InputError(
@@ -230,23 +228,17 @@ def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> Stor
     return trees
 
 
-def read_settings(folder: str | Path, kind: str) -> dict[str, Any]:
-    """Read the settings of the job in a folder."""
-    file = Path(folder) / "job.yaml"
+def _read_settings(file: Path) -> dict[str, Any]:
+    """Read the settings of a job, after a check of the types of all entries that are used."""
     try:
         manifest = read_job(file)
     except OSError as error:
-        raise InputError(f"{folder} holds no {kind}: {file.name}: {error.strerror}") from None
+        raise InputError(f"{file.parent} holds no {KIND}: {file.name}: {error.strerror}") from None
     except InputError:
         manifest = None
-    if not isinstance(manifest, dict) or manifest.get("kind") != kind or not isinstance(manifest.get("settings"), dict):
-        raise InputError(f"{file} is no manifest of {kind}; choose a folder that 'pcs-racing tree' wrote")
+    if not isinstance(manifest, dict) or manifest.get("kind") != KIND or not isinstance(manifest.get("settings"), dict):
+        raise InputError(f"{file} is no manifest of {KIND}; choose a folder that 'pcs-racing tree' wrote")
     settings: dict[str, Any] = manifest["settings"]
-    return settings
-
-
-def _checked(settings: dict[str, Any], file: Path) -> dict[str, Any]:
-    """Return settings after a check of the types of all entries that are used."""
     for key in ("archive", "track"):
         entry = settings.get(key)
         if not isinstance(entry, dict) or not all(isinstance(entry.get(name), str) for name in ("name", "sha256")):
@@ -267,73 +259,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
-
-
-# Ego trees
-
-
-@dataclass(frozen=True)
-class _EgoTask:
-    first: int
-    roots: int
-    opponent: str
-    seed: int
-
-
-def _play(game: RaceGame, task: _EgoTask) -> Arrays:
-    return play_ego(game, task.roots, opponent=task.opponent, seed=task.seed, first=task.first).arrays()
-
-
-def build_ego_trees(
-    game: RaceGame,
-    folder: str | Path,
-    *,
-    roots: int = 320,
-    opponent: str = "random",
-    seed: int = 0,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-) -> EgoTrees:
-    """Build ego trees and store them in a folder; in a folder of the same settings the work resumes.
-
-    Parameters
-    ----------
-    folder : str or Path
-        New, empty, or left by the same call.
-    roots, opponent, seed
-        As for :func:`play_ego`; the roots are the same ones.
-    executor : concurrent.futures.Executor, optional
-        Where they are played, 32 at a time, each on one core; by default one after the other, each on all cores. It
-        does not change the result.
-    progress : callable, optional
-        Called as ``progress(done, total, label)`` after every 32 roots.
-    """
-    check_ego(game, roots, opponent, seed)
-    settings = {**game_settings(game), "roots": int(roots), "opponent": opponent, "seed": int(seed)}
-    tasks = [
-        _EgoTask(first, min(ROOTS, int(roots) - first), opponent, int(seed)) for first in range(0, int(roots), ROOTS)
-    ]
-    play = partial(_play, game if executor is None else replace(game, threads=1))
-    with open_job(folder, EGO_KIND, settings) as job:
-        job.run(EGO_NAME, play, tasks, executor=executor, progress=progress, keep=False)
-    return load_ego_trees(folder)
-
-
-def load_ego_trees(folder: str | Path) -> EgoTrees:
-    """Read all ego trees of a folder."""
-    roots = read_settings(folder, EGO_KIND).get("roots")
-    if type(roots) is not int or not 1 <= roots <= MOST_ROOTS:
-        raise InputError(
-            f"{Path(folder) / 'job.yaml'}: roots are {roots!r:.80}; they must be a whole number from 1 to {MOST_ROOTS}"
-        )
-    batches: list[EgoTrees] = []
-    for i in range(-(-roots // ROOTS)):
-        file = chunk_file(folder, EGO_NAME, i)
-        batch = EgoTrees.from_arrays(_read(file), str(file))
-        wanted = min(ROOTS, roots - i * ROOTS)
-        if len(batch) != wanted:
-            raise InputError(f"{file} holds {len(batch)} roots; there should be {wanted}: {MAKE_AGAIN}")
-        batches.append(batch)
-        if len({(one.moves, one.options, one.own[0].shape[2]) for one in (batch, batches[0])}) > 1:
-            raise InputError(f"{file} holds {batch!r}, the files before {batches[0]!r}: {MAKE_AGAIN}")
-    return join_ego(batches)

@@ -1,6 +1,6 @@
 """The game tree of one start: all races that the players' moves can lead to, as plain arrays."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -142,8 +142,21 @@ class RaceTree:
         """
         if not 0 <= level < self.moves:
             raise InputError(f"move {level} is none of the tree's; it must lie in 0 to {self.moves - 1}")
-        own = [self.points[policies][None] for policies in self.policy[: level + 1]]
-        return encode_histories(level, self.options**2, self.moves, own, self.estimates, self.leads, self.over)
+        branches, shape = self.options**2, self.over[level].shape
+        own = np.zeros((*shape, 2, self.moves + 1, self.points.shape[1]))
+        estimates = np.zeros_like(own)
+        leads = np.zeros((*shape, self.moves + 1))
+        step = np.full(shape, level)
+        # From the last step to the first: where a race was over, the earliest step at which it was remains.
+        for k in range(level, -1, -1):
+            above = np.repeat(np.arange(branches**k), branches ** (level - k))  # the node of level k that each came by
+            own[:, :, :, k] = self.points[self.policy[k]][above]
+            estimates[:, :, :, k] = self.estimates[k][:, above]
+            leads[:, :, k] = self.leads[k][:, above]
+            step[self.over[k][:, above]] = k
+        flat_own, flat_estimates = (array.reshape(-1, *array.shape[2:]) for array in (own, estimates))
+        flat = encode_observation(flat_own, flat_estimates, leads.reshape(-1, self.moves + 1), step.reshape(-1))
+        return flat.reshape(*shape, *flat.shape[1:])
 
     def game_tree(self) -> "GameTree":
         """Return the tree for the solvers, with payoffs averaged over the seeds.
@@ -177,52 +190,13 @@ class RaceTree:
         return {**plain, "payoffs": self.path_payoffs, **levels}
 
 
-def encode_histories(
-    level: int,
-    branches: int,
-    moves: int,
-    own: Sequence[Floats],
-    estimates: Sequence[NDArray[np.float32]],
-    leads: Sequence[Floats],
-    over: Sequence[NDArray[np.bool_]],
-) -> NDArray[np.float32]:
-    """Return what the players observe at the end of all histories, shape (S, N, 2, D), for ``N = branches**level``.
-
-    Parameters
-    ----------
-    level : int
-        Steps of the histories; each has so many ``branches``, histories in row-major order.
-    moves : int
-        Moves of a whole game.
-    own, estimates, leads, over : sequences
-        For each level the coordinates of the own policies and the measured ones, the leads, and whether the race was
-        over, shapes (S or 1, N_k, 2, G), (S, N_k, 2, G), (S, N_k) and (S, N_k).
-    """
-    seeds, nodes = over[level].shape
-    width = estimates[0].shape[-1]
-    seen_own = np.zeros((seeds, nodes, 2, moves + 1, width))
-    seen_estimates = np.zeros_like(seen_own)
-    seen_leads = np.zeros((seeds, nodes, moves + 1))
-    step = np.full((seeds, nodes), level)
-    # From the last step to the first: where a race was over, the earliest step at which it was remains.
-    for k in range(level, -1, -1):
-        above = np.repeat(np.arange(branches**k), branches ** (level - k))  # the node of level k that each came by
-        seen_own[:, :, :, k] = own[k][:, above]
-        seen_estimates[:, :, :, k] = estimates[k][:, above]
-        seen_leads[:, :, k] = leads[k][:, above]
-        step[over[k][:, above]] = k
-    flat_own, flat_estimates = (array.reshape(-1, 2, moves + 1, width) for array in (seen_own, seen_estimates))
-    observations = encode_observation(flat_own, flat_estimates, seen_leads.reshape(-1, moves + 1), step.reshape(-1))
-    return observations.reshape(seeds, nodes, *observations.shape[1:])
-
-
 # Trees as arrays of files
 
 _PLAIN = ("policies", "start_s", "side", "seeds", "table", "points", "driven", "live", "crashed")
 _LEVELS = ("leads", "estimates", "over")
 
 
-def check_arrays(
+def _check_arrays(
     arrays: Mapping[str, NDArray[Any]], wanted: Mapping[str, tuple[str, tuple[int, ...]]], where: str
 ) -> None:
     """Check arrays by name, which stand in a file that anybody may have written.
@@ -251,7 +225,7 @@ def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str)
         raise InputError(f"{where}: seeds, table and points have shapes {seeds}, {table} and {points}; they do not fit")
     whole: dict[str, tuple[str, tuple[int, ...]]] = dict.fromkeys(("seeds", "driven", "live", "crashed"), ("iu", seeds))
     whole |= {"policies": ("iu", (2,)), "start_s": ("f", ()), "side": ("iu", ()), "table": ("iu", table)}
-    check_arrays(arrays, whole | {"points": ("f", points)}, where)
+    _check_arrays(arrays, whole | {"points": ("f", points)}, where)
     check_size(table[1], moves)
     for name in ("table", "policies"):
         if (arrays[name] < 0).any() or (arrays[name] >= table[0]).any():
@@ -267,5 +241,5 @@ def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str)
         of_levels[f"leads_{k}"] = ("f", count[k])
         of_levels[f"estimates_{k}"] = ("f", (*count[k], 2, points[1]))
         of_levels[f"over_{k}"] = ("b", count[k])
-    check_arrays(arrays, of_levels, where)
+    _check_arrays(arrays, of_levels, where)
     return tree

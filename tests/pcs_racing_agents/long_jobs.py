@@ -45,7 +45,6 @@ def commands(folder: Path) -> dict[str, list[str]]:
     return {
         "synthesize": ["synthesize", *search, "--name", "small"],
         "tree": ["tree", *TREES, "--pairs", "12"],
-        "ego trees": ["tree", *TREES, "--ego", "40"],
         "tournament": [
             "tournament", "--track", "Pipkin", "--agents", "random-moves", "never-switch", "lane-switcher",
             "--races", "4", "--duration", "16",

@@ -32,7 +32,7 @@ from pcs_racing_agents.jobs.folders import claim_folder
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.results.race_files import read_results
-from pcs_racing_agents.trees import load_ego_trees, load_trees
+from pcs_racing_agents.trees import load_trees
 
 ROOM = 1_000_000_000  # bytes above what the process holds at the start
 GROWTH = 300_000_000  # that the most it ever held may grow by
@@ -115,7 +115,6 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
             ("archive", "manifest.yaml", load_archive),
             ("network", "manifest.yaml", load_network),
             ("trees", "job.yaml", load_trees),
-            ("ego trees", "job.yaml", load_ego_trees),
         ):
             place = here / f"{folder}-folder"
             place.mkdir(exist_ok=True)

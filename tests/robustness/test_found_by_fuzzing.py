@@ -27,7 +27,7 @@ from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.synthesis.config import ArchiveConfig
-from pcs_racing_agents.trees import EgoTrees, load_ego_trees, load_trees
+from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays
 
 NAMES = ("x" * 300, "../" + "x" * 5000, "a\x00b", "a\nb", "\ud800", "")
@@ -76,9 +76,6 @@ def test_manifests_of_trees_that_say_something_else(tmp_path):
         manifest = {"kind": "game trees", "settings": {**SETTINGS, key: value}}
         (tmp_path / "job.yaml").write_text(yaml.safe_dump(manifest))
         refused(key, load_trees, tmp_path)
-    for roots in [None, "x" * 300, [1], True, 0, 1.5, 10**9]:
-        (tmp_path / "job.yaml").write_text(yaml.safe_dump({"kind": "ego trees", "settings": {"roots": roots}}))
-        refused("roots are", load_ego_trees, tmp_path)
 
 
 def tree() -> dict[str, np.ndarray]:
@@ -93,8 +90,6 @@ def tree() -> dict[str, np.ndarray]:
 
 def test_trees_that_the_next_tests_break_are_sound_and_one_too_large_is_refused():
     assert tree_from_arrays(tree(), 1, "it").game_tree() is not None
-    trees = EgoTrees.from_arrays(ego_trees(), "it")
-    assert (len(trees), trees.moves, trees.options, trees.observations(0).shape[:2]) == (2, 1, 2, (2, 1))
     arrays = tree()
     arrays["table"] = np.zeros((2, 8), np.int64)
     for k in range(12):
@@ -102,33 +97,13 @@ def test_trees_that_the_next_tests_break_are_sound_and_one_too_large_is_refused(
     refused("leaves", tree_from_arrays, arrays, 12, "it")
 
 
-def test_trees_and_ego_trees_of_other_types_and_shapes():
+def test_trees_of_other_types_and_shapes():
     for name, array in [
         ("side", np.array("a")), ("start_s", np.zeros(2)), ("seeds", np.zeros(0, np.uint64)), ("points", np.zeros(2)),
         ("points", np.array([["a", "b"]] * 2)), ("table", np.zeros(2, np.int64)), ("crashed", np.zeros(3, np.int64)),
         ("payoffs", np.full((1, 2, 2), "x")), ("over_0", np.zeros((1, 1, 1))),
     ]:  # fmt: skip
         refused("it", tree_from_arrays, {**tree(), name: array}, 1, "it")
-    for name, array in [
-        ("replies", np.zeros(2, np.int64)), ("replies", np.zeros((2, 0), np.int64)), ("replies", np.zeros((1, 1), int)),
-        ("payoffs", np.zeros((2, 0), np.float32)), ("payoffs", np.zeros(2, np.float32)), ("payoffs", np.zeros((2, 3))),
-        ("payoffs", np.full((2, 2), np.nan)), ("payoffs", np.zeros((2, 2), np.int64)), ("own_0", np.zeros((2, 1))),
-        ("own_0", np.zeros((2, 1, 0))), ("own_0", np.zeros((1, 1, 3))), ("estimates_0", np.zeros((2, 1, 3, 2))),
-        ("leads_0", np.array("a")), ("leads_0", np.zeros((2, 1, 1))), ("over_0", np.zeros((2, 1))),
-        ("over_0", np.zeros((2, 2), np.bool_)), ("seeds", np.array(1, np.uint64)), ("seeds", np.zeros(0, np.uint64)),
-        ("paths_1", np.zeros((2, 4), np.int64)), ("policies", np.zeros((2, 3), np.int64)), ("driven", np.zeros(())),
-    ]:  # fmt: skip
-        refused("it", EgoTrees.from_arrays, {**ego_trees(), name: array}, "it")
-
-
-def ego_trees() -> dict[str, np.ndarray]:
-    """Two roots, one move of two choices."""
-    return {
-        "policies": np.zeros((2, 2), np.int64), "seeds": np.ones(2, np.uint64), "replies": np.zeros((2, 1), np.int64),
-        "paths_0": np.zeros((2, 1), np.int64), "paths_1": np.zeros((2, 2), np.int64), "own_0": np.zeros((2, 1, 3)),
-        "leads_0": np.zeros((2, 1)), "estimates_0": np.zeros((2, 1, 2, 3), np.float32),
-        "over_0": np.zeros((2, 1), np.bool_), "payoffs": np.zeros((2, 2), np.float32), "driven": np.ones(2, np.int64),
-    }  # fmt: skip
 
 
 def test_tracks_that_are_no_name_and_a_picture_of_one_row():

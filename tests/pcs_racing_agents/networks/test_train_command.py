@@ -1,5 +1,4 @@
 import csv
-import re
 
 import numpy as np
 import pytest
@@ -9,16 +8,15 @@ from toy_trees import random_tree
 
 from pcs_racing import make_game
 from pcs_racing.base.errors import ConfigError, UnknownNameError
-from pcs_racing.game.identity import GameIdentity, game_identity
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.networks import TrainSettings, load_network, load_train_settings
-from pcs_racing_agents.networks.from_ego import score_ego, train_on_ego
 from pcs_racing_agents.networks.from_trees import train_on_trees
 from pcs_racing_agents.networks.metrics import TreeScore
 from pcs_racing_agents.networks.rows import pair_number
 from pcs_racing_agents.networks.settings import settings_for_trees
 from pcs_racing_agents.networks.training import Epoch
-from pcs_racing_agents.trees import build_ego_trees, build_trees, load_ego_trees
+from pcs_racing_agents.trees import build_trees
 
 pytest.importorskip("torch")
 
@@ -91,67 +89,21 @@ def test_one_command_has_one_result_and_folders_must_be_of_one_game(folder, tmp_
     assert not (tmp_path / "none").exists()
 
 
-@pytest.fixture(scope="module")
-def ego_folder(game, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("ego")
-    build_ego_trees(game, folder, roots=24)
-    return folder
-
-
-@pytest.mark.parametrize("share", [0.15, 0.0])
-def test_ego_trees_teach_values_against_static_opponents(game, ego_folder, tmp_path, capsys, share):
-    (tmp_path / "mine.yaml").write_text(f"{{epochs: 5, hidden: [8], target: static-q, test_share: {share}}}")
-    out = tmp_path / "net"
-    plain = ["--no-tensorboard", "--no-picture"]
-    assert train(ego_folder, "--config", tmp_path / "mine.yaml", *plain, "--out", out) == 0
-    network = load_network(out)
-    network.check_fits(game)
-    assert (network.target, network.training["roots"], network.training["utility"]) == ("static-q", 24, "lead")
-    text = capsys.readouterr().out
-    scores = (out / "scores.csv").read_text().splitlines()
-    if share > 0.0:
-        assert network.training["test_roots"] >= 1
-        assert f"utility in {network.training['test_roots']} held-out roots" in text
-        assert len(scores) == 1 + network.training["test_roots"] * (1 + 4 + 2)
-        assert scores[0] == "strategy,root,utility"
-    else:
-        assert scores == ["strategy"]
-
-
-def test_without_hindsight_a_network_promises_no_more_than_it_gets(ego_folder, game):
-    """What hindsight says of the first move is the best of all that could follow, and so at least as much."""
-    trees = load_ego_trees(ego_folder)
-    scores = score_ego({"never": lambda seen: np.tile([0.0, 0.0, 0.0, 1.0], (len(seen), 1))}, trees)
-    assert (scores["never"] <= scores["best in hindsight"] + 1e-6).all()
-    assert (scores["random moves"] <= scores["best in hindsight"] + 1e-6).all()
-    settings = load_train_settings(target="static-q", hidden=(8,), epochs=5, test_share=0.0)
-    seen = trees.observations(0)[:, 0]
-    promises = [
-        train_on_ego(trees, game_identity(game), load_train_settings(settings, continuation=how), name="net").network(
-            seen
-        )
-        for how in ("learned", "best")
-    ]
-    assert promises[0].max(axis=1).mean() < promises[1].max(axis=1).mean()
-
-
 @pytest.mark.parametrize(
-    ("folders", "arguments", "message"),
+    ("given", "arguments", "message"),
     [
         ("trees", ["--target", "joy"], "target is 'joy'; it must be one of regret"),
         ("trees", ["--config", "nowhere"], "train settings 'nowhere' are unknown"),
-        ("ego", ["--target", "regret"], "target is 'regret'; ego trees have one player and give 'static-q' alone"),
-        ("trees ego", [], "ego holds ego trees, others do not; give folders of one kind"),
         ("nothing", [], "holds no game trees"),
     ],
 )
-def test_bad_options_are_one_line(folder, ego_folder, tmp_path, capsys, folders, arguments, message):
+def test_bad_options_are_one_line(folder, tmp_path, capsys, given, arguments, message):
     (tmp_path / "nothing").mkdir()
-    known = {"trees": folder, "ego": ego_folder, "nothing": tmp_path / "nothing"}
-    assert train(*(known[name] for name in folders.split()), *arguments, "--out", tmp_path / "out") == 2
+    known = {"trees": folder, "nothing": tmp_path / "nothing"}
+    assert train(known[given], *arguments, "--out", tmp_path / "out") == 2
     err = capsys.readouterr().err
     assert err.startswith("pcs-racing: error: ")
-    assert re.sub(r"\S*/ego\d+", "ego", err).count(message) == err.count("\n") == 1
+    assert err.count(message) == err.count("\n") == 1
     assert not (tmp_path / "out").exists()
 
 

@@ -3,7 +3,7 @@ import re
 import pytest
 
 from pcs_racing import save_archive
-from pcs_racing_agents.trees import load_ego_trees, load_trees
+from pcs_racing_agents.trees import load_trees
 
 GAME = ["tree", "--track", "Tarnfjord", "--moves", 2, "--step", 2, "--executor", "serial"]
 
@@ -13,7 +13,7 @@ def small(archive, tmp_path):
     return save_archive(archive, tmp_path / "an archive")
 
 
-def test_trees_are_played_and_taken_up_with_two_players_or_one(run, small, tmp_path):
+def test_trees_are_played_and_taken_up(run, small, tmp_path):
     out = tmp_path / "trees"
     code, text, told = run(*GAME, "--archive", small, "--pairs", 2, "--out", out)
     assert code == 0
@@ -25,20 +25,11 @@ def test_trees_are_played_and_taken_up_with_two_players_or_one(run, small, tmp_p
     assert f"of the {2 * 273} of trees that share only beginnings" in text
     assert f"of the {2 * 768} of races from the start" in text
     assert run(*GAME, "--archive", small, "--pairs", 2, "--out", out)[1] == text
-    command = [*GAME, "--archive", small, "--ego", 5, "--opponent", "static", "--out", tmp_path / "ego"]
-    code, text, _ = run(*command)
-    assert code == 0
-    trees = load_ego_trees(tmp_path / "ego")
-    assert len(trees) == 5
-    assert f"{trees.driven.sum()} segments driven, {trees.driven.mean():.1f} for each root" in text
-    assert (trees.replies == -1).all()
 
 
 def test_impossible_options_end_in_one_line(run, small, tmp_path):
     for options, message in [
         (["--pairs", "0"], "pairs is 0; it must be a whole number"),
-        (["--ego", "0"], "roots is 0; it must be a whole number"),
-        (["--ego", "3", "--seeds", "2"], "--seeds 2 does not go with --ego: every ego tree has its own noise"),
         (["--epsilon", "0"], r"epsilon is \(0.0,\); it must be a number in \(0, 10\]"),
         (["--seeds", "3"], "seeds_per_pair is 3, but there is no steering noise"),
         (["--moves", "9"], "a tree of 9 moves with 4 choices for each player has"),

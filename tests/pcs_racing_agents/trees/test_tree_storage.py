@@ -73,7 +73,7 @@ def test_trees_of_another_game_renamed_files_and_other_folders_are_noticed(paper
     with pytest.raises(InputError, match=r"policies \[4, 4\]"):
         stored[1]
     refused(r"game trees: job\.yaml", load_trees, tmp_path)
-    (tmp_path / "job.yaml").write_text("format: pcs-racing job\nkind: ego trees\nsettings: {}\n")
+    (tmp_path / "job.yaml").write_text("format: pcs-racing job\nkind: other trees\nsettings: {}\n")
     refused("manifest of game trees", load_trees, tmp_path)
 
 
