@@ -51,8 +51,7 @@ def test_last_bits_do_not_count():
 
 
 @pytest.mark.parametrize(
-    ("name", "change"),
-    [("values cars", 1e-7), ("values seen", np.float32(1e-4)), ("ends paper", 1.5 * LEAD)],
+    ("name", "change"), [("values cars", 1e-7), ("values seen", np.float32(1e-4)), ("ends paper", 1.5 * LEAD)]
 )
 def test_changes_of_physics_do(name, change):
     (line,) = differences(values(**{name: values()[name] + change}), values())

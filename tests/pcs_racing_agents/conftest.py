@@ -94,6 +94,18 @@ def run(capsys):
     return run
 
 
+@pytest.fixture
+def printed(run):
+    """Run a command that must succeed; returns stdout."""
+
+    def printed(*arguments: object) -> str:
+        code, out, err = run(*arguments)
+        assert code == 0, err
+        return out
+
+    return printed
+
+
 @pytest.fixture(scope="session")
 def saved_archive(archive, tmp_path_factory):
     """The toy archive in a folder, as a command reads it."""

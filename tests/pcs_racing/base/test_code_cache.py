@@ -192,29 +192,19 @@ def test_cached_code_that_is_broken_is_compiled_again(tmp_path, capsys, ending, 
     assert run() == (22.5, 1, "")
 
 
-def test_broken_code_of_one_function_leaves_that_of_others(tmp_path):
-    module = tmp_path / "module.py"
-    module.write_text(MODULE + MODULE.replace("answer", "answer_2"))
-    runpy.run_path(str(module))
-    before = {file.name for file in tmp_path.glob("__pycache__/module.answer_2-*")}
-    (file,) = tmp_path.glob("__pycache__/module.answer-*.nbc")
-    file.write_bytes(b"")
-    assert runpy.run_path(str(module))["found"] == 1
-    assert {file.name for file in tmp_path.glob("__pycache__/module.answer_2-*")} == before
-    assert len(before) == 2
-
-
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
-def test_code_of_another_function_is_not_taken(tmp_path, capsys, ending):
+def test_code_of_another_function_is_not_taken_and_that_one_keeps_its_own(tmp_path, capsys, ending):
     module = tmp_path / "module.py"
     module.write_text(MODULE + MODULE.replace("answer", "answer_2").replace("0.5", "0.7"))
     code_cache._say_once.cache_clear()
     runpy.run_path(str(module))
     (file,) = tmp_path.glob(f"__pycache__/module.answer-*.{ending}")
     (other,) = tmp_path.glob(f"__pycache__/module.answer_2-*.{ending}")
-    other.write_bytes(file.read_bytes())
+    own = file.read_bytes()
+    other.write_bytes(own)
     assert runpy.run_path(str(module))["value"] == pytest.approx(31.5)
     assert "compiled again" in capsys.readouterr().err
+    assert (file.read_bytes(), len(list(tmp_path.glob("__pycache__/module.answer*.nb[ci]")))) == (own, 4)
 
 
 def test_a_full_disk_is_told_once_and_the_function_runs(tmp_path, capsys, monkeypatch):

@@ -69,11 +69,7 @@ def test_steering_arrives_without_overshoot_or_chatter(targets, begin, speed):
         assert np.abs(moves).max() <= F1TENTH.steer_rate_max * 0.01 + 1e-12
 
 
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    speed=st.floats(-5.0, 20.0),
-    mode=st.sampled_from(["target", "rates"]),
-)
+@given(seed=st.integers(0, 2**32 - 1), speed=st.floats(-5.0, 20.0), mode=st.sampled_from(["target", "rates"]))
 def test_any_driving_keeps_the_state_finite_and_within_limits(seed, speed, mode):
     rng = np.random.default_rng(seed)
     high = [4.0, 12.0] if mode == "rates" else [0.6, 22.0]

@@ -25,9 +25,6 @@ def both(*actions):
     return dict(zip(AGENTS, (np.array(action, np.float32) for action in actions), strict=True))
 
 
-# Names and documentation
-
-
 def test_the_page_counts_the_numbers_of_each_part(coarse_oval):
     text = inspect.getdoc(DriveHeadToHeadEnv)
     # The table says how many numbers each part has, and how it is switched off.
@@ -39,9 +36,6 @@ def test_the_page_counts_the_numbers_of_each_part(coarse_oval):
     for count, name in rows:
         missing = whole - len(make(coarse_oval, **{name: off[name]}).elements)
         assert missing == int(count) * (6 if name == "look_ahead" else 1)
-
-
-# What the agents observe
 
 
 def test_swapping_the_cars_swaps_all_that_the_agents_get(coarse_oval):
@@ -124,9 +118,6 @@ def test_each_part_of_the_observation_can_be_left_out(coarse_oval):
         ]
 
 
-# Rewards and ends
-
-
 def test_by_default_the_rewards_are_the_lead_that_was_gained(coarse_oval):
     """Whole races between two line followers of different speed, to their last moment."""
     for share, faster, places in ((0.5, "car_1", (3.0, 8.0)), (0.9, "car_0", (8.0, 3.0))):
@@ -150,10 +141,7 @@ def test_by_default_the_rewards_are_the_lead_that_was_gained(coarse_oval):
 
 @pytest.mark.parametrize(
     ("race", "penalties", "results"),
-    [
-        ("paper", (-7.0, 0.0), (Result.CRASH, Result.CRASH)),
-        ("contest", (-12.0, 5.0), (Result.LOSS, Result.WIN)),
-    ],
+    [("paper", (-7.0, 0.0), (Result.CRASH, Result.CRASH)), ("contest", (-12.0, 5.0), (Result.LOSS, Result.WIN))],
 )
 def test_a_crash_costs_the_car_to_blame_and_decides_as_the_rules_say(coarse_oval, race, penalties, results):
     race = load_race_config(race, steering_noise=0.0)

@@ -130,9 +130,6 @@ def test_actions_are_shares_of_the_largest_steering_angle_and_of_the_top_speed(c
     np.testing.assert_allclose(env.batch.state.memory[0, 0, :2], [steer * F1TENTH.steer_max, speed])
 
 
-# Rewards and ends
-
-
 def test_the_reward_is_the_own_progress_less_a_share_of_the_opponents(coarse_oval):
     env = make(coarse_oval, HOLD.policy({"speed": 3.0}), progress_reward=2.0, rivalry=0.25)
     env.reset(seed=0)
@@ -196,9 +193,6 @@ def test_an_episode_that_reaches_its_time_is_truncated_without_a_penalty(coarse_
         assert info["time"] == pytest.approx(0.5)
 
 
-# Alone on the track
-
-
 def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_oval):
     """Over the start line, disturbed, and into the wall at the end."""
     race = load_race_config("contest", steering_noise=0.05, noise_time=0.3, duration=30.0)
@@ -247,9 +241,6 @@ def test_the_disturbance_of_a_lone_car_has_the_spread_and_the_time_of_the_rules(
     assert np.std(found) == pytest.approx(0.03, rel=0.2)
 
 
-# Starting again
-
-
 def test_a_restarted_race_stands_where_its_place_on_the_grid_is_and_remembers_nothing(coarse_oval):
     setup = RaceSetup(coarse_oval, RACE, (HOLD, HOLD))
     grid = start_races(setup, Starts(np.array([1.0, 1.0, 7.0]), np.array([0, 1, 0])), np.zeros(3, np.uint64))
@@ -277,9 +268,6 @@ def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_
     assert sorted(set(batch.drawn)) == [0, 1]
     np.testing.assert_array_equal(batch.theta[:, 1, 1], np.where(batch.drawn == 0, 1.0, 2.0))
     assert len(set(batch.state.seed)) == 64
-
-
-# The lidar
 
 
 def test_the_lidar_of_a_step_is_a_scan_from_the_car_with_the_opponent_in_sight(coarse_oval):
@@ -322,9 +310,6 @@ def test_noisy_ranges_stay_within_the_lidars_reach(coarse_oval):
     scans = np.array([env.step(action(0.0, 0.0))[0][-30:] for _ in range(5)])
     assert scans.min() == 0.0
     assert scans.max() == 4.0
-
-
-# What is told about a race
 
 
 def test_the_info_of_many_races_is_that_of_each_one(coarse_oval):

@@ -152,9 +152,6 @@ def test_what_a_model_answers_is_checked(answer):
     refused("'Chooses': predict returned", env.step, 0)
 
 
-# Videos
-
-
 @pytest.fixture
 def videos(monkeypatch):
     """What would be written by moviepy: frames and their rate of each video."""

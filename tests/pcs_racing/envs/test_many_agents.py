@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from faces import poses
 from gymnasium.utils.env_checker import check_env
+from refusal import refused
 
 from pcs_racing import InputError, Lidar, load_race_config
 from pcs_racing.base.errors import ConfigError
@@ -90,8 +91,7 @@ def test_agents_of_a_race_of_four(oval):
     np.testing.assert_array_equal(four.state(), np.concatenate([observations[agent] for agent in agents]))
     copied = copy.deepcopy(four)
     np.testing.assert_array_equal(copied.step(commands)[0]["car_3"], four.step(commands)[0]["car_3"])
-    with pytest.raises(InputError, match="a multiple of 4"):
-        DriveHeadToHeadVectorEnv(6, track=oval, cars=4)
+    refused("a multiple of 4", DriveHeadToHeadVectorEnv, 6, track=oval, cars=4)
 
 
 def test_opponents_drive_the_last_cars(oval):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from pcs_racing import InputError, RaceSetup, load_race_config
 from pcs_racing.envs.drive import DriveEnv
@@ -40,8 +41,7 @@ def test_poses_count_progress_and_keep_cars_out_of_walls_and_of_each_other(oval,
     assert state.frenet[0] == pytest.approx(np.array([[3.0, 0.2], [7.0, -0.2]]), abs=0.01)
     inside_each_other, in_a_wall = poses_at(oval, (3.0, 0.0), (3.1, 0.0)), poses_at(oval, (7.0, 0.0), (3.0, 1.1))
     for poses in (inside_each_other, in_a_wall):
-        with pytest.raises(InputError, match="episode 0"):
-            place_poses(setup, poses)
+        refused("episode 0", place_poses, setup, poses)
 
 
 def test_a_car_that_drives_alone_meets_nobody(oval, setup):

@@ -93,8 +93,7 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
         wrong = [*layers[:2], (weight, layers[2][1])]
         refused("has float32 weights", save_imitator, tmp_path / "x", "gru", wrong, name="x", training={})
     assert not (tmp_path / "x").exists()
-    with pytest.raises(UnknownNameError, match="unknown lidar driver 'nobody'"):
-        load_imitator("nobody")
+    refused("unknown lidar driver 'nobody'", load_imitator, "nobody", error=UnknownNameError)
 
 
 def test_the_shipped_one_is_read_when_it_is_first_asked_for():

@@ -69,9 +69,8 @@ def folder(tmp_path_factory):
     return made
 
 
-def test_solve_prints_and_writes_every_method_on_every_tree(folder, tmp_path, run):
-    code, out, _ = run("solve", folder, "--iterations", 50, "--out", tmp_path / "solved.csv")
-    assert code == 0
+def test_solve_prints_and_writes_every_method_on_every_tree(folder, tmp_path, run, printed):
+    out = printed("solve", folder, "--iterations", 50, "--out", tmp_path / "solved.csv")
     assert "2 trees of archive default on Pipkin, preset paper; CFR with 50 iterations" in out
     assert "\n0     0, 3      exact " in out
     assert "\n1     2, 1      exact " in out
@@ -88,11 +87,10 @@ def test_solve_prints_and_writes_every_method_on_every_tree(folder, tmp_path, ru
     assert "iterations is 0" in run("solve", folder, "--iterations", 0)[2]
 
 
-def test_export_writes_what_openspiel_loads(folder, tmp_path, run):
+def test_export_writes_what_openspiel_loads(folder, tmp_path, run, printed):
     pyspiel = pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")
     path = tmp_path / "tree.efg"
-    code, out, _ = run("export", folder, "--tree", 1, "--format", "efg", "--out", path)
-    assert code == 0
+    out = printed("export", folder, "--tree", 1, "--format", "efg", "--out", path)
     assert f"written: {path} (256 leaves" in out
     game = pyspiel.load_efg_game(path.read_text())
     state = game.new_initial_state()

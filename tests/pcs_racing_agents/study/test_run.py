@@ -91,8 +91,8 @@ def test_the_report_tells_losses_gains_and_moves(finished, page):
     ]
     assert f"<td>{float(losses[0]['loss']):+.3f}</td>" in page
     families = {row["family"]: row["use"] for row in rows_of(finished.folder / "families.csv")}
-    assert families == {"archive": "training", "random moves": "training", "lane switcher": "test"}
-    assert "Gain by family of opponents" in page
+    assert families == {"never-switch": "training", "random-moves": "training", "lane-switcher": "test"}
+    assert "Gain by opponent" in page
     for name in ("cfr-argmax", "quick"):
         assert f"{name}: moves by step, lead and aggressiveness of the opponent" in page
         assert (finished.folder / "report" / f"situations-{name}.csv").is_file()
