@@ -58,7 +58,7 @@ def test_all_races_of_an_agent_are_summarised(tournament_folder, tmp_path, capsy
 
 
 def test_two_agents_race_as_in_a_tournament(saved_archive, capsys):
-    arguments = ["explain", "--agents", "random-moves", "never-switch", "--track", "Pipkin", "--duration", "5"]
+    arguments = ["explain", "--agents", "random-moves", "never-switch", "--track", "Pipkin", "--duration", "6"]
     arguments += ["--archive", str(saved_archive), "--races", "4", "--seed", "2", "--race", "contest"]
     assert main([*arguments, "--index", "3"]) == 0
     captured = capsys.readouterr().out

@@ -144,7 +144,7 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     wild.write_text("preset: contest\nname: wild\nspeed_range: [1.2, 1.7]\n")
     config = with_(preset=str(wild), crash_limit=0.3, seed=12)
     assert config.search_crash_limit == pytest.approx(1.0 - 0.7**0.5)
-    assert config.axes == ("speed", "restraint")
+    assert config.axes == ("speed", "reaction")
     archive = make_archive(config, tmp_path / "archive")
     assert (archive.own_crash <= 0.3).all()
     over = np.sum(archive.explored.own_crash > config.search_crash_limit)
