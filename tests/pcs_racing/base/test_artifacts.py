@@ -33,11 +33,13 @@ def test_what_is_saved_is_loaded_and_data_of_another_manifest_are_noticed(album,
     refused(r"can't read .*photos.bin.*written by save_album", album.load, folder)
 
 
-def test_a_half_written_folder_never_appears(album, tmp_path, monkeypatch):
-    def full(*_):
-        raise OSError(28, "No space left on device")
+@pytest.mark.parametrize("method", ["write_bytes", "mkdir"])
+def test_a_half_written_folder_never_appears(album, tmp_path, monkeypatch, method):
+    def full(path, *_, **__):
+        if path != tmp_path:
+            raise OSError(28, "No space left on device", str(path))
 
-    monkeypatch.setattr("pathlib.Path.write_bytes", full)
+    monkeypatch.setattr(f"pathlib.Path.{method}", full)
     with pytest.raises(OSError, match="No space left") as caught:
         album.save(tmp_path / "summer", {"name": "summer"}, b"sun")
     assert caught.value.filename == str(tmp_path / "summer")
