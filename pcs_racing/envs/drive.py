@@ -180,7 +180,16 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     ## Observation Space
 
     A flat `Box` of float32 for each agent: the elements of `DriveEnv`, seen from the agent's own car; 41 by default.
-    `env.elements` holds name, unit, bounds and meaning of each one.
+    `env.elements` holds name, unit, bounds and meaning of each one. Each part can be switched:
+
+    | part | numbers | switch |
+    | --- | --- | --- |
+    | own car: speeds, angles, place on the race line | 8 | `own_state` |
+    | race line ahead: curvature, speed, free widths | 4 for each distance | `look_ahead`; `()` for none |
+    | opponent: gap, position, heading, velocity, lead | 9 | `see_opponent`: `"always"`, `"in sight"`, `"never"` |
+    | share of the race that is left | 1 | `time_left` |
+    | lidar, which sees the opponent as well | `beams` | `beams`; 0 for none |
+
     Of several opponents the nearest comes first. `state()` is the observation of `car_0` followed by those of all
     others.
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from faces import flat, follow_the_line, poses
 
-from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv
+from pcs_racing.envs.drive import DriveHeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
 from pcs_racing.envs.single import AGENTS
 from pcs_racing.race.config import load_race_config
@@ -26,13 +26,13 @@ def both(*actions):
 
 
 def test_the_page_counts_the_numbers_of_each_part(coarse_oval):
-    text = inspect.getdoc(DriveEnv)  # the page that this environment's refers to
+    text = inspect.getdoc(DriveHeadToHeadEnv)
     # The table says how many numbers each part has, and how it is switched off.
     rows = re.findall(r"^\| [^|]+: [^|]+\| (\d+)[^|]*\| `(\w+)`", text, re.MULTILINE)
     assert rows == [("8", "own_state"), ("4", "look_ahead"), ("9", "see_opponent")]
     off = {"own_state": False, "look_ahead": (), "see_opponent": "never"}
     whole = len(make(coarse_oval).elements)
-    assert f"{whole} by default" in inspect.getdoc(DriveHeadToHeadEnv)
+    assert f"{whole} by default" in text
     for count, name in rows:
         missing = whole - len(make(coarse_oval, **{name: off[name]}).elements)
         assert missing == int(count) * (6 if name == "look_ahead" else 1)
