@@ -22,7 +22,7 @@ EXAMPLES = REPOSITORY / "examples"
 def test_tournament(tmp_path):
     arguments = ("--track", "Pipkin", "--races", 2, "--duration", 4, "--out", "made")
     out = run_python(EXAMPLES / "tournament.py", *arguments, folder=tmp_path)
-    assert "12 races of 3 s" in out
+    assert "12 races of 4 s" in out
     assert {path.name for path in (tmp_path / "made").iterdir()} == {"results.csv", "replay.html"}
 
 
