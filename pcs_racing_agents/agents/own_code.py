@@ -17,7 +17,8 @@ def own_code(text: str, *given: Any) -> Any:
     """Return what a text names, or None if it names no code.
 
     A driver's class becomes its policy (:func:`pcs_racing.drivers_from`). Any other class or function is called with
-    what is ``given``, if it takes an argument. A module is looked for in the working directory as well.
+    what is ``given``, if it needs an argument or several are given. A module is looked for in the working directory as
+    well.
     """
     place, separator, name = text.partition(":")
     if not separator or not name.isidentifier() or place in planner_names():
@@ -31,13 +32,16 @@ def own_code(text: str, *given: Any) -> Any:
             sys.path.append(here)
         if not _is_module(place):
             return None
-        module = importlib.import_module(place)
+        try:
+            module = importlib.import_module(place)
+        except ImportError as error:
+            raise InputError(f"{place} can't be imported: {error}") from error
     made = getattr(module, name, None)
     if isinstance(made, type) and any(callable(getattr(made, method, None)) for method in METHODS):
         return drivers_from(inspect.getfile(made))[name]
     if callable(made):
         needed = [one for one in inspect.signature(made).parameters.values() if one.default is one.empty]
-        made = made(*given[: len(needed)])
+        made = made(*given) if len(given) > 1 else made(*given[: len(needed)])
     if made is None:
         raise InputError(f"{text} is no driver and no agent: {place} has no class and no function {name!r}")
     return made.policy() if isinstance(made, Planner) else made

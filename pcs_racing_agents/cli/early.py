@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from importlib.metadata import entry_points
 
-from pcs_racing.base.errors import InputError, UnknownNameError, choices
+from pcs_racing.base.errors import UnknownNameError, choices
 from pcs_racing.planners.shipped import SHIPPED as PLANNERS
 from pcs_racing.race.config import load_race_config
 from pcs_racing.track.maps import find_shipped
@@ -56,5 +56,3 @@ def _check_racer(kind: str, name: str) -> None:
     if name not in known:
         shown = sorted(PLANNERS if kind == "planner" else {*AGENTS, "always-MOVE"})
         raise UnknownNameError(f"{kind} {name!r} is unknown; {choices(name, shown)}")
-    if not name:
-        raise InputError(f"the name of the {kind} is empty")

@@ -19,15 +19,15 @@ from pcs_racing_agents.trees.tree import TreeStatistics
     "tree",
     "pcs-racing tree --pairs 8 --out out/trees",
     "pcs-racing tree --track Tarnfjord --pairs 20 --out out/trees",
-    "pcs-racing tree --track Tarnfjord --race contest --pairs 10 --seeds 4 --out out/contest",
+    "pcs-racing tree --track Tarnfjord --race contest --moves 4 --pairs 10 --seeds 4 --out out/contest",
 )
 def run(
     *,
     archive: ArchiveName = None,
     track: Circuit = DEFAULT_TRACK,
     race: Race = "paper",
-    moves: Annotated[int | None, Option("number of moves of each player (default: 4)", "M")] = None,
-    step: Annotated[float | None, Option("simulated time per move in s (default: 8)", "S")] = None,
+    moves: Annotated[int | None, Option("number of moves of each player (default: that of the rules)", "M")] = None,
+    step: Annotated[float | None, Option("mean time of a move in s (default: that of the rules)", "S")] = None,
     epsilon: Annotated[
         Sequence[float] | None, Option("length of a move in normalised coordinates (default: 0.5)", "E")
     ] = None,

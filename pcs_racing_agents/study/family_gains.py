@@ -22,10 +22,11 @@ TRAINING, TEST = "training", "test"
 
 def families(opponents: Sequence[str], trained: Collection[str]) -> Iterator[tuple[str, str, list[str]]]:
     """Yield a name, a use and the members of each family: every opponent, then all drivers of each use together."""
+    drives = planner_names()
     used = {name: TRAINING if name in trained else TEST for name in opponents}
     yield from ((name, use, [name]) for name, use in used.items())
     for use, name in ((TRAINING, "drivers that were met"), (TEST, "drivers held out")):
-        drivers = [one for one in opponents if used[one] == use and one.partition(":")[0] in planner_names()]
+        drivers = [one for one in opponents if used[one] == use and one.partition(":")[0] in drives]
         if len(drivers) > 1:
             yield name, use, drivers
 
