@@ -20,6 +20,7 @@ from pcs_racing_agents.agents.observing import own
 from pcs_racing_agents.agents.setting import Setting
 
 try:
+    import torch
     from sb3_contrib import MaskablePPO
 
     from pcs_racing.envs.sb3 import make_sb3_vec_env
@@ -61,6 +62,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="root of everything random")
     parser.add_argument("--out", type=Path, default=Path("out/maskable_ppo"), help="folder for model.zip")
     given = parser.parse_args()
+    torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     given.out.mkdir(parents=True, exist_ok=True)
     envs = make_sb3_vec_env("duel", 64, track=CIRCUITS, opponent=OPPONENTS, **WORLD)
     model = MaskablePPO(

@@ -14,6 +14,7 @@ import numpy as np
 from pcs_racing.envs.duel import DuelVectorEnv
 
 try:
+    import torch
     from stable_baselines3 import PPO
 
     from pcs_racing.envs.sb3 import make_sb3_vec_env
@@ -29,6 +30,7 @@ parser.add_argument("--games", type=int, default=500, help="games against each o
 parser.add_argument("--seed", type=int, default=0, help="root of everything random")
 arguments = parser.parse_args()
 
+torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
 game = {"track": arguments.track, "archive": arguments.archive, "race": arguments.race}
 envs = make_sb3_vec_env("self-play", 64, **game)
 model = PPO(

@@ -19,6 +19,7 @@ from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing.envs.infos import Result
 
 try:
+    import torch
     from matplotlib.figure import Figure
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
@@ -72,6 +73,7 @@ class Curve(BaseCallback):
 
 def main() -> None:
     arguments = parse(Arguments)
+    torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     arguments.out.mkdir(parents=True, exist_ok=True)
     game = {name: getattr(arguments, name) for name in ("track", "archive", "race", "opponent")}
     envs = make_sb3_vec_env("duel", arguments.envs, **game)
