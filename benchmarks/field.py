@@ -23,7 +23,7 @@ from pcs_racing.race.calibration import calibration_of
 from pcs_racing.race.driving import kernel_settings
 from pcs_racing_agents.tournament.statistics import clustered_mean
 
-LIDAR = ("gap-follower", "follow-the-gap", "disparity-extender", "lidar-cnn")
+LIDAR = ("gap-follower", "follow-the-gap", "disparity-extender", "lidar-cnn", "lidar-gru")
 CARS = 200
 SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)
 

@@ -1,4 +1,4 @@
-"""Write the GIFs of the gallery and the table of its scenes, scenes.csv, to docs/images/gallery.
+"""Write the GIFs of the gallery, the table of its scenes, scenes.csv, and the sheet of drivers to docs/images/gallery.
 
     python tools/gallery.py
 
@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image
 
-from pcs_racing import CONTEST, load_track, parse_policy, record_race
+from pcs_racing import CONTEST, RaceConfig, get_planner, load_track, parse_policy, planner_names, record_race
 from pcs_racing.base.files import write_atomically
-from pcs_racing.race.frames import write_gif
+from pcs_racing.race.frames import replay_frames, write_gif
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.replay import Replay
 
@@ -31,6 +32,8 @@ FAST, SLOW = "lattice:pace=0.95,overtaking=1", "lattice:pace=0.55"
 SEED = 1
 RACES = 300
 LARGEST = 600_000  # bytes of a GIF
+# For the sheet of drivers: they begin 4 m behind a car with 0.6 of their speed.
+BEHIND = RaceConfig(start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(0.66, 1.1), steering_noise=0.01)
 
 BEFORE, AFTER = 4.0, 2.0  # s of a clip before and after its moment
 CLOSE, DEFENDED = 1.5, 4.0  # m behind, and for how many s
@@ -161,6 +164,24 @@ def cut(replay: Replay, time: float) -> Replay:
     )
 
 
+def drivers_sheet() -> Image.Image:
+    """Each driver and its plan where it comes nearest to a slower car in front, in the first race that it passes in."""
+    names, (width, height), columns = sorted(planner_names()), (400, 280), 3
+    sheet = Image.new("RGB", (columns * width, -(-len(names) // columns) * height), "white")
+    track, slow = load_track(CIRCUITS[0]), parse_policy("pure-pursuit:pace=0,follow_distance=0")
+    for k, name in enumerate(names):
+        planner = get_planner(name)
+        fast = planner.policy({key: 1.0 for key in planner.parameter_names if key == "pace"})
+        races = [record_race(track, fast, slow, BEHIND, seed=SEED, index=race) for race in range(10)]
+        behind = [race for race in races if race.lead[0] < 0.0]
+        replay = replace(next(filter(find_overtake, behind), behind[0]), car_names=(name, "slower"))
+        lead = np.asarray(replay.lead)
+        time = float(np.argmax(np.where(lead < 0.0, lead, -np.inf))) * replay.frame_dt
+        frames = list(replay_frames(replay, Renderer(replay, width, height, view="both"), fps=10.0, candidates=True))
+        sheet.paste(Image.fromarray(frames[int(10.0 * time)]), (k % columns * width, k // columns * height))
+    return sheet.quantize(128, dither=Image.Dither.NONE)
+
+
 def scenes() -> list[Clip]:
     """Return the scenes of the table."""
     with open(TABLE, newline="", encoding="utf-8") as file:
@@ -209,6 +230,7 @@ def main() -> None:
             clips.append(clip)
     write_scenes(clips)
     print(TABLE)
+    drivers_sheet().save(DOCS / FOLDER / "drivers.png", optimize=True)
 
 
 if __name__ == "__main__":

@@ -217,8 +217,8 @@ def load_imitator(source: str | Path) -> Planner:
 
 
 def __getattr__(name: str) -> Any:
-    """``LIDAR_CNN``, the shipped planner, loaded at its first use."""
-    if name != "LIDAR_CNN":
+    """``LIDAR_CNN`` and ``LIDAR_GRU``, the shipped planners, loaded at their first use."""
+    if name not in ("LIDAR_CNN", "LIDAR_GRU"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = load_imitator("lidar-cnn")
+    globals()[name] = load_imitator(name.lower().replace("_", "-"))
     return globals()[name]

@@ -11,6 +11,7 @@ SHIPPED = {
     "lane-switcher": "pcs_racing.planners.lane_switcher:LANE_SWITCHER",
     "lattice": "pcs_racing.planners.lattice:LATTICE",
     "lidar-cnn": "pcs_racing.planners.imitation:LIDAR_CNN",
+    "lidar-gru": "pcs_racing.planners.imitation:LIDAR_GRU",
     "mppi": "pcs_racing.planners.mppi:MPPI",
     "ppo-drive": "pcs_racing.planners.trained:PPO_DRIVE",
     "predictive-spliner": "pcs_racing.planners.predictive_spliner:PREDICTIVE_SPLINER",

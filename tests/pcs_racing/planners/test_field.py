@@ -36,7 +36,7 @@ PASSING = (
     "spliner",
 )  # fmt: skip
 MAPPED = (*PASSING, "stanley")
-LIDAR = ("disparity-extender", "follow-the-gap", "lidar-cnn")
+LIDAR = ("disparity-extender", "follow-the-gap", "lidar-cnn", "lidar-gru")
 
 
 def python(function):

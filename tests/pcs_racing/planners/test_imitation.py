@@ -96,7 +96,8 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
     refused("unknown lidar driver 'nobody'", load_imitator, "nobody", error=UnknownNameError)
 
 
-def test_the_shipped_one_is_read_when_it_is_first_asked_for():
+def test_the_shipped_ones_are_read_when_they_are_first_asked_for():
     assert get_planner("lidar-cnn") is imitation.LIDAR_CNN
+    assert get_planner("lidar-gru") is imitation.LIDAR_GRU
     with pytest.raises(AttributeError, match="no attribute 'OTHER'"):
         imitation.OTHER  # noqa: B018
