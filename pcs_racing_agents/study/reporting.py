@@ -1,6 +1,6 @@
 """The last stage: one line for every race, the tables, and the page."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.race_files import read_results, write_results
-from pcs_racing_agents.results.races import concatenate_races
+from pcs_racing_agents.results.races import RaceTable, concatenate_races
 from pcs_racing_agents.results.text_table import table_rows
 from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.family_gains import COLUMNS as FAMILY_COLUMNS
@@ -35,9 +35,10 @@ from pcs_racing_agents.study.report_inputs import (
     watch_race,
 )
 from pcs_racing_agents.study.study import Study
-from pcs_racing_agents.study.table import StudyTable, make_table
+from pcs_racing_agents.study.table import StudyTable, by_progress, make_table
 from pcs_racing_agents.study.table_text import (
     overview_rows,
+    paper_rows,
     table_markdown,
     table_text,
     verdict_text,
@@ -48,6 +49,7 @@ from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
 from pcs_racing_agents.tournament.runner import play_pairings
 
 SEED = 7_000_000
+GAME_THEORETIC = "cfr-argmax"  # the paper's agent
 
 
 def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: int = 1000) -> list[Situations]:
@@ -95,9 +97,12 @@ def write_report(study: Study, seconds: Mapping[str, float]) -> None:
     write_page(_content(study, study_races, main, seconds), folder / "report.html")
 
 
-def study_table(study: Study, study_races: Sequence[StudyRaces], name: str) -> StudyTable:
-    """Compare the arms of one of the study's tables."""
+def study_table(
+    study: Study, study_races: Sequence[StudyRaces], name: str, scored: Callable[[RaceTable], RaceTable] | None = None
+) -> StudyTable:
+    """Compare the arms of one of the study's tables; ``scored`` may give the races other winners."""
     races = concatenate_races(cell.races for cell in study_races if cell.table == name)
+    races = races if scored is None else scored(races)
     config, blind = study.config, best_blind(study)
     learned_on = {study.track(circuit).name for circuit in config.circuits}
     table = make_table(races, base=config.arms[0], best=config.best, blind=blind, seen=learned_on)
@@ -124,7 +129,7 @@ def _content(
     study: Study, study_races: Sequence[StudyRaces], main: StudyTable, seconds: Mapping[str, float]
 ) -> ReportContent:
     config = study.config
-    sheets, judged = [], main
+    sheets, judged = list(_papers_statistic(study, study_races)), main
     if config.further_lines:
         further = judged = study_table(study, study_races, "further")
         rows = overview_rows(further)
@@ -153,6 +158,19 @@ def _content(
         versions=software(),
         seeds=_seeds(study),
         seconds=seconds,
+    )
+
+
+def _papers_statistic(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[TitledTable]:
+    """Write the main table by the paper's own statistic, and yield its rows as a sheet; nothing in other races."""
+    table = study_table(study, study_races, "main", by_progress)
+    if GAME_THEORETIC not in table.arms or not any(row.paper for row in table.rows):
+        return
+    write_table(table, study.folder / "table_by_progress.csv")
+    rows = paper_rows(table, GAME_THEORETIC)
+    note = "Mean and standard deviation over the ego's start policies; p: paired t-test over them, as in the paper."
+    yield TitledTable(
+        "Who has progressed further at the end, crash or not: the paper's statistic", rows[0], rows[1:], note
     )
 
 

@@ -157,6 +157,11 @@ def make_table(
     return StudyTable(tuple(_adjusted(rows)), base, best, blind)
 
 
+def by_progress(races: RaceTable) -> RaceTable:
+    """Return the races as the paper scores them: who has progressed further at the end wins, crash or not."""
+    return replace(races, winner=np.where(races.lead == 0.0, -1, races.lead < 0.0), crash=np.zeros_like(races.crash))
+
+
 def _row(
     track: str,
     opponent: str,

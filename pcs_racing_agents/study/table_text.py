@@ -61,6 +61,24 @@ def overview_rows(table: StudyTable, show: Callable[[Difference], str] = differe
     return lines
 
 
+def paper_rows(table: StudyTable, arm: str) -> list[tuple[str, ...]]:
+    """Return the rows that the paper has, in its columns and beside its figures, the head first."""
+    lines: list[tuple[str, ...]] = [
+        ("circuit", "opponent", table.base, arm, "difference", "p", "paper: non-GT", "GT", "difference", "p")
+    ]
+    for row in table.rows:
+        own = next((difference.result for difference in row.differences if difference.arm == arm), None)
+        if row.paper is not None and own is not None:
+            scores = {result.arm: f"{result.score:.3f} ± {result.sd:.3f}" for result in row.arms}
+            theirs = (
+                f"{row.paper.non_gt:.3f} ± {row.paper.non_gt_sd:.3f}",
+                f"{row.paper.gt:.3f} ± {row.paper.gt_sd:.3f}",
+            )
+            compared = (f"{own.difference:+.3f}", p_text(own.p_paired_t), *theirs, f"{row.paper.difference:+.3f}")
+            lines.append((row.track, row.opponent, scores[table.base], scores[arm], *compared, p_text(row.paper.p)))
+    return lines
+
+
 def detail_rows(row: TableRow) -> Iterator[tuple[str, ...]]:
     """Return the lines of one row in the columns :data:`DETAILS`: one for each agent, then the adaptivity gain."""
     differences = {difference.arm: difference for difference in row.differences}

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from refusal import refused
 from repository import python_blocks, read_page, run_block
+from scipy import stats
 from toy_races import of, toy_races
 
 from pcs_racing_agents.results.race_files import race_table, read_results, write_results
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import table_text as texts
-from pcs_racing_agents.study.table import PAPER_TABLE, make_table
+from pcs_racing_agents.study.table import PAPER_TABLE, by_progress, make_table
 from pcs_racing_agents.tournament.statistics import compare, holm
 
 
@@ -56,6 +57,18 @@ def test_a_row_says_what_the_statistics_say(races, table):
     assert arm.low < arm.score < arm.high
     best, blind = (of(races, "Brackwater", "random-policy", arm) for arm in ("our-best", "best-fixed"))
     assert row.gain.result.difference == pytest.approx(best.score.mean() - blind.score.mean())
+
+
+def test_the_papers_statistic_counts_who_is_ahead_whatever_happened(races):
+    ahead = by_progress(races)
+    assert ahead.score.tolist() == (np.sign(races.lead) / 2 + 0.5).tolist()
+    head, *rows = texts.paper_rows(make_table(ahead), "cfr-argmax")
+    assert [row[:2] for row in rows] == [(row.track, row.opponent) for row in make_table(races).rows if row.paper]
+    ours, base = (of(ahead, *rows[0][:2], arm).score for arm in ("cfr-argmax", "never-switch"))
+    egos = np.unique(of(ahead, *rows[0][:2], "cfr-argmax").variants[:, 0], return_inverse=True)[1]
+    means = [np.bincount(egos, score) / np.bincount(egos) for score in (base, ours)]
+    assert rows[0][2:4] == tuple(f"{mean.mean():.3f} ± {mean.std(ddof=1):.3f}" for mean in means)
+    assert rows[0][head.index("p")] == texts.p_text(stats.ttest_rel(*means).pvalue)
 
 
 def test_the_order_of_the_races_and_a_file_between_do_not_matter(races, tmp_path):
