@@ -10,6 +10,9 @@ from PIL import Image
 
 PATIENCE = 90.0  # seconds; other work may keep the machine busy
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+# Nothing is fetched from a network, which may be closed.
+OPTIONS = """--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking
+    --disable-component-update --disable-sync""".split()
 
 
 def missing():
@@ -33,8 +36,7 @@ class Browser:
         from playwright.sync_api import sync_playwright
 
         self._playwright = sync_playwright().start()
-        options = ["--no-sandbox", "--disable-gpu"]
-        self._chromium = self._playwright.chromium.launch(executable_path=chromium(), args=options)
+        self._chromium = self._playwright.chromium.launch(executable_path=chromium(), args=OPTIONS)
         self.page = self._chromium.new_page()
         self.page.set_default_timeout(1000.0 * PATIENCE)
         self.said, self.complaints = [], []
