@@ -3,6 +3,8 @@
 import io
 import shutil
 import time
+from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +13,17 @@ from PIL import Image
 PATIENCE = 90.0  # seconds; other work may keep the machine busy
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 # Nothing is fetched from a network, which may be closed.
-OPTIONS = """--no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking
-    --disable-component-update --disable-sync""".split()
+OPTIONS = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+]  # fmt: skip
 
 
 def missing():
     """What is missing to open a page, in words; empty if nothing is."""
-    try:
-        import playwright.sync_api  # noqa: F401
-    except ImportError:
-        return 'playwright is not installed: pip install ".[test]"'
+    for library in ("playwright", "axe_playwright_python"):
+        if find_spec(library) is None:
+            return f'{library} is not installed: pip install ".[test]"'
     return "" if chromium() else f"no Chromium on PATH to open the page with ({', '.join(PROGRAMS)})"
 
 
@@ -48,8 +51,9 @@ class Browser:
         if message.type in ("error", "warning"):
             self.complaints.append(message.text)
 
-    def open(self, address, width=1280, height=720):
+    def open(self, address, width=1280, height=720, scheme="light"):
         self.page.set_viewport_size({"width": width, "height": height})
+        self.page.emulate_media(color_scheme=scheme)
         self.page.goto("about:blank")  # or an address that differs in its link alone would not be loaded again
         self.said.clear()
         self.complaints.clear()
@@ -67,6 +71,16 @@ class Browser:
         while not right(found := value()):
             assert time.monotonic() < end, complaint
             time.sleep(0.1)
+        return found
+
+    def hindrances(self):
+        """What axe-core finds serious or critical in the page and its first frame: the rule, and the first element."""
+        found = []
+        for frame in self.page.frames[:2]:
+            frame.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8"))
+            told = frame.evaluate("axe.run(document, { resultTypes: ['violations'], iframes: false })")
+            serious = [one for one in told["violations"] if one["impact"] in ("serious", "critical")]
+            found += [(one["id"], one["nodes"][0]["html"]) for one in serious]
         return found
 
     def press(self, key):

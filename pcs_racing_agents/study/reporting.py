@@ -198,9 +198,7 @@ def _caution(table: StudyTable) -> str:
     races = min(arm.races for row in table.rows for arm in row.arms)
     if races >= FEWEST_RACES:
         return ""
-    return (
-        f"This is a smoke test, too small to conclude from: {races} races of an agent in a row, the paper has 4,000."
-    )
+    return f"This is a smoke test, too small to conclude from: {races} races of an agent in a row, the paper has 4,000."
 
 
 def _curves(study: Study) -> dict[str, list[Curve]]:

@@ -118,7 +118,7 @@ frames(3);
 seen.title = document.title;
 seen.bold = document.querySelectorAll("b").length;
 seen.start = [state.t, state.follow, state.candidates];
-seen.lead = leadAt(duration);
+seen.lead = leadAt(0, duration);
 seen.pose = [pose(1, 2.0).x, pose(1, 2.0).y];
 press("2"); press("ArrowRight"); press("c");
 seen.pressed = [state.t, state.follow, state.candidates];

@@ -49,7 +49,7 @@ def test_the_page_in_a_browser(browser, served):
     browser.open(served(drive_page(races), races.answer))
     browser.run("document.querySelector('#begin').click()")
     browser.run("window.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowUp' }))")
-    browser.wait("race && race.step > 50 && race.cars[0][3] > 1")
+    browser.wait("race && race.step > 20 && command.speed > 0.2")
     assert "lattice" in browser.run("document.querySelector('#status').innerText")
 
 
