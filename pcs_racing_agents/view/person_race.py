@@ -29,6 +29,7 @@ from pcs_racing_agents.view.view_page import fill, player_parts, template
 from pcs_racing_agents.view.view_server import Answer, error_answer
 
 MOST_RACES = 1_000_000
+NEAREST = 4  # the person starts with one of the quarter of the policies that are nearest to the opponent's
 
 _ADDRESS = re.compile(r"/race/([0-9]{1,6})/((?:[0-9]{1,3}(?:-[0-9]{1,3})*)?)(\.html)?")
 
@@ -135,6 +136,16 @@ class PersonRaces:
         """Time at which the step after a number of moves ends, s."""
         return self.game.config.ends[made]
 
+    def _policies(self, number: int) -> NDArray[np.int64]:
+        """Draw the policies that both cars start with, alike where both are of the archive: such races are close."""
+        archive = self.game.archive
+        draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
+        if isinstance(self.opponent, Driver):
+            return np.array([draw.integers(len(archive)), draw.integers(len(self.opponent.policies))])
+        rival = draw.integers(len(archive))
+        apart = np.linalg.norm(archive.normalised - archive.normalised[rival], axis=1)
+        return np.array([np.argsort(apart, kind="stable")[draw.integers(max(1, len(archive) // NEAREST))], rival])
+
     def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, RaceTable, tuple[ExplainedDecision, ...]]:
         """Drive the whole race, staying after the given moves, and return it up to the next move."""
         game, names = self.game, self.game.competitor_moves
@@ -147,10 +158,8 @@ class PersonRaces:
                 raise InputError(f"move {move} is none of the moves 0 to {len(names) - 1} ({', '.join(names)})")
         # The whole race each time: nothing is kept between two questions.
         person = _GivenMoves(moves, len(names) - 1, len(game.archive.characteristics))
-        variants = len(self.opponent.policies) if isinstance(self.opponent, Driver) else len(game.archive)
-        draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
         race: dict[str, Any] = {
-            "policies": np.array([draw.integers(len(game.archive)), draw.integers(variants)]),
+            "policies": self._policies(number),
             "start": starts_of(game.track, game.setup.config, [number], self.seed),
             "seed": int(race_seed(self.seed, number)),
         }

@@ -63,6 +63,16 @@ def test_races_that_can_not_be_are_refused(races):
     assert races.situation(1, (0, 3))["history"] == races.situation(1, (0, 3, 1))["history"][:2]
 
 
+def test_a_person_starts_with_a_policy_like_the_opponents(races):
+    """With one of the three of twelve that are nearest to it."""
+    places = races.game.archive.normalised
+    drawn = {tuple(races._policies(number).tolist()) for number in range(60)}
+    for own, rival in drawn:
+        apart = np.linalg.norm(places - places[rival], axis=1)
+        assert apart[own] <= np.sort(apart)[2]
+    assert len({rival for _, rival in drawn}) > 6 < len({own for own, _ in drawn})
+
+
 def test_addresses(races):
     found = {"/race/0/": 200, "/race/0/1-2": 200, "/race/0/9": 409, "/race/0/1-": 404, "/race/x/": 404, "/a": 404}
     for path, status in found.items():
