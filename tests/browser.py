@@ -51,9 +51,12 @@ class Browser:
         if message.type in ("error", "warning"):
             self.complaints.append(message.text)
 
-    def open(self, address, width=1280, height=720, scheme="light"):
+    def show(self, width, height, scheme="light"):
         self.page.set_viewport_size({"width": width, "height": height})
         self.page.emulate_media(color_scheme=scheme)
+
+    def open(self, address, width=1280, height=720):
+        self.show(width, height)
         self.page.goto("about:blank")  # or an address that differs in its link alone would not be loaded again
         self.said.clear()
         self.complaints.clear()
@@ -77,7 +80,8 @@ class Browser:
         """What axe-core finds serious or critical in the page and its first frame: the rule, and the first element."""
         found = []
         for frame in self.page.frames[:2]:
-            frame.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8"))
+            if not frame.evaluate("'axe' in window"):
+                frame.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8"))
             told = frame.evaluate("axe.run(document, { resultTypes: ['violations'], iframes: false })")
             serious = [one for one in told["violations"] if one["impact"] in ("serious", "critical")]
             found += [(one["id"], one["nodes"][0]["html"]) for one in serious]

@@ -4,7 +4,6 @@ A race is a function of its number and of the person's moves so far: nothing is 
 same moves give the same race.
 """
 
-import html
 import re
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,7 +24,7 @@ from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
 from pcs_racing_agents.explain.explain import ExplainedDecision, explain_game, mark_moves
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.runner import record_game
-from pcs_racing_agents.view.view_page import fill, player_parts, template
+from pcs_racing_agents.view.view_page import page_of
 from pcs_racing_agents.view.view_server import Answer, error_answer
 
 MOST_RACES = 1_000_000
@@ -198,7 +197,4 @@ def first_frames(replay: Replay, seconds: float) -> Replay:
 def play_page(races: PersonRaces) -> str:
     """Return the page on which a person makes the moves; it asks a server for everything else."""
     title = f"You against {competitor_name(races.opponent)}"
-    colours = player_parts(template("pcs_racing.race", "replay.html"))["colours"]
-    return fill(
-        template("pcs_racing_agents.view", "play.html"), {"<!--title-->": html.escape(title), "/*colours*/": colours}
-    )
+    return page_of("play.html", title, "connect-src 'self'; frame-src 'self'", {})
