@@ -51,12 +51,12 @@ class Browser:
         if message.type in ("error", "warning"):
             self.complaints.append(message.text)
 
-    def show(self, width, height, scheme="light"):
+    def show(self, width, height, scheme="light", motion="no-preference"):
         self.page.set_viewport_size({"width": width, "height": height})
-        self.page.emulate_media(color_scheme=scheme)
+        self.page.emulate_media(media="screen", color_scheme=scheme, reduced_motion=motion)
 
-    def open(self, address, width=1280, height=720):
-        self.show(width, height)
+    def open(self, address, width=1280, height=720, **media):
+        self.show(width, height, **media)
         self.page.goto("about:blank")  # or an address that differs in its link alone would not be loaded again
         self.said.clear()
         self.complaints.clear()
@@ -65,8 +65,8 @@ class Browser:
     def run(self, expression):
         return self.page.evaluate(expression)
 
-    def wait(self, expression):
-        return self._until(lambda: self.run(expression), bool, f"{expression} stays false")
+    def wait(self, expression, frame=0):
+        return self._until(lambda: self.page.frames[frame].evaluate(expression), bool, f"{expression} stays false")
 
     def _until(self, value, right, complaint):
         # Not by playwright's own waiting: it evaluates texts inside the page, which the pages' policy forbids.

@@ -160,7 +160,7 @@ class Highlight(NamedTuple):
     gap: float  #: Between the cars at its end, m.
     title: str
     race: int  #: Its number in the pairing.
-    count: int  #: Number of the races that it was chosen from.
+    races: int  #: Number of the races that it was chosen from.
 
 
 def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highlight]:

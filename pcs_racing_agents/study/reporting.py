@@ -274,7 +274,7 @@ def _watched(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[Explai
     for kind in KINDS:
         if kind in found:
             closest, pairing = min(found[kind], key=lambda one: one[0])
-            many = sum(one.count for one, _ in found[kind] if one.rank == closest.rank)
+            many = sum(one.races for one, _ in found[kind] if one.rank == closest.rank)
             title = f"{closest.title}: of {many} such races the closest, {closest.gap:.1f} m at the end"
             yield watch_race(pairing, closest.race, title)
 

@@ -57,13 +57,12 @@ class _Balance(HTMLParser):
 
     def __init__(self):
         super().__init__()
-        self.open, self.text, self.ids, self.frames, self.images = [], [], [], [], []
+        self.open, self.text, self.frames, self.images = [], [], [], []
 
     def handle_starttag(self, tag, attrs):
         values = dict(attrs)
         if tag not in VOID:
             self.open.append(tag)
-        self.ids += [values["id"]] if "id" in values else []
         self.frames += [values] if tag == "iframe" else []
         self.images += [values] if tag == "img" else []
 
@@ -96,8 +95,8 @@ def test_the_page_loads_nothing_and_texts_stay_texts(page, parsed):
     assert parsed.frames[1]["title"] == NASTY
 
 
-def test_every_section_is_there_with_its_numbers_and_pictures(parsed, content):
-    assert parsed.ids == [
+def test_every_section_is_there_with_its_numbers_and_pictures(page, parsed, content):
+    assert re.findall('<section id="([^"]*)"', page) == [
         *("results", "all-findings", "adaptivity-gain", "races-to-watch", "which-move-in-which-situation"),
         *("policies", "exploitability", "ratings", "more", "how-it-was-made"),
     ]
@@ -168,6 +167,7 @@ def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
     path.write_text(page.replace(html.escape("</body>"), html.escape(TELL), 1))
     browser.open(path)
     assert browser.run("document.title") == content.title
+    browser.wait("state.playing", frame=1)  # since it is on the screen
     # One screen and the table; the rest is folded, but not on paper.
     screen = browser.run("document.documentElement.scrollHeight")
     hidden = "[...document.images].filter((image) => !image.checkVisibility({ contentVisibilityAuto: true })).length"
@@ -175,11 +175,7 @@ def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
     browser.page.emulate_media(media="print")
     assert browser.run(hidden) == 0
     assert browser.run("document.documentElement.scrollHeight") > 2 * screen
-    browser.page.emulate_media(media="screen")
-    browser.run("for (const part of document.querySelectorAll('details')) part.open = true")
-    images = browser.run("[...document.images].map((image) => image.naturalWidth)")
-    assert len(images) == 8 + 2
-    assert min(images) > 100
+    assert browser.run("Math.min(...[...document.images].map((image) => image.naturalWidth))") > 100
     assert browser.said == [f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g} s"]
     assert browser.complaints == []
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from recorded_races import race_on_a_circle
 from repository import REPOSITORY
@@ -18,6 +19,8 @@ from pcs_racing_agents.study.report_inputs import ExplainedRace
 from pcs_racing_agents.view.person_drive import drive_page, make_person_drive
 from pcs_racing_agents.view.person_race import PersonRaces, play_page
 
+CARDS = [REPOSITORY / "benchmarks" / "bench_v2"]
+
 
 @pytest.fixture(scope="module")
 def explained(tournament_folder, tmp_path_factory) -> Path:
@@ -26,14 +29,15 @@ def explained(tournament_folder, tmp_path_factory) -> Path:
     return folder / "race.html"
 
 
-def replay(get):
-    return save_replay(race_on_a_circle(candidates=3), get("tmp_path") / "race.html")
+def replay(get, moment="#t=nonsense&follow=7", **changes):
+    path = save_replay(race_on_a_circle(**{"candidates": 3, **changes}), get("tmp_path") / "race.html")
+    return path.as_uri() + moment
 
 
-def alone(get):
-    two = race_on_a_circle()
-    one = {"cars": two.cars[:, :1], "progress": two.progress[:, :1], "car_names": ("alone",)}
-    return save_replay(race_on_a_circle(**one, ittc=None, paths=None, events=()), get("tmp_path") / "race.html")
+def bare_replay(get):
+    two = race_on_a_circle(0.0)
+    one = {"cars": two.cars[:, :1], "progress": two.progress[:, :1], "car_names": ("alone",), "events": ()}
+    return replay(get, "#play=1", **one, candidates=0, paths=None, ittc=None, line_speed=None, walls=np.zeros((0, 4)))
 
 
 def report(get):
@@ -45,13 +49,12 @@ def report(get):
 
 
 def card(get):
-    (one, *_) = read_cards([REPOSITORY / "benchmarks" / "bench_v2"])
-    return write_card(one, get("tmp_path"), [("A race", read_replay(get("explained")))])[2]
+    return write_card(read_cards(CARDS)[0], get("tmp_path"), [("A race", read_replay(get("explained")))])[2]
 
 
 def leaderboard(get):
     page = get("tmp_path") / "leaderboard.html"
-    page.write_text(board_page(read_cards([REPOSITORY / "benchmarks" / "bench_v2"])), encoding="utf-8")
+    page.write_text(board_page(read_cards(CARDS)), encoding="utf-8")
     return page
 
 
@@ -70,7 +73,7 @@ def drive(get):
 # What makes a page, and what is true of it when all of it is there.
 PAGES = {
     "a replay": (replay, "document.documentElement.dataset.drawn"),
-    "a replay of one car": (alone, "document.documentElement.dataset.drawn"),
+    "a bare replay of one car": (bare_replay, "document.documentElement.dataset.drawn"),
     "an explained race": (lambda get: get("explained"), "document.documentElement.dataset.drawn"),
     "a report": (report, "document.images.length"),
     "a list of races": (lambda get: get("page"), "document.body.dataset.played"),
@@ -84,12 +87,12 @@ PAGES = {
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_fits_its_screen_and_hinders_nobody(name, browser, request):
     make_page, there = PAGES[name]
-    browser.open(make_page(request.getfixturevalue))
+    browser.open(make_page(request.getfixturevalue), motion="reduce")  # races that play by themselves take time
     browser.wait(f"Boolean(({there}))")
     browser.run("for (const part of document.querySelectorAll('details')) part.open = true")
     for width, height in ((1280, 720), (390, 844)):
         for scheme in ("light", "dark"):
-            browser.show(width, height, scheme)
+            browser.show(width, height, scheme, motion="reduce")
             assert browser.run("document.documentElement.scrollWidth") <= width, (width, scheme)
             assert browser.hindrances() == [], (width, scheme)
     assert browser.complaints == []

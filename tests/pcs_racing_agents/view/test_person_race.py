@@ -11,7 +11,6 @@ from pcs_racing import make_game
 from pcs_racing.base.seeds import race_seed
 from pcs_racing.race.races import starts_of
 from pcs_racing_agents import make
-from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.view.person_race import MOST_RACES, PersonRaces, play_page
 
@@ -96,14 +95,6 @@ def test_the_page_in_a_browser(races, browser, served):
     assert browser.run("document.querySelector('#lead').innerText").startswith(words)
 
 
-def test_the_command_serves_until_it_is_ended_and_refuses_unknown_opponents(capsys, monkeypatch):
-    def end(self, *_):
-        raise KeyboardInterrupt
-
-    opened = []
-    monkeypatch.setattr(view, "open_page", opened.append)
-    monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
-    assert main(["play", "--opponent", "never-switch", "--track", "Pipkin"]) == 0
-    assert f"play at {opened[0]}" in capsys.readouterr().out
+def test_an_unknown_opponent_is_named(capsys):
     assert main(["play", "--opponent", "nobody"]) == 2
     assert "'nobody'" in capsys.readouterr().err
