@@ -3,6 +3,8 @@
 import io
 import shutil
 import time
+from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +12,18 @@ from PIL import Image
 
 PATIENCE = 90.0  # seconds; other work may keep the machine busy
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
+# Nothing is fetched from a network, which may be closed.
+OPTIONS = [
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+]  # fmt: skip
 
 
 def missing():
     """What is missing to open a page, in words; empty if nothing is."""
-    try:
-        import playwright.sync_api  # noqa: F401
-    except ImportError:
-        return 'playwright is not installed: pip install ".[test]"'
+    for library in ("playwright", "axe_playwright_python"):
+        if find_spec(library) is None:
+            return f'{library} is not installed: pip install ".[test]"'
     return "" if chromium() else f"no Chromium on PATH to open the page with ({', '.join(PROGRAMS)})"
 
 
@@ -33,8 +39,7 @@ class Browser:
         from playwright.sync_api import sync_playwright
 
         self._playwright = sync_playwright().start()
-        options = ["--no-sandbox", "--disable-gpu"]
-        self._chromium = self._playwright.chromium.launch(executable_path=chromium(), args=options)
+        self._chromium = self._playwright.chromium.launch(executable_path=chromium(), args=OPTIONS)
         self.page = self._chromium.new_page()
         self.page.set_default_timeout(1000.0 * PATIENCE)
         self.said, self.complaints = [], []
@@ -46,8 +51,12 @@ class Browser:
         if message.type in ("error", "warning"):
             self.complaints.append(message.text)
 
-    def open(self, address, width=1280, height=720):
+    def show(self, width, height, scheme="light", motion="no-preference"):
         self.page.set_viewport_size({"width": width, "height": height})
+        self.page.emulate_media(media="screen", color_scheme=scheme, reduced_motion=motion)
+
+    def open(self, address, width=1280, height=720, **media):
+        self.show(width, height, **media)
         self.page.goto("about:blank")  # or an address that differs in its link alone would not be loaded again
         self.said.clear()
         self.complaints.clear()
@@ -56,8 +65,8 @@ class Browser:
     def run(self, expression):
         return self.page.evaluate(expression)
 
-    def wait(self, expression):
-        return self._until(lambda: self.run(expression), bool, f"{expression} stays false")
+    def wait(self, expression, frame=0):
+        return self._until(lambda: self.page.frames[frame].evaluate(expression), bool, f"{expression} stays false")
 
     def _until(self, value, right, complaint):
         # Not by playwright's own waiting: it evaluates texts inside the page, which the pages' policy forbids.
@@ -65,6 +74,17 @@ class Browser:
         while not right(found := value()):
             assert time.monotonic() < end, complaint
             time.sleep(0.1)
+        return found
+
+    def hindrances(self):
+        """What axe-core finds serious or critical in the page and its first frame: the rule, and the first element."""
+        found = []
+        for frame in self.page.frames[:2]:
+            if not frame.evaluate("'axe' in window"):
+                frame.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8"))
+            told = frame.evaluate("axe.run(document, { resultTypes: ['violations'], iframes: false })")
+            serious = [one for one in told["violations"] if one["impact"] in ("serious", "critical")]
+            found += [(one["id"], one["nodes"][0]["html"]) for one in serious]
         return found
 
     def press(self, key):

@@ -39,7 +39,8 @@ class ReportContent:
 
     title: str
     about: str = ""  #: Subject of the study, in a few sentences.
-    findings: Sequence[str] = ()  #: Results, a sentence each.
+    findings: Sequence[str] = ()  #: Results, a sentence each; the first stands at the top.
+    caution: str = ""  #: Why the results are not to be relied on.
     table: StudyTable | None = None
     archive: PolicyArchive | None = None  #: Drawn with the moves of one policy, of length ``epsilon``.
     epsilon: float | tuple[float, ...] = 0.5

@@ -140,6 +140,7 @@ def _number(text: str | None, path: str | Path) -> float:
 # Example races
 
 KINDS = ("win", "loss", "crash")
+CLOSE = 5.0  # m
 
 
 class ExplainedRace(NamedTuple):
@@ -153,18 +154,21 @@ class ExplainedRace(NamedTuple):
 
 
 class Highlight(NamedTuple):
-    """An example race of an agent."""
+    """An example race of an agent; the smallest of several is the one to show."""
 
+    rank: int  #: How telling its kind of race is: 0 before 1.
+    gap: float  #: Between the cars at its end, m.
     title: str
     race: int  #: Its number in the pairing.
+    races: int  #: Number of the races that it was chosen from.
 
 
 def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highlight]:
     """Select a win by switching, a loss, and a crash of an agent, by kind; a kind that did not occur is absent.
 
     Preferred are a win that the agent without moves loses in the same race, a loss that it wins, and a crash by the
-    agent's fault after its first move. Of several such races the one with the median lead is selected, which is typical
-    of its kind.
+    agent's fault after its first move. Of several such races the one in which the cars are closest at the end is
+    selected.
 
     Parameters
     ----------
@@ -188,12 +192,24 @@ def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highli
     highlights = {}
     # The criteria of a kind stand from the most telling one down; the first that any race meets is taken.
     for kind, choices in zip(KINDS, criteria, strict=True):
-        for title, mask in choices.items():
+        for rank, (title, mask) in enumerate(choices.items()):
             numbers = np.flatnonzero(mask)
             if len(numbers):
-                highlights[kind] = Highlight(title, _median(numbers, races.lead))
+                race = int(numbers[np.argmin(np.abs(races.lead[numbers]))])
+                highlights[kind] = Highlight(rank, abs(float(races.lead[race])), title, race, len(numbers))
                 break
     return highlights
+
+
+def closeness_text(races: RaceTable) -> str:
+    """Return how close the races without a crash were at their end; empty if there are none."""
+    gaps = np.abs(races.lead[~races.crashed])
+    if not len(gaps):
+        return ""
+    return (
+        f"How close the races were: {(gaps <= CLOSE).mean():.0%} of the {len(gaps):,} without a crash ended within "
+        f"{CLOSE:g} m; the median gap was {np.median(gaps):.1f} m."
+    )
 
 
 def watch_race(pairing: Pairing, race: int, title: str) -> ExplainedRace:
@@ -206,9 +222,3 @@ def watch_race(pairing: Pairing, race: int, title: str) -> ExplainedRace:
 
         picture = picture_bytes(explanation_picture(explanation))
     return ExplainedRace(title, story(explanation), explanation.replay, picture)
-
-
-def _median(races: NDArray[np.intp], lead: NDArray[np.float64]) -> int:
-    # Of an even number the lower one of the middle: a race that was driven, not a mean of two.
-    order = races[np.argsort(lead[races], kind="stable")]
-    return int(order[(len(order) - 1) // 2])

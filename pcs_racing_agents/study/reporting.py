@@ -28,6 +28,7 @@ from pcs_racing_agents.study.report_inputs import (
     KINDS,
     Highlight,
     ReplyLoss,
+    closeness_text,
     read_curves,
     read_losses,
     select_highlights,
@@ -50,6 +51,7 @@ from pcs_racing_agents.tournament.runner import play_pairings
 
 SEED = 7_000_000
 GAME_THEORETIC = "cfr-argmax"  # the paper's agent
+FEWEST_RACES = 1000  # of an agent in a row, below which a study is a smoke test; the paper has 4,000
 
 
 def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: int = 1000) -> list[Situations]:
@@ -139,10 +141,13 @@ def _content(
     return ReportContent(
         title=f"Study: {config.race} race, archive {study.archive.name}",
         about=(
-            f"{sum(len(cell.races) for cell in study_races):,} races of {config.game.horizon:g} s. A move goes "
-            f"{config.epsilon:g} of the archive's range on an axis, every {config.game.step_seconds:g} s."
+            f"{sum(len(cell.races) for cell in study_races):,} races of {config.game.horizon:g} s between two cars. "
+            f"Every {config.game.step_seconds:g} s an agent may change its policy, which is how its car drives, by "
+            f"{config.epsilon:g} of the archive's range on an axis; {config.arms[0]} is what the others are compared "
+            f"with.\n\n{closeness_text(concatenate_races(cell.races for cell in study_races))}"
         ),
         findings=list(_findings(main)),
+        caution=_caution(main),
         table=main,
         archive=study.archive,
         epsilon=config.epsilon,
@@ -196,13 +201,22 @@ def _families(study: Study, study_races: Sequence[StudyRaces], table: StudyTable
 
 def _findings(table: StudyTable) -> Iterator[str]:
     """Yield the results of the main table as sentences."""
-    for arm in (arm for arm in table.arms if arm != table.base):
+    others = [arm for arm in table.arms if arm != table.base]
+    for arm in sorted(others, key=lambda arm: arm != table.best):
         results = [difference.result for row in table.rows for difference in row.differences if difference.arm == arm]
         yield verdict_text(arm, table.base, results)
     gains = [row.gain.result for row in table.rows if row.gain is not None]
     if gains and table.best is not None:
         blind = f"{table.blind}, the best blind agent in training"
         yield f"What looking at the race brings: {verdict_text(table.best, blind, gains)}"
+
+
+def _caution(table: StudyTable) -> str:
+    """Return that a study is too small to conclude from; empty if it is not."""
+    races = min(arm.races for row in table.rows for arm in row.arms)
+    if races >= FEWEST_RACES:
+        return ""
+    return f"This is a smoke test, too small to conclude from: {races} races of an agent in a row, the paper has 4,000."
 
 
 def _curves(study: Study) -> dict[str, list[Curve]]:
@@ -266,17 +280,21 @@ def _seeds(study: Study) -> dict[str, int]:
 
 
 def _watched(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[ExplainedRace]:
-    """Yield a win by switching, a loss and a crash of the best agent, each from the first row that has one."""
+    """Yield a win by switching, a loss and a crash of the best agent, each the closest of all rows."""
     # By names, since the baseline of a race is the pairing with the same circuit and opponent.
     raced = {(f.pairing.game.track.name, *f.pairing.names): f for f in study_races if f.table == "main"}
-    first: dict[str, tuple[Pairing, Highlight]] = {}
+    found: dict[str, list[tuple[Highlight, Pairing]]] = {}
     for (track, ego, opponent), races in raced.items():
         if ego == study.config.best:
             baseline = raced[track, study.config.arms[0], opponent]
             for kind, highlight in select_highlights(races.races, baseline.races).items():
-                first.setdefault(kind, (races.pairing, highlight))
-    for pairing, (title, race) in (first[kind] for kind in KINDS if kind in first):
-        yield watch_race(pairing, race, title)
+                found.setdefault(kind, []).append((highlight, races.pairing))
+    for kind in KINDS:
+        if kind in found:
+            closest, pairing = min(found[kind], key=lambda one: one[0])
+            many = sum(one.races for one, _ in found[kind] if one.rank == closest.rank)
+            title = f"{closest.title}: of {many} such races the closest, {closest.gap:.1f} m at the end"
+            yield watch_race(pairing, closest.race, title)
 
 
 def _write(path: Path, text: str) -> None:

@@ -1,6 +1,5 @@
 """A race in which a person steers car 0, fifty times a second, against an agent or a driver in car 1."""
 
-import html
 import re
 import threading
 from dataclasses import dataclass, field
@@ -12,7 +11,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.game.competitor import competitor_name
 from pcs_racing.race.replay_files import safe_json
-from pcs_racing_agents.view.view_page import fill, player_parts, template
+from pcs_racing_agents.view.view_page import page_of
 from pcs_racing_agents.view.view_server import Answer, error_answer
 
 TIME_STEP = 0.02  # s
@@ -85,10 +84,8 @@ class PersonDrive:
 
 def drive_page(races: PersonDrive) -> str:
     """Return the page on which a person steers; it asks a server for everything else."""
-    colours = player_parts(template("pcs_racing.race", "replay.html"))["colours"]
-    title = html.escape(f"You at the wheel against {races.opponent}")
-    parts = {"<!--title-->": title, "/*colours*/": colours, "/*step*/": str(TIME_STEP)}
-    return fill(template("pcs_racing_agents.view", "drive.html"), parts)
+    title = f"You at the wheel against {races.opponent}"
+    return page_of("drive.html", title, "connect-src 'self'", {"/*step*/": str(TIME_STEP)})
 
 
 def make_person_drive(rival: Any, seed: int = 0, **arguments: Any) -> PersonDrive:

@@ -4,7 +4,6 @@ A race is a function of its number and of the person's moves so far: nothing is 
 same moves give the same race.
 """
 
-import html
 import re
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,10 +24,11 @@ from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
 from pcs_racing_agents.explain.explain import ExplainedDecision, explain_game, mark_moves
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.runner import record_game
-from pcs_racing_agents.view.view_page import fill, player_parts, template
+from pcs_racing_agents.view.view_page import page_of
 from pcs_racing_agents.view.view_server import Answer, error_answer
 
 MOST_RACES = 1_000_000
+NEAREST = 4  # the person starts with one of the quarter of the policies that are nearest to the opponent's
 
 _ADDRESS = re.compile(r"/race/([0-9]{1,6})/((?:[0-9]{1,3}(?:-[0-9]{1,3})*)?)(\.html)?")
 
@@ -135,6 +135,16 @@ class PersonRaces:
         """Time at which the step after a number of moves ends, s."""
         return self.game.config.ends[made]
 
+    def _policies(self, number: int) -> NDArray[np.int64]:
+        """Draw the policies that both cars start with, alike where both are of the archive: such races are close."""
+        archive = self.game.archive
+        draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
+        if isinstance(self.opponent, Driver):
+            return np.array([draw.integers(len(archive)), draw.integers(len(self.opponent.policies))])
+        rival = draw.integers(len(archive))
+        apart = np.linalg.norm(archive.normalised - archive.normalised[rival], axis=1)
+        return np.array([np.argsort(apart, kind="stable")[draw.integers(max(1, len(archive) // NEAREST))], rival])
+
     def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, RaceTable, tuple[ExplainedDecision, ...]]:
         """Drive the whole race, staying after the given moves, and return it up to the next move."""
         game, names = self.game, self.game.competitor_moves
@@ -147,10 +157,8 @@ class PersonRaces:
                 raise InputError(f"move {move} is none of the moves 0 to {len(names) - 1} ({', '.join(names)})")
         # The whole race each time: nothing is kept between two questions.
         person = _GivenMoves(moves, len(names) - 1, len(game.archive.characteristics))
-        variants = len(self.opponent.policies) if isinstance(self.opponent, Driver) else len(game.archive)
-        draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
         race: dict[str, Any] = {
-            "policies": np.array([draw.integers(len(game.archive)), draw.integers(variants)]),
+            "policies": self._policies(number),
             "start": starts_of(game.track, game.setup.config, [number], self.seed),
             "seed": int(race_seed(self.seed, number)),
         }
@@ -189,7 +197,4 @@ def first_frames(replay: Replay, seconds: float) -> Replay:
 def play_page(races: PersonRaces) -> str:
     """Return the page on which a person makes the moves; it asks a server for everything else."""
     title = f"You against {competitor_name(races.opponent)}"
-    colours = player_parts(template("pcs_racing.race", "replay.html"))["colours"]
-    return fill(
-        template("pcs_racing_agents.view", "play.html"), {"<!--title-->": html.escape(title), "/*colours*/": colours}
-    )
+    return page_of("play.html", title, "connect-src 'self'; frame-src 'self'", {})

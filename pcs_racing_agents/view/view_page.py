@@ -1,7 +1,7 @@
 """The page that lists races and plays them: a single file that loads and sends nothing.
 
-Its parts are ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the player, in a frame of its own) and
-``beside.html`` (what the player shows beside the track).
+Its parts are ``head.html`` and ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the player, in a frame of its
+own) and ``beside.html`` (what the player shows beside the track).
 """
 
 import html
@@ -44,8 +44,7 @@ def view_page(content: ViewContent) -> str:
 
     A link may name filters, a race and a moment, such as ``view.html#agent=adaptive&crash=own&race=12&t=9.5``.
     """
-    list_page, player, beside = (template(*place) for place in _TEMPLATES)
-    shared = player_parts(player)
+    player, beside = template("pcs_racing.race", "replay.html"), template("pcs_racing_agents.view", "beside.html")
     driven = {race.race: race for race in content.driven}
     table, path = content.races, shlex.quote(content.results)
     commands = [f"pcs-racing view {path} --serve", f"pcs-racing view {path} --index {{race}}"]
@@ -67,10 +66,7 @@ def view_page(content: ViewContent) -> str:
         "why_not": content.why_not,
     }
     parts = {
-        "<!--title-->": html.escape(content.title),
-        "<!--connect-->": "'self'" if content.serve else "'none'",
-        "/*colours*/": shared["colours"],
-        "/*reading*/": shared["reading"],
+        "/*reading*/": _shared(player)["reading"],
         "<!--races-->": safe_json(data),
         "<!--player-->": safe_json(player.replace("<!--beside-->", beside)),
         "<!--replays-->": "\n".join(
@@ -78,15 +74,30 @@ def view_page(content: ViewContent) -> str:
             for number, race in driven.items()
         ),
     }
-    return fill(list_page, parts)
+    source = "'self'" if content.serve else "'none'"
+    return page_of("view.html", content.title, f"img-src data:; connect-src {source}", parts)
 
 
-def fill(page: str, parts: Mapping[str, str]) -> str:
+def page_of(name: str, title: str, allowed: str, parts: Mapping[str, str]) -> str:
+    """Return a page of this package: its file, with the head that all of them have.
+
+    ``allowed``: what its policy allows besides its own scripts and style. ``parts``: texts by their placeholders.
+    """
+    common = {
+        "<!--title-->": html.escape(title),
+        "<!--allowed-->": allowed,
+        "/*colours*/": _shared(template("pcs_racing.race", "replay.html"))["colours"],
+    }
+    head = _fill(template("pcs_racing_agents.view", "head.html"), common).rstrip()
+    return _fill(template("pcs_racing_agents.view", name), {**common, "<!--head-->": head, **parts})
+
+
+def _fill(page: str, parts: Mapping[str, str]) -> str:
     """Return a page with its placeholders replaced, in one pass: a text that spells a placeholder is not one."""
     return re.sub("|".join(map(re.escape, parts)), lambda match: parts[match.group()], page)
 
 
-def player_parts(player: str) -> dict[str, str]:
+def _shared(player: str) -> dict[str, str]:
     """Return the parts of the player's page that other pages share, by name: ``colours`` and ``reading``."""
     return {name: text.strip() for name, text in _SHARED.findall(player)}
 
@@ -138,13 +149,6 @@ def _joined(moves: Categorical) -> Categorical:
     _, first = np.unique(codes, return_index=True)
     lists = moves.codes.reshape(codes.size, moves.codes.shape[2])[first].tolist()
     return Categorical(tuple("; ".join(moves.words[move] for move in indices if move >= 0) for indices in lists), codes)
-
-
-_TEMPLATES = (
-    ("pcs_racing_agents.view", "view.html"),
-    ("pcs_racing.race", "replay.html"),
-    ("pcs_racing_agents.view", "beside.html"),
-)
 
 
 def template(package: str, name: str) -> str:

@@ -105,81 +105,57 @@ def test_what_is_asked_for_wrongly_is_named(folder, arguments, message, capsys):
     assert not (folder / "view.html").exists()
 
 
-def empty_file(folder):
-    (folder / "results.csv").write_text("")
-
-
-def spoil_manifest(folder):
-    (folder / "job.yaml").write_text("[unclosed")
-
-
 def change_settings(folder, **values):
     manifest = yaml.safe_load((folder / "job.yaml").read_text())
     manifest["settings"] |= values
     (folder / "job.yaml").write_text(yaml.safe_dump(manifest))
 
 
-def another_archive(folder):
-    change_settings(folder, archive="default")
-
-
 def another_agent(folder):
     change_settings(folder, agents=dict.fromkeys(["random-moves", "lane-switcher", "never-switch"], "0" * 64))
 
 
-def other_races(folder):
-    change_settings(folder, races_per_pair=8)
+SPOILT = {
+    "holds no races": lambda folder: (folder / "results.csv").write_text(""),
+    "job.yaml is damaged": lambda folder: (folder / "job.yaml").write_text("[unclosed"),
+    "archive 'default' has changed since the races": lambda folder: change_settings(folder, archive="default"),
+    "has changed since the races were driven": another_agent,
+    "is not the one that its folder describes": lambda folder: change_settings(folder, races_per_pair=8),
+}
 
 
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (empty_file, "holds no races"),
-        (spoil_manifest, "job.yaml is damaged"),
-        (another_archive, "archive 'default' has changed since the races were driven"),
-        (another_agent, "has changed since the races were driven"),
-        (other_races, "is not the one that its folder describes"),
-    ],
-)
-def test_folders_that_are_not_what_they_were_are_one_clear_error(folder, spoil, message, capsys):
-    spoil(folder)
+@pytest.mark.parametrize("message", SPOILT)
+def test_folders_that_are_not_what_they_were_are_one_clear_error(folder, message, capsys):
+    SPOILT[message](folder)
     assert main(["view", str(folder), "--replays", "4", "--no-open"]) == 2
     captured = capsys.readouterr().err.splitlines()[-1]
     assert captured.startswith("pcs-racing: error: ")
     assert message in captured
-    if spoil in (another_archive, other_races):
+    if "'default'" in message or "describes" in message:
         assert "--replays 0 lists the races" in captured
         assert main(["view", str(folder), "--replays", "0", "--no-open"]) == 0
 
 
-# The server
-
-
 @pytest.fixture
-def ask(folder):
+def ask(folder, served):
     """Asks a running server; returns status and content."""
     results = open_results(folder)
     service = RaceService(RaceRepeater(results), len(results.races))
-    with make_server("<p>the page", service.answer) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        port = server.server_address[1]
+    port = int(served("<p>the page", service.answer).strip("/").rpartition(":")[2])
 
-        def get(path, method="GET", **headers):
-            connection = HTTPConnection("127.0.0.1", port, timeout=120)
-            names = {name.replace("_", "-"): value.format(port=port) for name, value in headers.items()}
-            connection.putrequest(method, path, skip_host="Host" in names)
-            for name, value in names.items():
-                connection.putheader(name, value)
-            connection.endheaders()
-            answer = connection.getresponse()
-            content = answer.read()
-            connection.close()
-            return answer, content
+    def get(path, method="GET", **headers):
+        connection = HTTPConnection("127.0.0.1", port, timeout=120)
+        names = {name.replace("_", "-"): value.format(port=port) for name, value in headers.items()}
+        connection.putrequest(method, path, skip_host="Host" in names)
+        for name, value in names.items():
+            connection.putheader(name, value)
+        connection.endheaders()
+        answer = connection.getresponse()
+        content = answer.read()
+        connection.close()
+        return answer, content
 
-        yield get
-        server.shutdown()
-        thread.join()
+    return get
 
 
 def test_the_server_drives_what_it_is_asked_for(ask, tournament_folder):
@@ -282,7 +258,15 @@ def test_answers_are_kept_but_not_for_ever():
     assert driver.asked[-1] == 1
 
 
-def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("arguments", "what"),
+    [
+        (["view", "{folder}", "--serve"], "18 races"),
+        (["play", "--opponent", "never-switch", "--track", "Pipkin"], "play"),
+        (["play", "--drive", "--opponent", "random-moves", "--track", "Pipkin", "--race", "contest"], "play"),
+    ],
+)
+def test_a_command_serves_until_it_is_ended(folder, arguments, what, capsys, monkeypatch):
     addresses = []
 
     def end(self, *_):
@@ -291,10 +275,10 @@ def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):
 
     monkeypatch.setattr(view, "open_page", addresses.append)
     monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
-    assert main(["view", str(folder), "--serve"]) == 0
+    assert main([text.format(folder=folder) for text in arguments]) == 0
     assert addresses[0] == f"http://127.0.0.1:{addresses[1][1]}/"
     assert addresses[1][0] == "127.0.0.1"
-    assert f"18 races at {addresses[0]}" in capsys.readouterr().out
+    assert f"{what} at {addresses[0]}" in capsys.readouterr().out
     assert not (folder / "view.html").exists()
 
 

@@ -9,23 +9,19 @@ import numpy as np
 import pytest
 from refusal import refused
 from toy_races import toy_races
+from toy_report import NASTY, toy_report
 
 from pcs_racing import make_game
 from pcs_racing.race.replay_files import read_replay
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.explain.situations import Situations
-from pcs_racing_agents.results.race_files import race_table
-from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
 from pcs_racing_agents.study import report_inputs as inputs
-from pcs_racing_agents.study.report import ReportContent, TitledTable, report_page, write_page
+from pcs_racing_agents.study.report import ReportContent, report_page, write_page
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import overview_rows
 from pcs_racing_agents.tournament import cross_pairing, play_pairings
-from pcs_racing_agents.tournament.round_robin import round_robin
 
-NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
 VOID = {"meta", "img", "br"}
 
 
@@ -42,43 +38,13 @@ def raced(oval, archive):
 @pytest.fixture(scope="module")
 def watched(raced) -> inputs.ExplainedRace:
     pairing, ours, baseline = raced
-    title, race = next(iter(inputs.select_highlights(ours, baseline).values()))
-    return inputs.watch_race(pairing, race, title)
+    closest = next(iter(inputs.select_highlights(ours, baseline).values()))
+    return inputs.watch_race(pairing, closest.race, closest.title)
 
 
 @pytest.fixture(scope="module")
 def content(archive, watched) -> ReportContent:
-    table = make_table(
-        toy_races(tracks=("Tarnfjord", NASTY), opponents=("never-switch",), egos=4, variants=4),
-        best="our-best",
-        blind="best-fixed",
-        seen={"Tarnfjord"},
-    )
-    losses = [inputs.ReplyLoss("our-best", "Tarnfjord", 0.2, 0.1, 0.3, 400, 0.7, 0.3, 0.05)]
-    return ReportContent(
-        title=f"A study {NASTY}",
-        about=f"{NASTY}\n\nSecond paragraph.",
-        findings=[NASTY],
-        table=table,
-        archive=replace(archive, name=NASTY),
-        losses=losses,
-        round_robin=round_robin(
-            ("a", NASTY),
-            race_table(
-                RaceRow(ego="a", opponent=NASTY, winner=winner, start_s=start)
-                for winner, start in (("ego", 1.0), ("ego", 1.0), ("none", 2.0), ("opponent", 2.0))
-            ),
-        ),
-        situations=[
-            Situations(NASTY, ("stay", NASTY), "pace", np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 3, 3, 2), int))
-        ],
-        sheets=[TitledTable("Sheet", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
-        races=[watched, watched._replace(title=NASTY, text=NASTY)],
-        settings={"race": NASTY, "tracks": ["a", "b"]},
-        versions=inputs.software(),
-        seeds={"root": 0},
-        seconds={"archive": 61.0, "races": 2.0},
-    )
+    return toy_report(archive, watched)
 
 
 @pytest.fixture(scope="module")
@@ -91,14 +57,12 @@ class _Balance(HTMLParser):
 
     def __init__(self):
         super().__init__()
-        self.open, self.text, self.ids, self.links, self.frames, self.images = [], [], [], [], [], []
+        self.open, self.text, self.frames, self.images = [], [], [], []
 
     def handle_starttag(self, tag, attrs):
         values = dict(attrs)
         if tag not in VOID:
             self.open.append(tag)
-        self.ids += [values["id"]] if "id" in values else []
-        self.links += [values["href"]] if "href" in values else []
         self.frames += [values] if tag == "iframe" else []
         self.images += [values] if tag == "img" else []
 
@@ -131,10 +95,9 @@ def test_the_page_loads_nothing_and_texts_stay_texts(page, parsed):
     assert parsed.frames[1]["title"] == NASTY
 
 
-def test_every_section_is_there_with_its_numbers_and_pictures(parsed, content):
-    assert parsed.links == [f"#{name}" for name in parsed.ids]
-    assert parsed.ids == [
-        *("findings", "results", "adaptivity-gain", "races-to-watch", "which-move-in-which-situation"),
+def test_every_section_is_there_with_its_numbers_and_pictures(page, parsed, content):
+    assert re.findall('<section id="([^"]*)"', page) == [
+        *("results", "all-findings", "adaptivity-gain", "races-to-watch", "which-move-in-which-situation"),
         *("policies", "exploitability", "ratings", "more", "how-it-was-made"),
     ]
     everything = " ".join(parsed.text)
@@ -168,7 +131,6 @@ def test_what_is_not_there_is_not_told(content):
     assert f"{table.rows[0].gain.result.difference:+.3f}" in overview_rows(table)[1][-1]
     page = report_page(ReportContent("Nothing yet"))
     assert "<section" not in page
-    assert "<nav></nav>" in page
     page = report_page(ReportContent("Times", seconds={"archive": 3.0}))
     assert page.count("<section") == 1
 
@@ -199,18 +161,21 @@ def test_the_page_is_written_races_read_back_and_every_field_told(tmp_path, cont
 TELL = """<script>console.log("a race of " + race.car_names + ", " + duration + " s");</script></body>"""
 
 
-def test_the_page_works_in_a_browser(tmp_path, content, browser):
-    displayed = report_page(replace(content, races=content.races[:1]))
-    # The race tells that it is there; nothing else in the page may say anything.
+def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
+    # The first race tells that it is there; nothing else in the page may say anything.
     path = tmp_path / "report.html"
-    path.write_text(displayed.replace(html.escape("</body>"), html.escape(TELL)))
-    browser.open(path, 1200, 8000)
+    path.write_text(page.replace(html.escape("</body>"), html.escape(TELL), 1))
+    browser.open(path)
     assert browser.run("document.title") == content.title
-    assert browser.run("document.querySelectorAll('nav a').length") == 10
-    images = browser.run("[...document.images].map((image) => image.naturalWidth)")
-    assert len(images) == 8 + 1
-    assert min(images) > 100
-    assert browser.run("document.body.scrollWidth") <= 1200
+    browser.wait("state.playing", frame=1)  # since it is on the screen
+    # One screen and the table; the rest is folded, but not on paper.
+    screen = browser.run("document.documentElement.scrollHeight")
+    hidden = "[...document.images].filter((image) => !image.checkVisibility({ contentVisibilityAuto: true })).length"
+    assert browser.run(hidden) == 8 + 2
+    browser.page.emulate_media(media="print")
+    assert browser.run(hidden) == 0
+    assert browser.run("document.documentElement.scrollHeight") > 2 * screen
+    assert browser.run("Math.min(...[...document.images].map((image) => image.naturalWidth))") > 100
     assert browser.said == [f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g} s"]
     assert browser.complaints == []
 
@@ -219,8 +184,11 @@ def test_highlights_are_what_they_are_called_and_show_the_race(raced, watched):
     _, ours, baseline = raced
     result = inputs.select_highlights(ours, baseline)
     assert len(result) >= 2
-    for kind, (title, race) in result.items():
+    for kind, (_, gap, title, race, count) in result.items():
         assert title.startswith(f"A {kind}")
+        assert gap == abs(ours.lead[race])
+        alike = (ours.winner == ours.winner[race]) & (ours.crashed == ours.crashed[race])
+        assert 1 <= count <= alike.sum()
         if kind == "win":
             assert ours.winner[race] == 0
             assert len(set(ours[race].ego_path)) > 1
@@ -232,7 +200,7 @@ def test_highlights_are_what_they_are_called_and_show_the_race(raced, watched):
             assert not ours.crash[race]
         if "starts alike" in title:
             assert baseline.winner[race] == 1 - ours.winner[race]
-    race = dict(result.values())[watched.title]
+    race = {one.title: one.race for one in result.values()}[watched.title]
     assert watched.replay.lead[-1] == ours.lead[race]
     assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")
 

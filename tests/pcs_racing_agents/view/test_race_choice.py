@@ -3,7 +3,6 @@
 from collections import Counter
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -98,10 +97,3 @@ def test_as_many_as_asked_for_each_of_them_once(given_races, count):
         assert any(OUTCOMES[by_car[car, race]] == outcome for car in cars)
     if count:
         assert choose_races(columns, count - 1) == picks[: count - 1] or len(picks) < count
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 10, 17])
-def test_leads_come_from_the_middle(count):
-    columns = columns_of([("a", "b", "t", lead + 1, "ego", "none", "none", "1; 2") for lead in range(count)])
-    order = [pick.race for pick in choose_races(columns, count) if pick.why.startswith("a")]
-    assert order[0] == (count - 1) // 2

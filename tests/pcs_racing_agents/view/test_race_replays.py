@@ -90,12 +90,8 @@ def test_a_race_that_is_another_one_is_refused(tournament_folder):
         refused("race 18", RaceRepeater(results).drive, 18)
 
 
-@pytest.fixture
-def races(tournament_folder):
-    return read_results(tournament_folder[0] / "results.csv")
-
-
-def test_packing_loses_nothing_that_is_shown_and_tells_what_is_not_known(races):
+def test_packing_loses_nothing_that_is_shown_and_tells_what_is_not_known(tournament_folder):
+    races = read_results(tournament_folder[0] / "results.csv")
     packed = packed_races(races)
     assert packed["length"] == len(races) == 18
     values = {name: unpack(column) for name, column in packed["columns"].items()}

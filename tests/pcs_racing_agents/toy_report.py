@@ -1,0 +1,51 @@
+"""A report with everything in it, whose texts would break out of the page if they could."""
+
+from dataclasses import replace
+
+import numpy as np
+from toy_races import toy_races
+
+from pcs_racing_agents.explain.situations import Situations
+from pcs_racing_agents.results.race_files import race_table
+from pcs_racing_agents.results.races import RaceRow
+from pcs_racing_agents.study.report import ReportContent, TitledTable
+from pcs_racing_agents.study.report_inputs import ReplyLoss, software
+from pcs_racing_agents.study.table import make_table
+from pcs_racing_agents.tournament.round_robin import round_robin
+
+NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
+
+
+def toy_report(archive, watched) -> ReportContent:
+    table = make_table(
+        toy_races(tracks=("Tarnfjord", NASTY), opponents=("never-switch",), egos=4, variants=4),
+        best="our-best",
+        blind="best-fixed",
+        seen={"Tarnfjord"},
+    )
+    losses = [ReplyLoss("our-best", "Tarnfjord", 0.2, 0.1, 0.3, 400, 0.7, 0.3, 0.05)]
+    return ReportContent(
+        title=f"A study {NASTY}",
+        about=f"{NASTY}\n\nSecond paragraph.",
+        findings=[NASTY, NASTY],
+        caution=NASTY,
+        table=table,
+        archive=replace(archive, name=NASTY),
+        losses=losses,
+        round_robin=round_robin(
+            ("a", NASTY),
+            race_table(
+                RaceRow(ego="a", opponent=NASTY, winner=winner, start_s=start)
+                for winner, start in (("ego", 1.0), ("ego", 1.0), ("none", 2.0), ("opponent", 2.0))
+            ),
+        ),
+        situations=[
+            Situations(NASTY, ("stay", NASTY), "pace", np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 3, 3, 2), int))
+        ],
+        sheets=[TitledTable("Sheet", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
+        races=[watched, watched._replace(title=NASTY, text=NASTY)],
+        settings={"race": NASTY, "tracks": ["a", "b"]},
+        versions=software(),
+        seeds={"root": 0},
+        seconds={"archive": 61.0, "races": 2.0},
+    )
