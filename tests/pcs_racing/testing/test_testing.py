@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import Parameter, Planner, PolicyArchive, get_planner, load_archive, load_track
+from pcs_racing import Parameter, Planner, PolicyArchive, get_planner, load_archive, load_track, run_races
+from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.planners.view import OPP_V
 from pcs_racing.testing import check_archive, check_planner
 
@@ -52,9 +53,45 @@ def writes_beyond(track, theta, view, memory, scratch, path, command):
     command[0], command[1] = 0.0, 2.0
 
 
+def loses_its_way(track, theta, view, memory, scratch, path, command):
+    if theta[0] > 0.9 and view[0] > 0.1:
+        raise ValueError("no road")
+    command[0], command[1] = 0.0, 2.0
+
+
+def steers_nowhere(track, theta, view, memory, scratch, path, command):
+    command[0], command[1] = np.nan if theta[0] > 0.9 else 0.0, 2.0
+
+
+def says_a_word(track, theta, view, memory, scratch, path, command):
+    command[0] = "left"
+
+
 def remembers_nonsense(track, theta, view, memory):
     memory[0] = np.nan
     return 0.0, 2.0
+
+
+@pytest.mark.parametrize(
+    ("control", "said"),
+    [
+        (loses_its_way, "race 1, car 1: planner 'mine' raised ValueError: no road"),
+        (steers_nowhere, "race 1, car 1: planner 'mine' raised FloatingPointError: its command is not finite"),
+        (says_a_word, "a planner's 'says_a_word' can't be compiled: "),
+    ],
+)
+def test_a_compiled_planner_that_fails_is_named_with_race_and_car(track, control, said):
+    mine, sound = Planner("mine", (PACE,), control=control), get_planner("lattice").policy()
+    slow, fast = mine.policy(), mine.policy({"pace": 1.0})
+    refused(said, run_races, track, [sound, sound], [slow, fast], threads=1)
+
+    def step():
+        env = DriveEnv(track, fast)
+        env.reset(seed=0)
+        for _ in range(20):
+            env.step([0.0, 0.0])
+
+    refused(said.replace("race 1", "race 0"), step)
 
 
 def test_the_checks_find_what_is_wrong_with_planners_and_archives(track):
@@ -64,7 +101,7 @@ def test_the_checks_find_what_is_wrong_with_planners_and_archives(track):
         (Planner("mine", (PACE,), control=writes_beyond, memory_size=3), "writes beyond the end of an array"),
     ]:
         refused(f"planner 'mine'.*{message}", check_planner, planner, track, seconds=0.8, error=AssertionError)
-    refused("read-only", check_planner, driver(writes_to_theta), track)
+    refused("read-only", check_planner, driver(writes_to_theta), track, error=AssertionError)
     check_archive(load_archive("default"))
     check_archive(load_archive("default"), track)
     refused("planner 'nobody' is unknown", check_archive, change(planner="nobody"), error=AssertionError)
