@@ -1,5 +1,7 @@
 """Policies of Stable-Baselines3 are read without running their code; those that drive race wherever a policy does."""
 
+import zipfile
+
 import numpy as np
 import pytest
 from refusal import refused
@@ -35,6 +37,13 @@ def test_moves_are_those_of_the_model(tmp_path, activation):
         model.policy.action_net.bias[1] = float("nan")
     model.save(tmp_path / "broken.zip")
     refused("a weight is not finite", load_sb3_policy, tmp_path / "broken.zip")
+    with zipfile.ZipFile(tmp_path / "mine.zip") as file:
+        kept = file.read("policy.pth")
+    for settings, weights in ((b"[]", kept), (b'{"a": NaN}', kept), (b"[" * 10**6, kept), (b"{}", b"")):
+        with zipfile.ZipFile(tmp_path / "other.zip", "w") as file:
+            file.writestr("data", settings)
+            file.writestr("policy.pth", weights)
+        refused(r"other\.zip is no file of Stable-Baselines3", load_sb3_policy, tmp_path / "other.zip")
     (tmp_path / "other.zip").write_bytes(b"not a zip")
     refused(r"other\.zip", load_sb3_policy, tmp_path / "other.zip")
 
