@@ -1,17 +1,10 @@
-import importlib.util
-
 import pytest
-from repository import REPOSITORY
-
-FILE = REPOSITORY / "benchmarks" / "record.py"
+from repository import load_tool
 
 
 @pytest.fixture(scope="module")
 def record():
-    spec = importlib.util.spec_from_file_location("record", FILE)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_tool("record", "benchmarks")
 
 
 def lines(*values: float, processor: str = "here") -> list[dict[str, str]]:

@@ -1,26 +1,15 @@
 """The comparison with the F1TENTH gym: our half, the errors, and the half that runs there, with a stand-in."""
 
-import importlib.util
 import stat
 import sys
 
 import pytest
-from repository import REPOSITORY
+from repository import load_tool
 
 
 @pytest.fixture(scope="module")
 def beside():
-    spec = importlib.util.spec_from_file_location("beside", REPOSITORY / "benchmarks" / "beside_f1tenth_gym.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_our_half_drives_both_cars_to_the_end(beside, capsys):
-    assert beside.main(["--seconds", "2", "--races", "2", "--cars", "2"]) == 0
-    rows = [line for line in capsys.readouterr().out.splitlines() if "| here" in line]
-    assert [row.split("|")[3].strip() for row in rows] == ["2", "2", "2"]
-    assert not any("crashed" in row for row in rows)
+    return load_tool("beside_f1tenth_gym", "benchmarks")
 
 
 @pytest.mark.parametrize(
