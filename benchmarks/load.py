@@ -14,6 +14,7 @@ the second one; the first is left out, since memory is first filled there.
 """
 
 import argparse
+import gc
 import os
 import resource
 import sys
@@ -53,6 +54,7 @@ def resident_megabytes() -> float:
 
 def slice_at(*facts: float) -> Slice:
     """A slice of these first facts that ends now."""
+    gc.collect()  # what only waits to be collected is no leak
     counts = (len(list(folder.iterdir())) if folder.is_dir() else 0 for folder in map(Path, PROC))
     return Slice(*facts, resident_megabytes(), *counts)  # type: ignore[arg-type]
 
@@ -171,7 +173,7 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
         )
         print(f"with what came of them: {resident_megabytes():.0f} MB, at most so far {peak_megabytes():.0f} MB")
         begin = time.process_time()
-        write_results(played, folder / "results.csv")
+        write_results(played.races, folder / "results.csv")
         print(f"a line for each written in {time.process_time() - begin:.1f} s: {resident_megabytes():.0f} MB")
         begin = time.process_time()
         print(tournament_text(played))

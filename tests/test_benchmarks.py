@@ -1,4 +1,4 @@
-"""Every script of ``benchmarks/`` runs in a bare clone; the history of speed; and the F1TENTH gym's half, by a stand-in."""
+"""Every script of ``benchmarks/`` runs in a bare clone; the history of speed; the F1TENTH gym's half, by a stand-in."""
 
 import stat
 import sys
@@ -15,7 +15,7 @@ SMALL = {
     "bits": ("--parts vehicles", "vehicle, target"),
     "driving": ("--only stability", "stability"),
     "environment_speed": ("--only duel --envs 2 --seconds 0.01", "duel"),
-    "load": ("drive --envs 2 --steps 40", "time of a unit: "),
+    "load": ("tournament --out made --races 1 --step-seconds 0.2", "time of a unit: "),
     "planner_figure": ("--out made.png", "made.png"),
     "pooled_studies": ("out/one out/two", "error: there is no out/one/table.csv, out/two/table.csv"),
     "ppo_baselines": ("--lines 0", ""),

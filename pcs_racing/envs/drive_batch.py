@@ -201,8 +201,8 @@ class DriveBatch:
         #: Threads that share a step: no more than have enough to do.
         self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
         size = max(1, *(planner.scratch_size for planner in setup.planners))
-        shapes = (size, WORK_SIZE, len(self.elements), SEEN_SHAPE, WORK_SHAPE)
-        self._buffers = [tuple(map(np.zeros, shapes)) for _ in range(self.threads)]
+        shapes: list[Any] = [size, WORK_SIZE, len(self.elements), SEEN_SHAPE, WORK_SHAPE]
+        self._buffers = [tuple(np.zeros(shape) for shape in shapes) for _ in range(self.threads)]
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # begins threads when there is work for them
         self._compiled: Callable[..., None] | None = None
         with first_call(step_races, "the control-level environment", 20) as compiling:

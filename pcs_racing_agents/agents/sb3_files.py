@@ -144,7 +144,10 @@ def actor_of(name: str, state: Mapping[str, Any], activation: str | None) -> Sb3
     activation = activation or usual
     if activation not in ACTIVATIONS:
         raise InputError(f"{name}: the activation is {activation}; it must be one of {', '.join(ACTIVATIONS)}")
-    parts = [tuple(state[f"{layer}.{kind}"].cpu().numpy() for layer in layers) for kind in ("weight", "bias")]
+    try:
+        parts = [tuple(state[f"{layer}.{kind}"].cpu().numpy() for layer in layers) for kind in ("weight", "bias")]
+    except (AttributeError, KeyError) as error:
+        raise InputError(f"{name}: a layer has no weights or biases: {error}") from None
     if not all(np.isfinite(values).all() for part in parts for values in part):
         raise InputError(f"{name}: a weight is not finite")
     return Sb3Policy(Path(name).stem, DenseLayers(*parts), activation, not squash and "log_std" not in state, squash)

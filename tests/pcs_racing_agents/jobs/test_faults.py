@@ -63,7 +63,7 @@ def test_killed_at_random_moments_and_damaged_the_results_are_the_same(long_comm
     seconds = float(whole.stdout.split("processor time ")[1])
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(what),)))
     killed = 0
-    for moment in rng.uniform(0.2, 0.95, KILLS):
+    for moment in rng.uniform(0.05, 0.7, KILLS):
         done = call_python("-c", KILLED, moment * seconds, *command, "--out", tmp_path / "killed")
         assert done.returncode in (0, -signal.SIGKILL), done.stderr
         killed += done.returncode != 0
