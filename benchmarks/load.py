@@ -1,18 +1,20 @@
-"""Memory and speed under load: many environments for many steps, and a tournament of many races.
+"""Memory, descriptors, threads and speed under load: environments for many steps or made anew, and many races.
 
     python benchmarks/load.py drive [--envs 1000] [--steps 10000]
+    python benchmarks/load.py made [--steps 10000]
     python benchmarks/load.py duel [--envs 100] [--steps 500] [--step-seconds 8]
     python benchmarks/load.py tournament --out FOLDER [--races 1906] [--step-seconds 8]
 
-The work is cut into slices. After each of them: the memory that the process holds (resident, MB), and the processor
-time that a unit of work took, which other processes disturb far less than the time on the clock. Environments get
-random actions, so cars crash and episodes begin anew all the time. In a tournament the pairs and circuits follow each
-other and are not equally much work; its speed is therefore read off a yardstick, the same 50 races after every slice.
-Growth and drift compare the last quarter of the slices with the second one; the first is left out, since memory is
-first filled there.
+The work is cut into slices. After each of them: the memory that the process holds (resident, MB), its open descriptors
+and threads (not those of worker processes), and the processor time that a unit of work took, which other processes
+disturb far less than the time on the clock. Environments get random actions, so cars crash and episodes begin anew all
+the time. In a tournament the pairs and circuits follow each other and are not equally much work; its speed is therefore
+read off a yardstick, the same 50 races after every slice. Growth and drift compare the last quarter of the slices with
+the second one; the first is left out, since memory is first filled there.
 """
 
 import argparse
+import gc
 import os
 import resource
 import sys
@@ -24,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 SLICES = 20
+PROC = ("/proc/self/fd", "/proc/self/task")
 TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim", "Pipkin", "Saltmere", "Larkmoor", "Quillburg")
 AGENTS = ("never-switch", "random-moves", "random-policy", "cfr-argmax", "lane-switcher", "pure-pursuit")
 
@@ -36,6 +39,8 @@ class Slice(NamedTuple):
     processor: float
     unit_microseconds: float
     megabytes: float
+    descriptors: int  #: 0 where the system does not tell.
+    threads: int
 
 
 def resident_megabytes() -> float:
@@ -45,6 +50,13 @@ def resident_megabytes() -> float:
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
     except (OSError, ValueError):
         return peak_megabytes()
+
+
+def slice_at(*facts: float) -> Slice:
+    """A slice of these first facts that ends now."""
+    gc.collect()  # what only waits to be collected is no leak
+    counts = (len(list(folder.iterdir())) if folder.is_dir() else 0 for folder in map(Path, PROC))
+    return Slice(*facts, resident_megabytes(), *counts)  # type: ignore[arg-type]
 
 
 def peak_megabytes() -> float:
@@ -63,7 +75,7 @@ def run_steps(step: Callable[[], object], envs: int, steps: int) -> list[Slice]:
         if number % size == 0:
             now = time.process_time()
             unit = 1e6 * (now - before) / (size * envs)
-            rows.append(Slice(number * envs, time.monotonic() - clock, now - processor, unit, resident_megabytes()))
+            rows.append(slice_at(number * envs, time.monotonic() - clock, now - processor, unit))
             tell(rows[-1], "steps")
             before = time.process_time()
     return rows
@@ -104,6 +116,21 @@ def duel(envs: int, steps: int, threads: int, step_seconds: float) -> list[Slice
     return episodes(env, lambda rng: rng.integers(0, moves, envs), steps)
 
 
+def made(count: int) -> list[Slice]:
+    """Environments of both levels that are made, driven for a step on two threads, and closed."""
+    from pcs_racing.envs.drive import DriveVectorEnv
+    from pcs_racing.envs.duel import DuelVectorEnv
+
+    def step() -> None:
+        for env in (DriveVectorEnv(2, threads=2), DuelVectorEnv(2, threads=2, step_seconds=0.2)):
+            env.reset(seed=0)
+            env.step(np.zeros(env.action_space.shape, env.action_space.dtype))
+            env.close()
+
+    step()
+    return run_steps(step, 2, count // 2)
+
+
 def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> list[Slice]:
     """All against all through a job with chunks, as the command does it, and the file of results."""
     from pcs_racing import load_track
@@ -131,7 +158,7 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
         unit, spent = measure()
         apart += spent
         used = time.process_time() - processor - apart
-        rows.append(Slice(done, time.monotonic() - clock, used, unit, resident_megabytes()))
+        rows.append(slice_at(done, time.monotonic() - clock, used, unit))
         tell(rows[-1], "races")
 
     # The first call compiles; its time belongs neither to the races nor to the yardstick.
@@ -146,7 +173,7 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
         )
         print(f"with what came of them: {resident_megabytes():.0f} MB, at most so far {peak_megabytes():.0f} MB")
         begin = time.process_time()
-        write_results(played, folder / "results.csv")
+        write_results(played.races, folder / "results.csv")
         print(f"a line for each written in {time.process_time() - begin:.1f} s: {resident_megabytes():.0f} MB")
         begin = time.process_time()
         print(tournament_text(played))
@@ -175,7 +202,8 @@ def yardstick() -> Callable[[], tuple[float, float]]:
 def tell(row: Slice, unit: str) -> None:
     print(
         f"{row.done:10d} {unit}  {row.clock:7.0f} s on the clock  {row.processor:7.0f} s of processor  "
-        f"{row.unit_microseconds:9.2f} us  {row.megabytes:7.0f} MB",
+        f"{row.unit_microseconds:9.2f} us  {row.megabytes:7.0f} MB  {row.descriptors} open  "
+        f"{row.threads} threads",
         flush=True,
     )
 
@@ -192,12 +220,14 @@ def judge(rows: list[Slice]) -> None:
     speed = np.median([row.unit_microseconds for row in late]) / np.median([row.unit_microseconds for row in early])
     work = np.mean([row.done for row in late]) - np.mean([row.done for row in early])
     print(f"memory: {memory:+.1f} MB, {1e6 * memory / work:+.1f} bytes for each further one of {work:.0f}")
+    for what in ("descriptors", "threads"):
+        print(f"{what}: at most", *(f"{max(getattr(row, what) for row in rows)}" for rows in (early, late)))
     print(f"time of a unit: {100.0 * (speed - 1.0):+.1f} %")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("drive", "duel", "tournament"), nargs="?", default="duel")
+    parser.add_argument("what", choices=("drive", "duel", "made", "tournament"), nargs="?", default="duel")
     parser.add_argument("--envs", type=int)
     parser.add_argument("--steps", type=int)
     parser.add_argument("--threads", type=int, default=1)
@@ -212,6 +242,8 @@ def main() -> None:
         if given.out is None:
             parser.error("a tournament needs --out FOLDER")
         rows = tournament(given.out, given.races, given.step_seconds, given.executor)
+    elif given.what == "made":
+        rows = made(given.steps or 10_000)
     else:
         envs, steps = (1000, 10_000) if given.what == "drive" else (100, 500)
         size = (given.envs or envs, given.steps or steps, given.threads)

@@ -9,8 +9,8 @@ Student's t over archives, of which --archives names that of each study (by defa
 depends on archive, seed of training and races. Where an archive has several studies, the standard deviation between
 them, and between the means of archives, is printed, too.
 
-With --headroom it also prints how much knowing the opponent's policy is worth on the same circuits, and what share of
-that the agents gain.
+With --headroom, given once for each study after the folders, it also prints how much knowing the opponent's policy is
+worth on the same circuits, and what share of that the agents gain.
 """
 
 import argparse
@@ -80,7 +80,10 @@ def read_headroom(folders: list[Path]) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    # Options that take several folders swallow those that follow, so the studies come first.
+    usage = "%(prog)s FOLDER FOLDER ... [--archives NAME ...] [--headroom FOLDER ...]..."
+    layout = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(usage=usage, description=__doc__, formatter_class=layout)
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="finished studies, at least two")
     parser.add_argument(
         "--headroom",

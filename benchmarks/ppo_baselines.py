@@ -78,9 +78,10 @@ def main() -> None:
 
 def look_at(folder: Path) -> Shipped | None:
     """What a folder holds, if it is one of our baselines."""
-    if "pcs-racing driver" in (folder / MANIFEST).read_text(encoding="utf-8"):
+    text = (folder / MANIFEST).read_text(encoding="utf-8")
+    if "pcs-racing driver\n" in text:
         return Shipped(folder, True, read_driver(folder)[1]["training"])
-    if not (folder / "manifest.yaml").is_file():
+    if "pcs-racing network\n" not in text:
         return None
     network = load_network(folder)
     return Shipped(folder, False, dict(network.training)) if network.target == "ppo" else None

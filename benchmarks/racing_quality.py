@@ -4,8 +4,7 @@
     python benchmarks/racing_quality.py --tracks Tarnfjord --race contest --picture docs/images/racing_quality.png
 
 Every policy races the same opponents from the same starts. "Non-dominated" are the policies of the random sample that
-no
-other one beats in both aggressiveness and restraint.
+no other one beats in both aggressiveness and restraint.
 """
 
 import argparse

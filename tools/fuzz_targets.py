@@ -7,6 +7,7 @@ settings and environments are found by what they declare: a new one is fuzzed wi
 
 import hashlib
 import io
+import json
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -46,6 +47,7 @@ from pcs_racing.track.maps import find_map, read_map, shipped_folder
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
+from pcs_racing_agents.benchmark.card import board_page, read_card, read_cards, write_card
 from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.fingerprint import fingerprint
@@ -67,6 +69,7 @@ from pcs_racing_agents.trees import build_trees, load_trees
 from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_page import packed_races
 
+BOARD = Path(__file__).resolve().parents[1] / "benchmarks" / "bench_v2"
 Read = Callable[[Path], object]
 Seeds = Callable[[], list[bytes]]
 
@@ -79,6 +82,7 @@ class Target:
     seeds: Seeds  #: Returns valid inputs, which changes begin with.
     kind: str  #: "text" or "yaml" or "json" or "csv" or "binary" or "npz" or "values": which changes make sense.
     most: int = 1_000_000  #: Inputs of a campaign at most, for slow ones.
+    plain: bool = False  #: Whether all numbers of what is accepted must be finite and real.
 
 
 @cache
@@ -279,6 +283,31 @@ def job_folder() -> Path:
     return scratch() / "job"
 
 
+# Score cards
+
+
+@cache
+def card_folder() -> Path:
+    """Two cards that a leaderboard shows, with the scores over all opponents."""
+    for name in ("never-switch", "response"):
+        values = json.loads((BOARD / name / "card.json").read_text())
+        values["scores"] = [score for score in values["scores"] if score["part"] == "all"]
+        (scratch() / "cards" / name).mkdir(parents=True, exist_ok=True)
+        (scratch() / "cards" / name / "card.json").write_text(json.dumps(values))
+    return scratch() / "cards"
+
+
+def card(data: bytes) -> object:
+    """Read a card, show it beside a sound one, and read back what is written of it."""
+    file = card_folder() / "response" / "card.json"
+    file.write_bytes(data)
+    read = read_card(file)
+    write_card(read, scratch())
+    if read_card(scratch() / "card.json") != read:
+        raise AssertionError("a card reads back as another one")
+    return read, board_page(read_cards([card_folder()]))
+
+
 # Maps
 
 MAP = Path("fuzzed")
@@ -331,9 +360,11 @@ def pictures() -> list[bytes]:
 RESULTS = (
     "ego,opponent,track,race,start_s,side,seed,lead,winner,crash,fault,ego_overtakes,opponent_overtakes,duration,"
     "ego_variant,opponent_variant,ego_path,opponent_path,ego_moves,opponent_moves\n"
-    "never-switch,random-moves,Pipkin,0,12.5,0,0,1.5,ego,none,none,1,0,40.0,3,4,3 5,4 4,restraint +,stay\n"
-    "never-switch,random-moves,Pipkin,1,12.5,1,0,-1.5,none,wall,ego,1,0,12.0,3,4,3 5,4 4,restraint +,stay\n"
 )
+for race, ending in enumerate(("0,0,1.5,ego,none,none,1,0,40.0", "1,0,-1.5,none,wall,ego,1,0,12.0") * 2):
+    ego, other = 3 + race // 2, 4 + race // 2
+    moves = f"{ego},{other},{ego}; 5,{other}; {other},restraint +,stay"
+    RESULTS += f"never-switch,random-moves,Pipkin,{race},12.5,{ending},{moves}\n"
 LOSSES = (
     "agent,track,loss,low,high,races,reply_won,agent_won,agent_own_crash\n"
     "a,Pipkin,0.1,0,0.2,400,0.6,0.4,0.1\na,all,0.1,0,2,3,1,1,1\n"
@@ -520,7 +551,11 @@ TARGETS: dict[str, Target] = {
     ),
     "replay json": Target(as_file(read_replay, "race.json"), lambda: [replay("seed.json")], "json"),
     "replay page": Target(as_file(read_replay, "race.html"), lambda: [replay("seed.html")], "binary"),
-    "fit": Target(as_file(load_fit, "fit.yaml"), files("*.yaml", shipped_fits()), "yaml"),
+    "fit": Target(as_file(load_fit, "fit.yaml"), files("*.yaml", shipped_fits()), "yaml", plain=True),
+    "card": Target(card, lambda: [file.read_bytes() for file in card_folder().glob("response/*")], "json", plain=True),
+    "job digest": Target(
+        in_folder(job_folder, ".job.sha256", job), lambda: [(job_folder() / ".job.sha256").read_bytes()], "text"
+    ),
     "results table": Target(
         in_folder(tournament_folder, "results.csv", lambda folder: make_table(open_results(folder).races)),
         texts(RESULTS),
@@ -541,13 +576,13 @@ TARGETS: dict[str, Target] = {
     "ppo curve": Target(as_file(read_evaluations, "ppo.csv"), texts(CURVE), "csv"),
 }
 for kind, load in CONFIGS.items():
-    TARGETS[f"{kind} config"] = Target(as_file(load, f"{kind}.yaml"), partial(config_seeds, kind), "yaml")
+    TARGETS[f"{kind} config"] = Target(as_file(load, f"{kind}.yaml"), partial(config_seeds, kind), "yaml", plain=True)
 for kind, (form, load) in ARTIFACTS.items():
     for file in ("manifest.yaml", form.data_file):
         kind_of_file = {".yaml": "yaml", ".npz": "npz"}.get(Path(file).suffix, "binary")
         run = partial(artifact_data, kind) if file == form.data_file else in_folder(partial(artifact, kind), file, load)
         seeds = partial(lambda kind, file: [(artifact(kind) / file).read_bytes()], kind, file)
-        TARGETS[f"{kind} {Path(file).stem}"] = Target(run, seeds, kind_of_file)
+        TARGETS[f"{kind} {Path(file).stem}"] = Target(run, seeds, kind_of_file, plain=True)
 for cls in settings_classes():
     TARGETS[f"values of {cls.__name__}"] = Target(partial(settings_of, cls), values(40), "values")
 for name in ENVS:

@@ -82,7 +82,8 @@ def _open_at_once(path: str, flags: int) -> int:
 def plain_yaml(data: bytes | str) -> Any:
     """Parse a YAML text of mappings, lists, texts and numbers."""
     try:
-        loader = yaml.SafeLoader(data.decode("utf-8") if isinstance(data, bytes) else data)
+        # As a stream: of a text PyYAML's errors would quote the line, which a link may have led to.
+        loader = yaml.SafeLoader(io.StringIO(data.decode("utf-8") if isinstance(data, bytes) else data))
         node = loader.get_single_node()
         if node is None:
             return None

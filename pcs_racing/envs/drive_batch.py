@@ -38,7 +38,7 @@ from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, hold_command, leave_path
 from pcs_racing.race.conditions import runs_of
 from pcs_racing.race.config import load_race_config
-from pcs_racing.race.driving import default_threads, drive, pointers_of
+from pcs_racing.race.driving import default_threads, drive, driver_error, pointers_of
 from pcs_racing.race.kernel import WORK_SIZE, KernelSettings
 from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.rendering import Renderer, half_sizes
@@ -201,16 +201,8 @@ class DriveBatch:
         #: Threads that share a step: no more than have enough to do.
         self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
         size = max(1, *(planner.scratch_size for planner in setup.planners))
-        self._buffers = [
-            (
-                np.empty(size),
-                np.empty(WORK_SIZE),
-                np.empty(len(self.elements)),
-                np.empty(SEEN_SHAPE),
-                np.empty(WORK_SHAPE),
-            )
-            for _ in range(self.threads)
-        ]
+        shapes: list[Any] = [size, WORK_SIZE, len(self.elements), SEEN_SHAPE, WORK_SHAPE]
+        self._buffers = [tuple(np.zeros(shape) for shape in shapes) for _ in range(self.threads)]
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # begins threads when there is work for them
         self._compiled: Callable[..., None] | None = None
         with first_call(step_races, "the control-level environment", 20) as compiling:
@@ -403,7 +395,10 @@ class DriveBatch:
             # Looked up once: to find the machine code by the types of all arguments takes longer than a step.
             if self._compiled is None:
                 self._compiled = compiled_for(step_races, arguments)
-            self._compiled(*arguments)
+            try:
+                self._compiled(*arguments)
+            except Exception as error:
+                raise driver_error(error, self.setup.planners, self._buffers[worker][1]) from error
 
     def _advance_in_python(self, ticks: int) -> None:
         """Drive every race on against an opponent in plain Python."""

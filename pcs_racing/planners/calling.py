@@ -77,7 +77,11 @@ def _address(function: Callable[..., None], arguments: tuple[types.Type, ...]) -
         dispatcher.compile(arguments)
     except (RuntimeError, NumbaError):
         dispatcher = compiled(own, boundscheck=checked)
-        dispatcher.compile(arguments)
+        try:
+            dispatcher.compile(arguments)
+        except NumbaError as error:
+            said = " ".join(str(error).split())
+            raise InputError(f"a planner's {python.__name__!r} can't be compiled: {said}") from error
     code = dispatcher.overloads[arguments]
     if code.signature.return_type != types.none:
         raise InputError(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError, say
+from pcs_racing.base.files import parse_json
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
@@ -218,7 +219,7 @@ def _cached(track: Track, config: RaceConfig, what: str, find: Callable[[], Cali
     found = load_cached(CALIBRATION, key)
     if found is not None:
         try:
-            return calibration_from_values(json.loads(str(found["values"])))
+            return calibration_from_values(parse_json("the cache", str(found["values"])))
         except (KeyError, ValueError, TypeError):
             pass  # a damaged file is as good as none
     folder = cache_folder()

@@ -18,7 +18,7 @@ from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import CONTACTS, CONTROL_EVERY, DT, RaceConfig
-from pcs_racing.race.kernel import WORK_SIZE, KernelSettings, advance_races, fill_view
+from pcs_racing.race.kernel import ASKED, WORK_SIZE, KernelSettings, advance_races, fill_view
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
@@ -119,19 +119,11 @@ def _drive_compiled(
     size = max(1, *(planner.scratch_size for planner in planners))
 
     def part(arrays: TrackArrays, first: int, last: int) -> None:  # the drivers are bound below
-        advance_races(
-            arrays,
-            state,
-            theta,
-            cars,
-            drivers,
-            settings,
-            ticks,
-            first,
-            last,
-            np.empty(size),
-            np.empty(WORK_SIZE),
-        )
+        scratch, work = np.empty(size), np.zeros(WORK_SIZE)
+        try:
+            advance_races(arrays, state, theta, cars, drivers, settings, ticks, first, last, scratch, work)
+        except Exception as error:
+            raise driver_error(error, planners, work) from error
 
     with first_call(advance_races, "the planners and the race kernel", 14) as compiling:
         drivers = pointers_of(planners)
@@ -148,6 +140,12 @@ def _drive_compiled(
     pieces = _pieces(runs, races, ticks, workers, len(planners))
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(part, *zip(*pieces, strict=True)))
+
+
+def driver_error(error: Exception, planners: Sequence[Planner], work: NDArray[np.float64]) -> InputError:
+    """Return the error that names race, car and planner of what a compiled planner raised."""
+    race, car = map(int, work[ASKED:])
+    return InputError(f"race {race}, car {car}: planner {planners[car].name!r} raised {type(error).__name__}: {error}")
 
 
 def _pieces(runs: list[Run], races: int, ticks: int, workers: int, cars: int = 2) -> list[tuple[TrackArrays, int, int]]:

@@ -26,14 +26,16 @@ BLOCKING_REACH = 3.0  # m
 FAR = 1e6  # m: away stands the opponent that a driver alone on the track sees
 
 # The loop's scratch memory: the cars in their lanes; whether each is slow; its steering angle and progress before a
-# control period; the velocities of the cars of a race; the steps that each race has left; and the view of each car.
+# control period; the velocities of the cars of a race; the steps that each race has left; the view of each car; and the
+# race and the car whose driver was asked last.
 _SLOW = LANES_SIZE
 _STEERING_BEFORE = _SLOW + LANES
 _PROGRESS_BEFORE = _STEERING_BEFORE + LANES
 _VELOCITIES = _PROGRESS_BEFORE + LANES
 _LEFT = _VELOCITIES + 2 * LANES
 _VIEWS = _LEFT + LANES
-WORK_SIZE = _VIEWS + LANES * _view.VIEW_SIZE
+ASKED = _VIEWS + LANES * _view.VIEW_SIZE
+WORK_SIZE = ASKED + 2
 
 
 class KernelSettings(NamedTuple):
@@ -242,7 +244,7 @@ def advance_races(  # type: ignore[no-untyped-def]
     ``theta``, shape (B, N, P), are parameters of the policies of each race, and ``vehicles``, shape (B, N, 18), its
     cars' parameter rows. ``drivers`` are the addresses of plan and control of each car
     (:meth:`pcs_racing.planners.planner.Planner.pointers`). ``scratch``, as large as that of any planner, and
-    ``work``, of ``WORK_SIZE``, hold nothing afterwards.
+    ``work``, of ``WORK_SIZE``, hold nothing afterwards, but at ``ASKED`` race and car of a driver that raised an error.
     """
     # Arrays are taken out of their tuples once: handing whole tuples to functions costs more than many of these do.
     near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
@@ -285,6 +287,7 @@ def advance_races(  # type: ignore[no-untyped-def]
                         lane = number * (race - start) + car
                         view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
                         path, memory, command = paths[race, car], memories[race, car], commands[race, car]
+                        work[ASKED], work[ASKED + 1] = race, car
                         _fill_own(tick, cars, frenet, race, car, view)
                         if number == 1:
                             _fill_nobody(length, vehicles[race, car], view)
@@ -295,6 +298,8 @@ def advance_races(  # type: ignore[no-untyped-def]
                             call_plan(drivers[2 * car], track, theta[race, car], view, memory, scratch, path)
                         control = drivers[2 * car + 1]
                         call_control(control, track, theta[race, car], view, memory, scratch, path, command)
+                        if not np.isfinite(command[0] + command[1]):
+                            raise FloatingPointError("its command is not finite")
                         # First the disturbance, then the delay: the car gets late what was disturbed when it was sent.
                         noise_sd = steering_sd(settings, vehicles[race, car])
                         if noise_sd > 0.0:

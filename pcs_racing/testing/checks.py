@@ -59,8 +59,9 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
     careful = replace(planner, plan=bounds_checked(planner.plan), control=bounds_checked(planner.control))
     try:
         advance(RaceSetup(track, setup.config, (careful, careful)), grid.copy(), theta.copy(), ticks)
-    except IndexError as error:
-        raise AssertionError(f"{who} reads or writes beyond the end of an array: {error}") from error
+    except InputError as error:
+        beyond = f"{who} reads or writes beyond the end of an array: " * isinstance(error.__cause__, IndexError)
+        raise AssertionError(f"{beyond}{error}") from error
     end = drive(grid, theta)
     for name in ("cars", "command", "path", "memory"):
         array = getattr(end, name)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.elementary import arctangent2
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError
+from pcs_racing.base.files import parse_json
 from pcs_racing.track.building.build import LINE_SPACING, check_centerline, check_line
 from pcs_racing.track.building.clearance import checked_grid, wall_clearance
 from pcs_racing.track.building.splines import sample_closed
@@ -190,7 +191,7 @@ def _restore(name: str, folder: Path | None, stored: dict[str, NDArray[Any]]) ->
         if not _fit(stored):
             return None
         drivable = np.unpackbits(stored["drivable"], axis=1, count=int(stored["columns"])).view(np.bool_)
-        note, content_hash, own = json.loads(str(stored["text"]))
+        note, content_hash, own = parse_json("the cache", str(stored["text"]))
         center = stored["centerline"]
         center.flags.writeable = False  # as in every Track
         values: dict[str, Any] = {name: stored[name] for name in TrackArrays._fields if name != "distance"}

@@ -8,7 +8,6 @@ Of a model that drives, the file has the arguments of its environment beside it:
 
 import hashlib
 import io
-import json
 import re
 import zipfile
 from collections.abc import Mapping
@@ -26,7 +25,7 @@ from pcs_racing.base.compilation import kernel
 from pcs_racing.base.dense import DenseLayers, dense_forward, weight_count
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError, require
-from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
+from pcs_racing.base.files import MAX_YAML, parse_json, parse_yaml, read_limited, write_atomically
 from pcs_racing.envs.models import kept_arguments, model_policy
 from pcs_racing.planners.planner import Policy
 
@@ -103,18 +102,22 @@ def load_sb3_policy(path: Path) -> Sb3Policy:
     import torch
 
     try:
-        with zipfile.ZipFile(path) as file:
+        with zipfile.ZipFile(io.BytesIO(read_limited(path, MAX_BYTES, "a policy"))) as file:
             # Sizes as the archive states them: reading stops there, so a small file can't unpack to a huge one.
             if sum(entry.file_size for entry in file.infolist()) > MAX_BYTES:
                 raise InputError(
                     f"{path} holds more than {MAX_BYTES} bytes; that is no policy of fully connected layers"
                 )
-            settings = json.loads(file.read("data"))
+            settings = parse_json(path, file.read("data"))
             state = torch.load(io.BytesIO(file.read("policy.pth")), map_location="cpu", weights_only=True)
+        if not isinstance(settings, dict) or not isinstance(state, dict):
+            raise InputError("its settings and its weights must be mappings")
     except FileNotFoundError:
         raise InputError(f"there is no file {path}") from None
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile, RuntimeError) as error:
-        raise InputError(f"{path} is no file of Stable-Baselines3: {str(error)[:200]}") from None
+    # Archives, compressed data and torch's format are damaged in a dozen ways.
+    except Exception as error:
+        said = str(error).partition("\n")[0]
+        raise InputError(f"{path} is no file of Stable-Baselines3: {said:.200}") from None
     # The settings hold the classes by their names in texts; unpickling them would run code from the file.
     words = str(settings.get("policy_kwargs", ""))
     found = re.search(r"torch\.nn\.modules\.activation\.(\w+)", words)
@@ -141,7 +144,10 @@ def actor_of(name: str, state: Mapping[str, Any], activation: str | None) -> Sb3
     activation = activation or usual
     if activation not in ACTIVATIONS:
         raise InputError(f"{name}: the activation is {activation}; it must be one of {', '.join(ACTIVATIONS)}")
-    parts = [tuple(state[f"{layer}.{kind}"].cpu().numpy() for layer in layers) for kind in ("weight", "bias")]
+    try:
+        parts = [tuple(state[f"{layer}.{kind}"].cpu().numpy() for layer in layers) for kind in ("weight", "bias")]
+    except (AttributeError, KeyError) as error:
+        raise InputError(f"{name}: a layer has no weights or biases: {error}") from None
     if not all(np.isfinite(values).all() for part in parts for values in part):
         raise InputError(f"{name}: a weight is not finite")
     return Sb3Policy(Path(name).stem, DenseLayers(*parts), activation, not squash and "log_std" not in state, squash)

@@ -26,7 +26,7 @@ from pcs_racing_agents.agents.shipped import SHIPPED as AGENTS
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, Circuit, Rules, output_file
 
-# The default race. It lasts its full time and has an overtake; `python benchmarks/first_race.py` searched the drivers.
+# The default race. It lasts its full time and has an overtake; `python research/first_race.py` searched the drivers.
 EGO = "lattice:pace=0.5"
 OPPONENT = "lattice:pace=0.6"
 

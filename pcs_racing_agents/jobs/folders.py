@@ -108,7 +108,7 @@ def _unusable(folder: Path, error: OSError) -> JobError:
 
 
 def _check_same(folder: Path, manifest: Mapping[str, Any], digest: str) -> bool:
-    """Return whether a folder holds a run with this manifest; False if it is empty, or the manifest was damaged."""
+    """Return whether a folder holds a run with this manifest; False if that, or its digest, must be written."""
     file = folder / "job.yaml"
     with suppress(OSError, InputError):
         if read_limited(folder / DIGEST, 100, "a digest") == digest.encode():
@@ -137,7 +137,7 @@ def _check_same(folder: Path, manifest: Mapping[str, Any], digest: str) -> bool:
     difference = _difference(earlier.get("settings"), manifest["settings"], "")
     if difference is not None:
         raise InputError(f"{folder} holds another run: {difference}; choose another folder, or those settings")
-    return True
+    return False  # the digest is missing or damaged: without it the next damage would make the folder unusable
 
 
 def _difference(stored: Any, wanted: Any, where: str) -> str | None:

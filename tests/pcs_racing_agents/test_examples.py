@@ -19,26 +19,24 @@ from pcs_racing_agents.benchmark.entrants import load_entrant
 EXAMPLES = REPOSITORY / "examples"
 
 
-def test_tournament(tmp_path):
-    arguments = ("--track", "Pipkin", "--races", 2, "--duration", 4, "--out", "made")
-    out = run_python(EXAMPLES / "tournament.py", *arguments, folder=tmp_path)
-    assert "12 races of 4 s" in out
-    assert {path.name for path in (tmp_path / "made").iterdir()} == {"results.csv", "replay.html"}
-
-
-def test_all_play_all(tmp_path):
-    agents = ("never-switch", "random-moves", "lane-switcher")
-    arguments = ("--track", "Pipkin", "--races", 4, "--agents", *agents, "--out", "made")
-    out = run_python(EXAMPLES / "all_play_all.py", *arguments, folder=tmp_path)
-    assert "12 races of 40 s" in out
-    assert "equilibrium: " in out
-    assert (tmp_path / "made" / "results.csv").is_file()
-
-
-def test_custom_agent(tmp_path):
-    out = run_python(EXAMPLES / "custom_agent.py", "--track", "Pipkin", "--races", 2, folder=tmp_path)
-    assert "20 races of 40 s" in out
-    assert all(name in out for name in ("catch-up", "catch-up-too", "stubborn"))
+@pytest.mark.parametrize(
+    ("script", "arguments", "said", "made"),
+    [
+        ("tournament", "--races 2 --duration 4 --out out", ["12 races of 4 s"], {"results.csv", "replay.html"}),
+        (
+            "all_play_all",
+            "--races 4 --agents never-switch random-moves lane-switcher --out out",
+            ["12 races of 40 s", "equilibrium: "],
+            {"results.csv"},
+        ),
+        ("custom_agent", "--races 2", ["20 races of 40 s", "catch-up", "catch-up-too", "stubborn"], set()),
+        ("watch_a_race", "--duration 1 --gif", ["race.html"], {"race.html", "race.gif"}),
+    ],
+)
+def test_races(tmp_path, script, arguments, said, made):
+    out = run_python(EXAMPLES / f"{script}.py", "--track", "Pipkin", *arguments.split(), folder=tmp_path)
+    assert all(text in out for text in said)
+    assert made <= {path.name for path in tmp_path.rglob("*")}
 
 
 def test_the_papers_table(tmp_path):
@@ -57,12 +55,6 @@ def test_move_by_move(tmp_path):
     assert out.startswith("cfr-argmax (policy ")
     assert out.count("  ego: ") == len(re.findall(r"^move \d: lead", out, re.MULTILINE)) >= 1
     assert (tmp_path / "out" / "move_by_move" / "race.html").is_file()
-
-
-def test_watch_a_race(tmp_path):
-    out = run_python(EXAMPLES / "watch_a_race.py", "--track", "Pipkin", "--duration", 1, "--gif", folder=tmp_path)
-    assert "race.html" in out
-    assert {path.name for path in (tmp_path / "out" / "race").iterdir()} == {"race.html", "race.gif"}
 
 
 @pytest.mark.parametrize("number", range(len(re.findall("```python\n", (REPOSITORY / "README.md").read_text()))))

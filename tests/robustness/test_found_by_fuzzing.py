@@ -14,8 +14,9 @@ import yaml
 from PIL import Image
 from refusal import refused
 
-from pcs_racing import GameConfig, RaceConfig, load_archive, load_race_config, load_track, make_game
+from pcs_racing import GameConfig, InputError, RaceConfig, load_archive, load_race_config, load_track, make_game
 from pcs_racing.base.checks import check_seed
+from pcs_racing.base.files import plain_yaml
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.duel import HeadToHeadEnv
 from pcs_racing.game.characteristics import get_characteristics
@@ -54,6 +55,9 @@ def test_values_of_other_types():
     ]:  # fmt: skip
         refused(" (is|are|must) ", make)
     assert GameConfig(epsilon=[np.array(0.5)]) == GameConfig(epsilon=0.5)
+    with pytest.raises(InputError, match="line 2") as caught:
+        plain_yaml("password: [a, b\n")  # a link may have led there
+    assert "password" not in str(caught.value)
     for epsilon in (10**400, [np.array([0.5, 1.0])], [[0.5]], [1j], [True]):
         refused("epsilon is", GameConfig, epsilon=epsilon)
     env = HeadToHeadEnv("Pipkin", moves=1, step_seconds=0.1)

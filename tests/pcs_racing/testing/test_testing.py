@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import Parameter, Planner, PolicyArchive, get_planner, load_archive, load_track
+from pcs_racing import Parameter, Planner, PolicyArchive, get_planner, load_archive, load_track, run_races
+from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.planners.view import OPP_V
 from pcs_racing.testing import check_archive, check_planner
 
@@ -52,9 +53,29 @@ def writes_beyond(track, theta, view, memory, scratch, path, command):
     command[0], command[1] = 0.0, 2.0
 
 
+def fails_when_fast(track, theta, view, memory, scratch, path, command):
+    if theta[0] == 1.0:
+        raise ValueError("no road")
+    command[0], command[1] = np.nan if theta[0] > 0.8 else 0.0, 2.0
+
+
 def remembers_nonsense(track, theta, view, memory):
     memory[0] = np.nan
     return 0.0, 2.0
+
+
+def test_a_compiled_planner_that_fails_is_named_with_race_and_car(track):
+    sound, mine = get_planner("lattice").policy(), Planner("mine", (PACE,), control=fails_when_fast)
+    for pace, said in ((1.0, "ValueError: no road"), (0.9, "FloatingPointError: its command is not finite")):
+        slow, fast = mine.policy(), mine.policy({"pace": pace})
+        refused(f"race 1, car 1: planner 'mine' raised {said}", run_races, track, [sound] * 2, [slow, fast], threads=1)
+        env = DriveEnv(track, fast)
+        env.reset(seed=0)
+        refused(
+            f"race 0, car 1: planner 'mine' raised {said}", lambda env=env: [env.step([0.0, 0.0]) for _ in range(20)]
+        )
+    mute = Planner("mute", (PACE,), control=lambda track, theta, view, memory, scratch, path, command: command.no())
+    refused("a planner's '<lambda>' can't be compiled: ", run_races, track, mute.policy(), sound)
 
 
 def test_the_checks_find_what_is_wrong_with_planners_and_archives(track):
@@ -64,7 +85,7 @@ def test_the_checks_find_what_is_wrong_with_planners_and_archives(track):
         (Planner("mine", (PACE,), control=writes_beyond, memory_size=3), "writes beyond the end of an array"),
     ]:
         refused(f"planner 'mine'.*{message}", check_planner, planner, track, seconds=0.8, error=AssertionError)
-    refused("read-only", check_planner, driver(writes_to_theta), track)
+    refused("read-only", check_planner, driver(writes_to_theta), track, error=AssertionError)
     check_archive(load_archive("default"))
     check_archive(load_archive("default"), track)
     refused("planner 'nobody' is unknown", check_archive, change(planner="nobody"), error=AssertionError)

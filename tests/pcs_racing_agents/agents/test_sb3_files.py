@@ -1,5 +1,7 @@
 """Policies of Stable-Baselines3 are read without running their code; those that drive race wherever a policy does."""
 
+import zipfile
+
 import numpy as np
 import pytest
 from refusal import refused
@@ -7,7 +9,7 @@ from refusal import refused
 from pcs_racing import load_race_config, load_track, parse_policy, run_races
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing_agents.agents import as_competitor, make
-from pcs_racing_agents.agents.sb3_files import load_model, load_sb3_policy, save_model
+from pcs_racing_agents.agents.sb3_files import actor_of, load_model, load_sb3_policy, save_model
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.benchmark.entrants import load_entrant
 
@@ -35,6 +37,14 @@ def test_moves_are_those_of_the_model(tmp_path, activation):
         model.policy.action_net.bias[1] = float("nan")
     model.save(tmp_path / "broken.zip")
     refused("a weight is not finite", load_sb3_policy, tmp_path / "broken.zip")
+    kept = zipfile.ZipFile(tmp_path / "mine.zip").read("policy.pth")
+    for settings, weights in ((b"[]", kept), (b'{"a": NaN}', kept), (b"[" * 10**6, kept), (b"{}", b"")):
+        with zipfile.ZipFile(tmp_path / "other.zip", "w") as file:
+            file.writestr("data", settings)
+            file.writestr("policy.pth", weights)
+        refused(r"other\.zip is no file of Stable-Baselines3", load_sb3_policy, tmp_path / "other.zip")
+    short = {key: value for key, value in model.policy.state_dict().items() if key != "action_net.bias"}
+    refused("no weights or biases: 'action_net.bias'", actor_of, "short", short, None)
     (tmp_path / "other.zip").write_bytes(b"not a zip")
     refused(r"other\.zip", load_sb3_policy, tmp_path / "other.zip")
 

@@ -1,7 +1,7 @@
 """Which seed gives a first race worth watching: driven to its end, with overtakes, and close.
 
-    python benchmarks/first_race.py                                  # the drivers that `pcs-racing race` has by itself
-    python benchmarks/first_race.py --ego lattice --opponent lane-switcher:3 --track Brackwater --seeds 40
+    python research/first_race.py                                  # the drivers that `pcs-racing race` has by itself
+    python research/first_race.py --ego lattice --opponent lane-switcher:3 --track Brackwater --seeds 40
 
 A line for each seed whose race 0 ends without a crash and with an overtake, the closest first. Seed 0, the default of
 all commands, must be one of these for `EGO` and `OPPONENT` in pcs_racing_agents/cli/race.py; start places that change
@@ -18,6 +18,7 @@ from pcs_racing_agents.cli.race import EGO, OPPONENT
 
 
 def main() -> None:
+    """Print a line for each such seed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default=DEFAULT_TRACK, help="name or folder of a circuit")
     parser.add_argument("--ego", default=EGO, help="driver of car 0")

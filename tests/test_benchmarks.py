@@ -1,0 +1,95 @@
+"""Every script of ``benchmarks/`` runs in a bare clone; the history of speed; the F1TENTH gym's half, by a stand-in."""
+
+import stat
+import sys
+
+import pytest
+from repository import REPOSITORY, load_tool
+from warm_start import call_python
+
+record, beside = (load_tool(name, "benchmarks") for name in ("record", "beside_f1tenth_gym"))
+
+HELP = ("--help", "python benchmarks/")  # of those that compile for a minute, or race the whole zoo
+SMALL = {
+    "beside_f1tenth_gym": ("--seconds 2 --races 2 --cars 2", "| here"),
+    "bits": ("--parts vehicles", "vehicle, target"),
+    "driving": ("--only stability", "stability"),
+    "environment_speed": ("--only duel --envs 2 --seconds 0.01", "duel"),
+    "load": ("tournament --out made --races 1 --step-seconds 0.2", "time of a unit: "),
+    "planner_figure": ("--out made.png", "made.png"),
+    "pooled_studies": ("out/one out/two", "error: there is no out/one/table.csv, out/two/table.csv"),
+    "ppo_baselines": ("--lines 0", ""),
+    "race_speed": ("--track Pipkin --races 2", "ms"),
+    "racing_quality": ("--tracks Pipkin --race paper --policies 4 --opponents 2", "Pipkin"),
+    "record": ("--show", "race"),
+    "scan_speed": ("--track Pipkin", "us"),
+    "statistics_coverage": ("--datasets 4", "true"),
+    "tuned_ppo": ("--only", ""),
+    **dict.fromkeys(("circuits", "field", "solver_speed", "start_time", "zoo"), HELP),
+}
+
+
+@pytest.mark.parametrize("file", sorted((REPOSITORY / "benchmarks").glob("*.py")), ids=lambda file: file.stem)
+def test_a_script_runs_where_it_says_that_it_runs(file, tmp_path):
+    arguments, said = SMALL[file.stem]
+    done = call_python(file, *arguments.split(), cwd=tmp_path)
+    assert (done.returncode, "Traceback" in done.stderr) == (2 if "error" in said else 0, False), done.stderr
+    assert said in (done.stderr if "error" in said else done.stdout)
+
+
+def lines(*values: float, processor: str = "here") -> list[dict[str, str]]:
+    return [{"processor": processor, "race": str(value)} for value in values]
+
+
+def test_what_is_slower_than_it_was_on_this_machine_is_named():
+    (line,) = record.slower({"race": 14.0}, lines(10.0, 10.2, 9.8), "here")
+    assert line.startswith("race takes 14 times the reference; it was 10 (+40 %)")
+    assert record.slower({"race": 12.5}, lines(10.0, 10.2, 9.8), "here") == []
+    assert record.slower({"race": 2.0}, lines(10.0), "here") == []
+    history = lines(*[1.0] * 20, 10.0, 10.0, 10.0, 100.0, 10.0)
+    assert record.slower({"race": 11.0}, history, "here") == []
+    assert record.slower({"race": 14.0}, history, "here") != []
+    history = lines(5.0, processor="there") + lines(10.0)
+    assert record.slower({"race": 11.0}, history, "here") == []
+    assert record.slower({"race": 11.0}, history, "elsewhere") != []
+    assert record.slower({"scan": 3.0}, lines(1.0), "here") == []
+    assert record.slower({"race": 3.0}, [], "here") == []
+
+
+def test_lines_are_added_and_the_kept_history_has_every_ratio(tmp_path):
+    file = tmp_path / "history.csv"
+    record.add_line({"race": 10.0}, 5.0, file)
+    record.add_line({"race": 20.0, "scan": 1.0}, 5.0, file)
+    first, second = record.read_history(file)
+    assert (first["race"], first["scan"], second["scan"]) == ("10", "", "1")
+    assert record.slower({"race": 30.0}, [first, second], second["processor"]) != []
+    history = record.read_history()
+    assert history
+    assert all(float(history[-1][name]) > 0.0 for name in record.RATIOS)
+
+
+@pytest.mark.parametrize(
+    "arguments", ["--checkout .", f"--checkout nowhere --python {sys.executable}", "--seconds 0", "--track nowhere"]
+)
+def test_what_cannot_be_compared_is_one_line(arguments, capsys):
+    assert beside.main(arguments.split()) == 2
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err.count("\n")) == ("", 1)
+
+
+def test_the_gym_is_run_by_its_own_python_and_named_if_it_fails(tmp_path, capsys):
+    """A stand-in for the other Python takes the task and answers as the gym's half does."""
+    (tmp_path / "f1tenth_gym" / "envs").mkdir(parents=True)
+    python = tmp_path / "python"
+    given = ["--checkout", str(tmp_path), "--python", str(python), "--seconds", "2", "--races", "1", "--cars", "2"]
+    answer = '{"spent": 4.0, "driven": task["seconds"], "crashed": False}'
+    python.write_text(
+        f"#!{sys.executable}\nimport json, sys\ntask = json.load(sys.stdin)\nprint(json.dumps({answer}))\n"
+    )
+    python.chmod(python.stat().st_mode | stat.S_IXUSR)
+    assert beside.main(given) == 0
+    row = next(line for line in capsys.readouterr().out.splitlines() if "| F1TENTH gym" in line)
+    assert [cell.strip() for cell in row.split("|")[3:6]] == ["2", "0.5", "1.0"]
+    python.write_text(f"#!{sys.executable}\nraise SystemExit('no gym here')\n")
+    assert beside.main(given) == 2
+    assert "no gym here" in capsys.readouterr().err
