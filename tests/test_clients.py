@@ -43,9 +43,3 @@ def test_the_table_is_what_the_tool_prints(tmp_path):
     printed = try_clients.row(script, installed, "yes", 41.7)
     assert printed == "| `tried.py` | ray 2.60.0 | 1.2.2 | 1.27.0 | 2.4.6 |  | yes | 42 |"
     assert printed.count("|") == try_clients.HEAD.splitlines()[0].count("|")
-
-
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
-def test_it_is_a_program_that_only_runs_as_one(script):
-    compile(script.read_text(encoding="utf-8"), script.name, "exec")
-    assert script.read_text(encoding="utf-8").endswith('if __name__ == "__main__":\n    main()\n')
