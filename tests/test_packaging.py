@@ -147,12 +147,12 @@ EXAMPLES = {
     "cleanrl_loop": ("torch", '".[learning]"'),
     "cleanrl_self_play": ("torch", '".[learning]"'),
     "clients/openspiel_tree": ("pyspiel", '".[games]"'),
-    "maskable_ppo": ("sb3_contrib", '".[learning]" sb3-contrib'),
+    "maskable_ppo": ("torch", '".[learning]" sb3-contrib'),
     "ppo_against_cfr": ("stable_baselines3", '".[learning]"'),
-    "self_play_ppo": ("stable_baselines3", '".[learning]"'),
+    "self_play_ppo": ("torch", '".[learning]"'),
     "drive_self_play": ("torch", '".[learning]"'),
     "imitate_from_lidar": ("torch", '".[learning]"'),
-    "train_ppo": ("matplotlib", '".[learning,plots]"'),
+    "train_ppo": ("torch", '".[learning,plots]"'),
 }
 
 
