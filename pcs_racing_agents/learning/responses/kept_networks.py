@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import parse_json
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.fingerprint import fingerprint
@@ -119,5 +118,5 @@ def _unpacked(arrays: Arrays, identity: GameIdentity, name: str) -> RegretNetwor
         layers=DenseLayers(weights, biases),
         mean=arrays["mean"],
         scale=arrays["scale"],
-        training=parse_json(name, str(arrays["training"])),
+        training=json.loads(str(arrays["training"])),  # its losses may be NaN
     )

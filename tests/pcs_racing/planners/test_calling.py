@@ -82,7 +82,7 @@ def test_functions_with_options_of_their_own_are_compiled_anew(tmp_path, monkeyp
         "@njit(cache=True)\n"
         "def control(track, theta, view, memory, scratch, path, command):\n"
         "    command[0] = 0.0\n"
-        "    command[1] = 1.0 / memory[0]\n"
+        "    command[1] = min(1.0 / memory[0], 1.0)\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     from users_planner import control as users

@@ -268,7 +268,7 @@ def test_ranges_are_cut_off_and_averaged_and_the_longest_gap_is_found():
 
 
 @pytest.mark.parametrize("opp_d", [-0.2, 0.2])
-@pytest.mark.parametrize("name", LIDAR)
+@pytest.mark.parametrize("name", LIDAR[:3])  # lidar-gru remembers: it needs more than one scan
 def test_a_lidar_driver_steers_away_from_a_car(name, opp_d, oval, view_at):
     planner, path = get_planner(name), np.zeros((PATH_POINTS, 4))
     view = view_at(oval, 3.0, gap=2.0, opp_d=opp_d)
