@@ -1,5 +1,6 @@
 """Where the tasks of a long job run: in this thread, in threads, in processes, or on a dask cluster."""
 
+import gc
 import logging
 import os
 import platform
@@ -247,9 +248,14 @@ def _client(make: Callable[..., Any], address: str) -> Any:
             return make(address, timeout=ANSWER_SECONDS)
         # This is what dask raises when its own thread has not started in time.
         except AssertionError:
-            continue
+            failed = ""
         except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(f"no dask scheduler answers at {address}: {error}") from None
+            failed = f"no dask scheduler answers at {address}: {error}"
+        # A client that failed closes itself when it is collected. Within the start of another one, which holds the lock
+        # that closing needs, both would wait for ever.
+        gc.collect()
+        if failed:
+            raise InputError(failed)
     raise JobError("dask's own thread does not start: this machine is too busy; start the same again to go on")
 
 

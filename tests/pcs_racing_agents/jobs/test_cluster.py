@@ -1,5 +1,6 @@
 """Long jobs on a real cluster: a dask scheduler and worker processes, some of which are killed."""
 
+import gc
 import os
 import sys
 import time
@@ -265,6 +266,8 @@ def test_a_wrong_address_is_one_clear_error(address, monkeypatch, capfd):
     error = capfd.readouterr().err
     assert error.startswith(f"pcs-racing: error: no dask scheduler answers at {address}: ")
     assert error.count("\n") == 1
+    # One that waits to be collected would be closed within the start of another, where both wait for ever.
+    assert {one.status for one in gc.get_objects() if type(one) is Client} <= {"running", "closed"}
 
 
 def test_a_machine_that_is_too_busy_for_dasks_own_thread_is_asked_again(monkeypatch):
