@@ -39,9 +39,9 @@ from pcs_racing import (
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.dense import weight_count
 from pcs_racing.base.elementary import sine_cosine
-from pcs_racing.planners import imitation as _imitation
+from pcs_racing.planners import lidar_networks as _networks
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.imitation import (
+from pcs_racing.planners.lidar_networks import (
     BEAMS,
     FAR,
     LAYERS,
@@ -50,8 +50,8 @@ from pcs_racing.planners.imitation import (
     OUTPUTS,
     SEEN,
     flat_weights,
-    load_imitator,
-    save_imitator,
+    load_lidar_driver,
+    save_lidar_driver,
 )
 from pcs_racing.planners.scanning import WORK
 from pcs_racing.race.calibration import calibration_of
@@ -72,9 +72,9 @@ def make_recorder(network: str) -> Planner:
     teacher = get_planner(TEACHER)
     teach, answer, observe, lay_path = (
         teacher.plan,
-        _imitation.ANSWERS[network],
-        _imitation.observe,
-        _imitation.lay_path,
+        _networks.ANSWERS[network],
+        _networks.observe,
+        _networks.lay_path,
     )
     own, first = len(teacher.parameters), 1 + SEEN + OUTPUTS
     state = first + MEMORY[network]
@@ -105,7 +105,7 @@ def make_recorder(network: str) -> Planner:
         parameters=(*teacher.parameters, *(Parameter(f"weight{i}", -1e3, 1e3, 0.0, "") for i in range(weights))),
         plan=plan,
         memory_size=state + teacher.memory_size,
-        scratch_size=max(WORK + _imitation.SCRATCH, teacher.scratch_size),
+        scratch_size=max(WORK + _networks.SCRATCH, teacher.scratch_size),
     )
 
 
@@ -263,7 +263,9 @@ def main() -> None:
     about = {"teacher": TEACHER, "held_out": ", ".join(arguments.hold_out)}
     about |= {key: getattr(arguments, key) for key in ("random", "rounds", "races", "seconds", "steps", "seed")}
     name = f"lidar-{arguments.network}"
-    planner = load_imitator(save_imitator(arguments.out, arguments.network, model.layers(), name=name, training=about))
+    planner = load_lidar_driver(
+        save_lidar_driver(arguments.out, arguments.network, model.layers(), name=name, training=about)
+    )
     for track in [load_track(name) for name in arguments.tracks]:
         crashes = crashes_alone(track, planner, arguments.races, 40.0)
         note = ", held out" if track.name in arguments.hold_out else ""

@@ -31,7 +31,7 @@ from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing.envs.opponents import parse_opponents
 from pcs_racing.f1tenth.env import GenerationA, GenerationB
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
-from pcs_racing.planners.imitation import IMITATOR_FORMAT, read_imitator
+from pcs_racing.planners.lidar_networks import LIDAR_FORMAT, read_lidar_driver
 from pcs_racing.planners.trained import DRIVER_FORMAT, read_driver
 from pcs_racing.race.recording import record_race
 from pcs_racing.race.replay_files import save_replay
@@ -215,7 +215,7 @@ ARTIFACTS: dict[str, tuple[ArtifactFormat, Read]] = {
     "archive": (ARCHIVE_FORMAT, load_archive),
     "network": (NETWORK_FORMAT, load_network),
     "driver": (DRIVER_FORMAT, read_driver),
-    "lidar driver": (IMITATOR_FORMAT, read_imitator),
+    "lidar driver": (LIDAR_FORMAT, read_lidar_driver),
 }
 
 

@@ -16,7 +16,7 @@ STEP = FIELD_OF_VIEW / (BEAMS - 1)
 ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 """Directions of the beams in rad, from right to left; 0 is straight ahead."""
 _plain = getattr(sine_cosine, "py_func", sine_cosine)  # calling compiled code would slow down every import
-_SIN, _COS = (np.array(values) for values in zip(*map(_plain, ANGLES), strict=True))
+SIN, COS = (np.array(values) for values in zip(*map(_plain, ANGLES), strict=True))
 WORK = WORK_SHAPE[0] * WORK_SHAPE[1]
 SCAN_SIZE = WORK + BEAMS
 """Numbers of scratch that a scan takes: the lidar's own working memory, and the ranges at the end."""
@@ -46,7 +46,7 @@ def scan_beams(track, beams, view, heading, work, ranges):  # type: ignore[no-un
 @compiled
 def scan(track, view, scratch):  # type: ignore[no-untyped-def]
     """Scan from the own car along its heading; the ranges (m) are ``scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]``."""
-    beams = Beams(ANGLES[0], STEP, MAX_RANGE, _COS, _SIN)
+    beams = Beams(ANGLES[0], STEP, MAX_RANGE, COS, SIN)
     scan_beams(track, beams, view, view[_view.OWN_PSI], scratch[:WORK], scratch[WORK:SCAN_SIZE])
 
 

@@ -10,7 +10,7 @@ from warm_start import call_python
 
 from pcs_racing import Starts, load_race_config, load_track, run_races
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.planners.imitation import read_imitator
+from pcs_racing.planners.lidar_networks import read_lidar_driver
 from pcs_racing.race.races import start_lines
 from pcs_racing_agents.agents.observing import own
 from pcs_racing_agents.agents.setting import make_setting
@@ -115,15 +115,24 @@ def test_self_play_of_steering_and_speed(tmp_path):
     assert all(0.0 <= float(won) <= 100.0 for _, _, won, _ in rows)
 
 
-def test_imitation_from_lidar(tmp_path):
-    pytest.importorskip("torch")
-    size = ("--random", 0, "--rounds", 2, "--races", 2, "--seconds", 4, "--steps", 4)
-    tracks = ("--tracks", "Pipkin", "Tarnfjord", "--hold-out", "Tarnfjord")
-    out = run_python(EXAMPLES / "imitate_from_lidar.py", "cnn", "--out", "made", *size, *tracks, folder=tmp_path)
-    assert re.search(r"^round 1: drove [\d.]+% of the time, loss [\d.]+$", out, re.M)
+@pytest.mark.parametrize(
+    ("script", "network", "size", "told"),
+    [
+        ("imitate_from_lidar.py cnn", "cnn", "--rounds 2 --races 2 --seconds 4 --steps 4",
+         r"^round 1: drove [\d.]+% of the time, loss [\d.]+$"),
+        ("residual_ppo.py", "residual", "--races 1 --steps 256", r"total_timesteps +\| 256"),
+    ],
+)  # fmt: skip
+def test_a_lidar_driver_is_trained(tmp_path, script, network, size, told):
+    pytest.importorskip("stable_baselines3")
+    file, *kind = script.split()
+    tracks = ("--tracks", "Pipkin", "Tarnfjord", "--hold-out", "Tarnfjord", "--random", 0)
+    out = run_python(EXAMPLES / file, *kind, "--out", "made", *size.split(), *tracks, folder=tmp_path)
+    assert re.search(told, out, re.M)
     assert re.search(r"^Pipkin: own crashes alone in 40 s [\d.]+$", out, re.M)
     assert re.search(r"^Tarnfjord: own crashes alone in 40 s [\d.]+, held out$", out, re.M)
-    assert read_imitator(tmp_path / "made")[:2] == ("lidar-cnn", "cnn")
+    name, trained, _ = read_lidar_driver(tmp_path / "made")
+    assert (name.removeprefix("lidar-"), trained) == (network, network)
 
 
 def test_ppo_against_cfr(tmp_path):

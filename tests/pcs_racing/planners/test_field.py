@@ -25,10 +25,11 @@ from pcs_racing.planners.line_following import (
     trailing_speed,
 )
 from pcs_racing.planners.mppi import NOISE
+from pcs_racing.planners.potential_field import POTENTIAL_FIELD, field_command
 from pcs_racing.planners.predictive_spliner import _D, _SEEN, AHEAD, BINS, MEMORY, remember, smooth_ahead
-from pcs_racing.planners.scanning import BEAMS, STEP
+from pcs_racing.planners.scanning import ANGLES, BEAMS, STEP
 from pcs_racing.planners.spliner import SCRATCH, SPLINER, lay_spline, spline_at
-from pcs_racing.planners.view import OWN_D, OWN_S, PATH_POINTS
+from pcs_racing.planners.view import OWN_D, OWN_S, PATH_POINTS, STEER_MAX, VIEW_SIZE, WHEELBASE
 from pcs_racing.testing import check_planner
 
 PASSING = (
@@ -36,7 +37,7 @@ PASSING = (
     "spliner",
 )  # fmt: skip
 MAPPED = (*PASSING, "stanley")
-LIDAR = ("disparity-extender", "follow-the-gap", "lidar-cnn", "lidar-gru")
+LIDAR = ("disparity-extender", "follow-the-gap", "lidar-cnn", "potential-field", "residual", "lidar-gru")
 
 
 def python(function):
@@ -267,8 +268,22 @@ def test_ranges_are_cut_off_and_averaged_and_the_longest_gap_is_found():
     assert longest_gap(out) == (42, 200)
 
 
+def test_a_field_pulls_to_free_space_and_pushes_away_from_what_is_near():
+    ranges, view, theta = np.full(BEAMS, 5.0), np.zeros(VIEW_SIZE), POTENTIAL_FIELD.default
+    view[[STEER_MAX, WHEELBASE]] = 0.4, 0.33
+    straight = field_command(theta, view, ranges)
+    assert straight == pytest.approx((0.0, np.sqrt(2.0 * theta[4] * 4.5)))
+    free, near = ranges.copy(), ranges.copy()
+    free[160:180], near[180:200] = 10.0, 0.5  # both on the left
+    (to_free, _), (from_near, slower) = (field_command(theta, view, one) for one in (free, near))
+    assert from_near < 0.0 < to_free
+    assert slower <= straight[1]
+    near[ANGLES > -0.1] = 0.3
+    assert field_command(theta, view, near) == pytest.approx((-0.4, max(1.0, np.sqrt(5.0 * 0.33 / np.tan(0.4)))))
+
+
 @pytest.mark.parametrize("opp_d", [-0.2, 0.2])
-@pytest.mark.parametrize("name", LIDAR[:3])  # lidar-gru remembers: it needs more than one scan
+@pytest.mark.parametrize("name", LIDAR[:-1])  # lidar-gru remembers: it needs more than one scan
 def test_a_lidar_driver_steers_away_from_a_car(name, opp_d, oval, view_at):
     planner, path = get_planner(name), np.zeros((PATH_POINTS, 4))
     view = view_at(oval, 3.0, gap=2.0, opp_d=opp_d)

@@ -1,5 +1,6 @@
-"""Lidar drivers that imitate a driver with a map: a convolutional network [1]_ and a recurrent one [2]_.
+"""Lidar drivers with a network, and their folders: a convolutional network [1]_ and a recurrent one [2]_.
 
+A third one (:mod:`pcs_racing.planners.residual`) corrects a driver without a map; these two imitate one that has a map.
 Ten times a second a network sees the ranges of its beams, and of the own car the speed, the yaw rate, the steering
 angle and the speed scale that the pace stands for. It puts out the slope and the bend of the path ahead, relative to
 the car's heading, and the speeds to drive nearby and farther on. It was trained on what the predictive spliner, which
@@ -35,6 +36,7 @@ from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.layers import convolve, recur
 from pcs_racing.car.lidar import Beams
+from pcs_racing.planners import residual as _residual
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.line_following import lane_step, speed_scale
 from pcs_racing.planners.planner import Parameter, Planner, named_variants
@@ -59,9 +61,11 @@ LAYERS = {
     "cnn": ((7, 8), (5 * 8, 12), (4 * 12, 16), (9 * 16 + 4, 32), (32, OUTPUTS)),
     # To the gates from what is seen and from the state, the outputs.
     "gru": ((SEEN, 3 * UNITS), (UNITS, 3 * UNITS), (UNITS, OUTPUTS)),
+    "residual": _residual.LAYERS,
 }
 """Numbers that go into and come out of the layers of each network."""
-MEMORY = {"cnn": 0, "gru": UNITS}
+MEMORY = {"cnn": 0, "gru": UNITS, "residual": 0}
+SCANNED = {"cnn": BEAMS, "gru": BEAMS, "residual": _residual.BEAMS}
 SCRATCH = 800  # numbers of working memory of a network
 
 PARAMETERS = (
@@ -70,10 +74,10 @@ PARAMETERS = (
 )
 VARIANTS = {"calm": {"speed_share": 0.8}, "fast": {"speed_share": 0.95}}
 
-IMITATOR_FORMAT = ArtifactFormat(
+LIDAR_FORMAT = ArtifactFormat(
     "lidar driver",
     ("name", "network", "beams", "training", "weights_sha256"),
-    "save_imitator",
+    "save_lidar_driver",
     data_file=DRIVER_FORMAT.data_file,
     digest_key="weights_sha256",
     max_bytes=DRIVER_FORMAT.max_bytes,
@@ -149,7 +153,7 @@ def _plan(network: str, frozen: bytes) -> Any:
     return plan
 
 
-def save_imitator(
+def save_lidar_driver(
     folder: str | Path, network: str, layers: Sequence[Any], *, name: str, training: Mapping[str, Any]
 ) -> Path:
     """Write a driver into a folder, which is made if need be.
@@ -169,8 +173,8 @@ def save_imitator(
     tensors = {f"layers.{i}.{kind}": a for i, pair in pairs for kind, a in zip(KINDS, pair, strict=True)}
     content = save_tensors({key: np.ascontiguousarray(value, np.float32) for key, value in tensors.items()})
     _flat(Path(folder), network, content)
-    fields = {"name": name, "network": network, "beams": BEAMS, "training": dict(training)}
-    return IMITATOR_FORMAT.save(folder, fields, content)
+    fields = {"name": name, "network": network, "beams": SCANNED[network], "training": dict(training)}
+    return LIDAR_FORMAT.save(folder, fields, content)
 
 
 def flat_weights(layers: Iterable[Any]) -> NDArray[np.float64]:
@@ -194,31 +198,34 @@ def _flat(folder: Path, network: Any, content: bytes) -> NDArray[np.float64]:
     return flat_weights([(tensors[f"layers.{i}.weight"], tensors[f"layers.{i}.bias"]) for i in range(len(shapes) // 2)])
 
 
-def read_imitator(source: str | Path) -> tuple[str, str, NDArray[np.float64]]:
+def read_lidar_driver(source: str | Path) -> tuple[str, str, NDArray[np.float64]]:
     """Return name, network and weights of a lidar driver, from the name of a shipped one or from its folder."""
-    folder = IMITATOR_FORMAT.find(source)
-    fields, content = IMITATOR_FORMAT.load(folder)
-    if not isinstance(fields["name"], str) or fields["beams"] != BEAMS or not isinstance(fields["training"], dict):
-        raise InputError(f"{folder / MANIFEST}: name must be a text, beams {BEAMS} and training a mapping")
-    return fields["name"], fields["network"], _flat(folder, fields["network"], content)
+    folder = LIDAR_FORMAT.find(source)
+    fields, content = LIDAR_FORMAT.load(folder)
+    flat, beams = _flat(folder, fields["network"], content), SCANNED[fields["network"]]
+    if not isinstance(fields["name"], str) or fields["beams"] != beams or not isinstance(fields["training"], dict):
+        raise InputError(f"{folder / MANIFEST}: name must be a text, beams {beams} and training a mapping")
+    return fields["name"], fields["network"], flat
 
 
-def load_imitator(source: str | Path) -> Planner:
-    """Return a lidar driver's planner; source and errors as for :func:`read_imitator`."""
-    name, network, flat = read_imitator(source)
+def load_lidar_driver(source: str | Path) -> Planner:
+    """Return a lidar driver's planner; source and errors as for :func:`read_lidar_driver`."""
+    name, network, flat = read_lidar_driver(source)
+    residual = network == "residual"
+    known = _residual.PARAMETERS if residual else PARAMETERS
     return Planner(
         name=name,
-        parameters=PARAMETERS,
-        plan=_plan(network, flat.tobytes()),
+        parameters=known,
+        plan=_residual.residual_plan(flat.tobytes()) if residual else _plan(network, flat.tobytes()),
         memory_size=MEMORY[network],
-        scratch_size=WORK + SEEN + SCRATCH,
-        variants=named_variants(PARAMETERS, VARIANTS),
+        scratch_size=_residual.SCRATCH if residual else WORK + SEEN + SCRATCH,
+        variants=named_variants(known, _residual.VARIANTS if residual else VARIANTS),
     )
 
 
 def __getattr__(name: str) -> Any:
-    """``LIDAR_CNN`` and ``LIDAR_GRU``, the shipped planners, loaded at their first use."""
-    if name not in ("LIDAR_CNN", "LIDAR_GRU"):
+    """``LIDAR_CNN``, ``LIDAR_GRU`` and ``RESIDUAL``, the shipped planners, loaded at their first use."""
+    if name not in ("LIDAR_CNN", "LIDAR_GRU", "RESIDUAL"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = load_imitator(name.lower().replace("_", "-"))
+    globals()[name] = load_lidar_driver(name.lower().replace("_", "-"))
     return globals()[name]
