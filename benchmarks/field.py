@@ -23,7 +23,9 @@ from pcs_racing.race.calibration import calibration_of
 from pcs_racing.race.driving import kernel_settings
 from pcs_racing_agents.tournament.statistics import clustered_mean
 
-LIDAR = ("gap-follower", "follow-the-gap", "disparity-extender", "lidar-cnn", "lidar-gru")
+LIDAR = (
+    "gap-follower", "follow-the-gap", "disparity-extender", "potential-field", "residual", "lidar-cnn", "lidar-gru",
+)  # fmt: skip
 CARS = 200
 SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)
 

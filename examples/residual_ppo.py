@@ -4,7 +4,7 @@
 
 Two cars race, both driven by the network that learns, some of them at a share of its speed; one half starts 50 m apart,
 as good as alone. Every 0.1 s a car is rewarded for its progress and for what it gains on the other one, and a crash by
-its own fault costs as much as some seconds. Circuits are those that ship, but for the ones that are held out, and
+its own fault costs as much as half a minute. Circuits are those that ship, but for the ones that are held out, and
 random ones.
 """
 
@@ -35,7 +35,7 @@ from pcs_racing.race.random_circuits import RandomCircuits, random_circuit
 STEP = 10  # simulation steps of 0.01 s
 SECONDS = 20.0
 NOISE = 0.02  # rad
-PROGRESS, GAIN, FAULT = 0.1, 0.05, 8.0  # reward for a metre, for a metre gained on the other car, against a crash
+PROGRESS, GAIN, FAULT = 0.1, 0.05, 25.0  # reward for a metre, for a metre gained on the other car, against a crash
 
 
 @compiled
@@ -85,7 +85,7 @@ class Races:
 
     def draw_shares(self, races: int) -> np.ndarray:
         """The share of its speed that each car drives at, shape (races, 2): half of them are slower, to be passed."""
-        return np.where(self.rng.uniform(size=(races, 2)) < 0.5, 1.0, self.rng.uniform(0.6, 1.0, (races, 2)))
+        return np.where(self.rng.uniform(size=(races, 2)) < 0.5, 1.0, self.rng.uniform(0.4, 1.0, (races, 2)))
 
     def observe(self) -> np.ndarray:
         """What each car sees, shape (races, 2, SEEN)."""
@@ -184,7 +184,7 @@ def main() -> None:
     parser.add_argument("--tracks", nargs="*", default=list_tracks(), help="circuits")
     parser.add_argument("--random", type=int, default=18, help="random circuits, beside the others")
     parser.add_argument("--races", type=int, default=4, help="races at a time on a circuit")
-    parser.add_argument("--steps", type=int, default=6_000_000, help="steps of training")
+    parser.add_argument("--steps", type=int, default=5_000_000, help="steps of training")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     torch.set_num_threads(1)

@@ -15,7 +15,7 @@ SMALL = {
     "bits": ("--parts vehicles", "vehicle, target"),
     "driving": ("--only stability", "stability"),
     "environment_speed": ("--only duel --envs 2 --seconds 0.01", "duel"),
-    "load": ("tournament --out made --races 2 --step-seconds 0.2", "time of a unit: "),
+    "load": ("--envs 2 --steps 40 --step-seconds 0.2", "time of a unit: "),
     "pooled_studies": ("out/one out/two", "error: there is no out/one/table.csv, out/two/table.csv"),
     "ppo_baselines": ("--lines 0", ""),
     "race_speed": ("--track Pipkin --races 2", "ms"),

@@ -90,10 +90,7 @@ NEEDS = {
     "a study's archive": ('main(["study", "paper", "--out", "study"])', "synthesis"),
     "a picture": ("from pcs_racing_agents.pictures.style import picture; picture(print)()", "plots"),
     "the command synthesize": ('main(["synthesize", "--out", "archive"])', "synthesis"),
-    "a hypervolume": (
-        "from pcs_racing_agents.synthesis.indicators import hypervolume; hypervolume([[0.5, 0.5]], 0.0)",
-        "synthesis",
-    ),
+    "a hypervolume": ("import pcs_racing_agents.synthesis.indicators as i; i.hypervolume([[0, 0]], 0)", "synthesis"),
     "a new circuit": ('main(["track", "generate", "--seed", "7", "--out", "circuit"])', "mapping"),
     "a map without lines": ("pcs_racing.load_track('map')", "mapping"),
     "a data frame": ("pcs_racing.load_archive('default').to_dataframe()", "tables"),
@@ -152,6 +149,7 @@ EXAMPLES = {
     "self_play_ppo": ("torch", '".[learning]"'),
     "drive_self_play": ("torch", '".[learning]"'),
     "imitate_from_lidar": ("torch", '".[learning]"'),
+    "residual_ppo": ("torch", '".[learning]"'),
     "train_ppo": ("torch", '".[learning,plots]"'),
 }
 

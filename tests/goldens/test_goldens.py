@@ -20,9 +20,8 @@ def test_results_are_those_of_the_version(name):
         kept = dict(stored)
     assert str(kept["track"]) == track_hash(), "the circuit has changed: its name must change, or the results' version"
     found = {**SCENARIOS[name](), "track": kept["track"]}
-    assert differences(found, kept) == [], (
-        f"{name} has other results than when it was new: docs/versions.md says what to do"
-    )
+    told = f"{name} has other results than when it was new: docs/versions.md says what to do"
+    assert differences(found, kept) == [], told
 
 
 def test_every_id_has_a_scenario_and_a_version():

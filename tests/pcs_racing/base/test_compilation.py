@@ -45,9 +45,8 @@ def test_the_first_compilation_is_announced_and_no_other(tmp_path, capsys):
         with first_call(dispatcher(tmp_path / "empty"), "the test itself", 7) as compiling:
             answers.append(compiling)
     assert answers == [True, False]
-    assert capsys.readouterr().err == (
-        "pcs-racing: compiling the test itself (about 7 s, once; it is cached on disk)\n"
-    )
+    told = "pcs-racing: compiling the test itself (about 7 s, once; it is cached on disk)\n"
+    assert capsys.readouterr().err == told
     with first_call(dispatcher(tmp_path, signatures=("f8",)), "what is in memory", 7) as compiling:
         assert not compiling
     (tmp_path / "test_compilation.divide-13.py311.nbi").touch()

@@ -297,9 +297,8 @@ def test_vector_and_scalar_environment_agree_to_the_last_bit(kind, arguments, co
             own = actions[i] if kind in SINGLE else dict(zip(AGENTS, actions[list(rows)], strict=True))
             answer = env.step(own)
             seen, paid, end, late, told = sides(env, *answer)
-            assert (paid, end, late) == tuple(
-                values[list(rows)].tolist() for values in (rewards, terminated, truncated)
-            )
+            expected = (values[list(rows)].tolist() for values in (rewards, terminated, truncated))
+            assert (paid, end, late) == tuple(expected)
             if ends(answer):
                 ended += 1
                 np.testing.assert_array_equal(np.stack(info["final_obs"][list(rows)]), seen)
@@ -442,9 +441,8 @@ def test_every_environment_speaks_of_the_same_things_by_the_same_names(kind):
     for name, value in info.items():
         assert np.asarray(value).dtype.kind in "if", name
     codes = env.metadata["codes"]
-    assert (
-        codes["crash"] == {0: "none", 1: "wall", 2: "car"} == {NO_CRASH: "none", WALL_CRASH: "wall", CAR_CRASH: "car"}
-    )
+    expected = {NO_CRASH: "none", WALL_CRASH: "wall", CAR_CRASH: "car"}
+    assert codes["crash"] == {0: "none", 1: "wall", 2: "car"} == expected
     assert (Crash.NONE, Crash.WALL, Crash.CAR) == (0, 1, 2)
     assert set(outcome) == set(info) - {"action_mask", "poses", "velocities"}
     assert all(isinstance(outcome[name], str) and outcome[name] for name in codes)

@@ -45,9 +45,8 @@ def test_variants_are_twenty_different_drivers_within_the_bounds():
 
 @pytest.mark.parametrize("name", list_tracks())
 def test_all_variants_drive_shipped_circuits_alone(name, drive_alone):
-    result = drive_alone(
-        load_track(name), [switcher.LANE_SWITCHER.policy(variant) for variant in VARIANTS], duration=60.0
-    )
+    policies = [switcher.LANE_SWITCHER.policy(variant) for variant in VARIANTS]
+    result = drive_alone(load_track(name), policies, duration=60.0)
     crashed = [variant for variant, crash in zip(VARIANTS, result.crashed, strict=True) if crash]
     assert not crashed
 

@@ -57,21 +57,16 @@ def test_the_convolutional_network_is_its_formula():
 
 
 def test_a_network_corrects_the_potential_field(oval, view_at):
-    field, network = POTENTIAL_FIELD, pairs("residual")
-    flat, view = flat_weights(network), view_at(oval, 3.0, speed=4.0, gap=2.0, opp_d=0.3)
-    scratch, seen, (plain, none, full) = (
-        np.zeros(residual.SCRATCH),
-        np.zeros(residual.SEEN),
-        np.zeros((3, PATH_POINTS, 4)),
-    )
-    field.plan(oval.arrays, field.default, view, np.zeros(0), np.zeros(field.scratch_size), plain)
-    plan = residual.residual_plan(flat.tobytes())
+    layers, view = pairs("residual"), view_at(oval, 3.0, speed=4.0, gap=2.0, opp_d=0.3)
+    scratch, out = np.zeros(residual.SCRATCH), np.zeros(residual.SEEN)
+    field, none, full = np.zeros((3, PATH_POINTS, 4))
+    plan = residual.residual_plan(flat_weights(layers).tobytes())
     for share, path in ((0.0, none), (1.0, full)):
-        plan(oval.arrays, np.array([share, 1.0]), view, np.zeros(0), scratch, path)
-    np.testing.assert_array_equal(none, plain)
-    steering, speed = residual.observe(oval.arrays, view, scratch, seen)
-    out = seen.copy()
-    for weight, bias in network:
+        plan(oval.arrays, np.array([share, 1.0]), view, out, scratch, path)
+    POTENTIAL_FIELD.plan(oval.arrays, POTENTIAL_FIELD.default, view, out, scratch, field)
+    np.testing.assert_array_equal(none, field)
+    steering, speed = residual.observe(oval.arrays, view, scratch, out)
+    for weight, bias in layers:
         out = np.tanh(weight @ out + bias)
     kappa = np.tan(steering + residual.STEERING * out[0]) / view[WHEELBASE]
     np.testing.assert_allclose(full[0, 2:], [speed + residual.SPEED * out[1], kappa], rtol=1e-5)

@@ -34,9 +34,8 @@ def test_what_is_published_when(race):
     assert times == sorted(times)
     assert times[-1] == 10**9
     assert len(messages) == 1 + 6 * len(race.cars)
-    assert (
-        definition("tf2_msgs/msg/TFMessage").count("MSG: ") == 6
-    )  # TransformStamped, Header, Time, Transform, Vector3, Quaternion
+    # TransformStamped, Header, Time, Transform, Vector3, Quaternion
+    assert definition("tf2_msgs/msg/TFMessage").count("MSG: ") == 6
 
 
 def check_read(race, kept):

@@ -77,9 +77,8 @@ def test_agents_as_text_and_bad_names_and_options(setting):
     assert len(parse_agent("lane-switcher", setting).policies) == 20
     (only,) = parse_agent("lane-switcher:4", setting).policies
     assert only.name == "lane-switcher:4"
-    adaptive = parse_agent(
-        "adaptive:network=contest-contest-gain,blind=never-switch,margin=0.5", make_setting("contest", "contest")
-    )
+    setting = make_setting("contest", "contest")
+    adaptive = parse_agent("adaptive:network=contest-contest-gain,blind=never-switch,margin=0.5", setting)
     assert (adaptive.facts["keeps to"], adaptive.facts["margin"]) == ("never-switch", "0.5")
     for text in ("best-fixed:3", "best-fixed:target=3,target=4", "best-fixed:name=x", "best-fixed:target=[1"):
         refused("agent 'best-fixed", parse_agent, text, setting)

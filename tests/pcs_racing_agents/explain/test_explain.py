@@ -92,9 +92,8 @@ def test_the_story_tells_every_step_and_a_race_that_ends_at_once(race):
 def test_the_opponent_is_described_in_relation_to_the_archive_and_leads_in_words(race):
     middle = race.middle
     step = race.steps[0]._replace(opponent=middle + np.array([-0.2, 0.05]))
-    assert opponent_words(race, step) == (
-        "opponent restrained (aggressiveness 0.20 below the middle, restraint 0.05 above the middle)"
-    )
+    told = "opponent restrained (aggressiveness 0.20 below the middle, restraint 0.05 above the middle)"
+    assert opponent_words(race, step) == told
     step = step._replace(opponent=middle + np.array([0.31, -0.4]))
     assert opponent_words(race, step).startswith("opponent aggressive and daring (aggressiveness 0.31 above")
     assert opponent_words(race, step._replace(opponent=middle)).startswith("opponent in the middle of the archive")

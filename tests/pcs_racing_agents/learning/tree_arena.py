@@ -76,9 +76,8 @@ class TreeArena:
         outcomes = np.zeros((len(games), self.moves))
         a, b = self.tree.moves[step]
         chances = self.chances(network, exploration, step, 1 - player, nodes)
-        other = np.minimum(
-            (rng.random((len(games), 1)) >= np.cumsum(chances, axis=1)).sum(axis=1), chances.shape[1] - 1
-        )
+        passed = rng.random((len(games), 1)) >= np.cumsum(chances, axis=1)
+        other = np.minimum(passed.sum(axis=1), chances.shape[1] - 1)
         for move in range(self.moves if len(games) else 0):
             pair = (move, other) if player == 0 else (other, move)
             leaves = self.play(

@@ -115,9 +115,8 @@ def test_scores_on_several_trees_are_a_table():
     np.testing.assert_allclose(scores["equilibrium"][:, :3], 0.0, atol=1e-8)
     assert (scores["network"][:, 0] > 1.0).all()
     uniform = uniform_profile(race_trees[2].game_tree())
-    assert scores["random moves"][2, 0] == pytest.approx(
-        exploitability(race_trees[2].game_tree(), uniform).exploitability
-    )
+    expected = exploitability(race_trees[2].game_tree(), uniform).exploitability
+    assert scores["random moves"][2, 0] == pytest.approx(expected)
     rows = Rows(race_trees[0].observations(0)[0, 0], np.eye(3)[:2], np.ones(2), np.zeros(2, int), np.zeros(2, int))
     lines = metrics.score_table(metrics.score_rows(network, rows), scores).splitlines()
     assert lines[0] == "choices on held-out rows:"

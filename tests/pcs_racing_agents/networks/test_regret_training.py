@@ -162,18 +162,16 @@ def test_a_floor_raises_what_is_far_below_the_best_and_constants_are_no_trouble(
     """Random moves lose about 20; with a floor of 0.5 nothing is learned to be more than 10 below the best."""
     x, values, pair, step = situations(4000)
     lost = np.mean(values.max(axis=1, keepdims=True) - values)
-    network, _ = train_network(
-        rows_of(x, values, pair, step), identity(), load_train_settings(QUICK, floor=0.5), name="n"
-    )
+    settings = load_train_settings(QUICK, floor=0.5)
+    network, _ = train_network(rows_of(x, values, pair, step), identity(), settings, name="n")
     answers = network(x)
     below = answers.max(axis=1, keepdims=True) - answers
     assert 0.45 * lost < np.quantile(below, 0.99) < 0.7 * lost
     assert np.quantile(values.max(axis=1, keepdims=True) - values, 0.99) > 2.0 * lost
     assert score_rows(network, rows_of(*situations(seed=1)))[0].agreement > 0.9
     x, _, pair, step = situations(100)
-    result = train_layers(
-        rows_of(np.ones_like(x), np.full((100, 4), 3.0), pair, step), load_train_settings(QUICK, epochs=2)
-    )
+    rows = rows_of(np.ones_like(x), np.full((100, 4), 3.0), pair, step)
+    result = train_layers(rows, load_train_settings(QUICK, epochs=2))
     np.testing.assert_array_equal(result.scale, np.ones(7))
     network, _ = train_network(
         rows_of(np.ones_like(x), np.zeros((100, 4)), pair, step), identity(), QUICK, name="net", clipped=True

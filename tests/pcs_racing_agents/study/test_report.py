@@ -223,9 +223,8 @@ def test_curves_and_losses_are_read_and_losses_stand_beside_the_score(tmp_path):
     assert place.score == pytest.approx(np.mean([row.arms[0].score for row in table.rows]))
     assert inputs.scores_and_losses(None, losses) == []
     assert inputs.mean_scores(table)["c"] == pytest.approx(np.mean([row.arms[1].score for row in table.rows]))
-    assert inputs.mean_scores(
-        replace(table, rows=(*table.rows, replace(table.rows[0], arms=table.rows[0].arms[:1])))
-    ).keys() == {"a"}
+    less = replace(table.rows[0], arms=table.rows[0].arms[:1])
+    assert inputs.mean_scores(replace(table, rows=(*table.rows, less))).keys() == {"a"}
     path = tmp_path / "learning_curves.csv"
     path.write_text("epoch,training_loss,validation_loss\n1,0.5,\n2,0.25,0.3\n")
     training, validation = inputs.read_curves(path)

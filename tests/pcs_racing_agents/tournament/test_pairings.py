@@ -61,9 +61,8 @@ def test_races_of_a_pairing_in_words_and_of_chosen_variants(contest, zoo):
     assert {(row.ego, row.opponent, row.track, row.seed) for row in rows} == {
         ("random-moves", "random-policy", "oval", 5)
     }
-    assert [(row.race, row.start_s, row.side) for row in rows] == list(
-        zip(range(48), pairing.starts.s.tolist(), pairing.starts.side.tolist(), strict=True)
-    )
+    expected = zip(range(48), pairing.starts.s.tolist(), pairing.starts.side.tolist(), strict=True)
+    assert [(row.race, row.start_s, row.side) for row in rows] == list(expected)
     pairing = cross_pairing(contest, zoo["never-switch"], zoo["never-switch"], egos=[7, 2], opponents=[1], lines=1)
     assert pairing.variants.tolist() == [[7, 1], [7, 1], [2, 1], [2, 1]]
     refused("race 48", cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE).race_arguments, 48)
