@@ -138,12 +138,9 @@ class DriveBatch:
 
     def _make_game(self) -> RaceGame:
         """The game of moves that an opponent plays which changes its policy while it drives."""
-        options = self.options
-        rules = load_game_config(options.race)
-        track = self.variety.circuits.track(0)
-        return RaceGame(
-            track, load_archive(options.archive), rules, ego_planner=EXTERNAL, vehicles=self.variety.cars[:2]
-        )
+        track, archive = self.variety.circuits.track(0), load_archive(self.options.archive)
+        rules = load_game_config(self.options.race)
+        return RaceGame(track, archive, rules, ego_planner=EXTERNAL, vehicles=self.variety.cars[:2])
 
     @property
     def track(self) -> Track:
