@@ -8,12 +8,19 @@ ends is not the batch's business: :class:`pcs_racing.envs.single.SingleEnv` and
 :class:`pcs_racing.envs.vector.BatchVectorEnv` see to that.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
+
+Rows = NDArray[np.int64]
+"""Numbers of episodes, or a number for each."""
+
+Generators = Sequence[np.random.Generator]
+"""A generator for each episode."""
 
 MOST_EPISODES = 100_000
 

@@ -236,11 +236,7 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     {'car_0': (68,), 'car_1': (68,)}
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012
-        **ScalarEnv.metadata,
-        "name": "drive_head_to_head_v0",
-        "is_parallelizable": True,
-    }
+    metadata: dict[str, Any] = {**ParallelBatchEnv.metadata, "name": "drive_head_to_head_v0"}  # noqa: RUF012
     batch_type = DriveBatch
     batch: DriveBatch
     declared = Declared(

@@ -1,6 +1,6 @@
 """Many races at the level of steering and speed, advanced together: the batch behind the Drive environments."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
@@ -14,7 +14,7 @@ from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import compiled_for, first_call
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import WORK_SHAPE
-from pcs_racing.envs.batch import BatchStep, check_batch_size
+from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_batch_size
 from pcs_racing.envs.drive_kernel import (
     SEEN_SHAPE,
     Sight,
@@ -138,12 +138,9 @@ class DriveBatch:
 
     def _make_game(self) -> RaceGame:
         """The game of moves that an opponent plays which changes its policy while it drives."""
-        options = self.options
-        rules = load_game_config(options.race)
-        track = self.variety.circuits.track(0)
-        return RaceGame(
-            track, load_archive(options.archive), rules, ego_planner=EXTERNAL, vehicles=self.variety.cars[:2]
-        )
+        track, archive = self.variety.circuits.track(0), load_archive(self.options.archive)
+        rules = load_game_config(self.options.race)
+        return RaceGame(track, archive, rules, ego_planner=EXTERNAL, vehicles=self.variety.cars[:2])
 
     @property
     def track(self) -> Track:
@@ -211,12 +208,7 @@ class DriveBatch:
                 actions, results = np.empty((races, self.players, 2)), self._results()
                 self._step_part(actions, 0, 0, 0, 0, results)
 
-    def restart(
-        self,
-        rows: NDArray[np.int64],
-        generators: Sequence[np.random.Generator],
-        options: Mapping[str, Any] = {},
-    ) -> None:
+    def restart(self, rows: Rows, generators: Generators, options: Mapping[str, Any] = {}) -> None:
         """Begin new episodes in some races, each drawn from its own generator, with options for each or for all.
 
         :class:`pcs_racing.envs.drive.DriveEnv` describes the options.
@@ -333,7 +325,7 @@ class DriveBatch:
             raise InputError(f"action{where} is {rows[i].tolist()}; steering and speed must be finite, in [-1, 1]")
         return values if self.options.normalized else shares(values, self._limits)
 
-    def step(self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()) -> BatchStep:
+    def step(self, actions: NDArray[np.float64], generators: Generators = ()) -> BatchStep:
         """Drive every race one step on."""
         races, ticks = self.episodes, self._ticks
         results = self._results()

@@ -220,11 +220,7 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv):
     - v0: first version.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012
-        **ScalarEnv.metadata,
-        "name": "head_to_head_v1",
-        "is_parallelizable": True,
-    }
+    metadata: dict[str, Any] = {**ParallelBatchEnv.metadata, "name": "head_to_head_v1"}  # noqa: RUF012
     declared = Declared(
         GameOptions, positional=("track", "archive", "race"), more=GameConfig, changed={"opponent": None}
     )

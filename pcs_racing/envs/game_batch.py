@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import ANYTHING, flag, setting
-from pcs_racing.envs.batch import BatchStep, check_batch_size
+from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_batch_size
 from pcs_racing.envs.infos import Result, common_codes, of_players, race_info, race_infos, race_results
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
@@ -184,12 +184,7 @@ class GameBatch:
         checked = check_moves(actions, self.actions, shape, ("environment",), player="action")
         return checked.reshape(self.episodes, self.players)
 
-    def restart(
-        self,
-        rows: NDArray[np.int64],
-        generators: Sequence[np.random.Generator],
-        options: Mapping[str, Any] = {},
-    ) -> None:
+    def restart(self, rows: Rows, generators: Generators, options: Mapping[str, Any] = {}) -> None:
         """Begin new games in some places, each drawn from its own generator, with options for each or for all.
 
         :class:`pcs_racing.envs.duel.DuelEnv` describes the options.
@@ -228,9 +223,7 @@ class GameBatch:
         policies = check_policies(self.game.archive, options.get("policies"), count)
         return start_option(options, count), policies, obstacles_option(options, count)
 
-    def _draw_opponents(
-        self, generators: Sequence[np.random.Generator]
-    ) -> tuple[NDArray[np.int64], list[Policy | None]]:
+    def _draw_opponents(self, generators: Generators) -> tuple[NDArray[np.int64], list[Policy | None]]:
         """Draw the opponent of each new episode: its index and, of a driver, the policy that it keeps to."""
         drawn = np.zeros(len(generators), np.int64)
         if not self.opponents:
@@ -247,7 +240,7 @@ class GameBatch:
             raise InputError("the episode has not begun; call reset() first")
         return self.state
 
-    def step(self, actions: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> BatchStep:
+    def step(self, actions: NDArray[np.int64], generators: Generators) -> BatchStep:
         """Let both cars of every game move, and drive a step."""
         state = self.started()
         moves = actions
@@ -274,11 +267,7 @@ class GameBatch:
         return new
 
     def _replies(
-        self,
-        state: GameState,
-        generators: Sequence[np.random.Generator],
-        seen: NDArray[np.float32],
-        among: NDArray[np.int64] | None = None,
+        self, state: GameState, generators: Generators, seen: NDArray[np.float32], among: Rows | None = None
     ) -> NDArray[np.int64]:
         """Moves of the opponents, which observe ``seen``, in all games or among some."""
         replies = np.zeros(self.episodes, np.int64)

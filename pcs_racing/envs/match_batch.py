@@ -1,6 +1,6 @@
 """Many matches side by side: the batch behind the environments of a series of races."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import ANYTHING, flag, setting, whole
-from pcs_racing.envs.batch import BatchStep
+from pcs_racing.envs.batch import BatchStep, Generators, Rows
 from pcs_racing.envs.game_batch import GameBatch, GameOptions, check_shapes
 from pcs_racing.envs.infos import Result, codes, of_players, one_info
 from pcs_racing.game.competitor import Chooser
@@ -69,12 +69,7 @@ class MatchBatch(GameBatch):
             self.actions += self.game.move_names
             self.horizon *= self.game.config.moves + 1
 
-    def restart(
-        self,
-        rows: NDArray[np.int64],
-        generators: Sequence[np.random.Generator],
-        options: Mapping[str, Any] = {},
-    ) -> None:
+    def restart(self, rows: Rows, generators: Generators, options: Mapping[str, Any] = {}) -> None:
         """Begin new matches in some places, each drawn from its own generator, with options for each or for all.
 
         :class:`pcs_racing.envs.match.MatchEnv` describes the options.
@@ -110,7 +105,7 @@ class MatchBatch(GameBatch):
         game = self.game_on(circuit)[0]
         return self.match if game is self.match.game else MatchGame(game, self.match.config)
 
-    def _forget(self, rows: NDArray[np.int64]) -> None:
+    def _forget(self, rows: Rows) -> None:
         for row in rows:
             self.memories[row] = None
 
@@ -119,7 +114,7 @@ class MatchBatch(GameBatch):
         self.played, self.state = played, played.game
         self.seen = self.match.observation(played)
 
-    def step(self, actions: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> BatchStep:
+    def step(self, actions: NDArray[np.int64], generators: Generators) -> BatchStep:
         """Let the players choose, and drive a race; or, if they make its moves, a step of it."""
         self.started()
         before: MatchState = self.played  # type: ignore[assignment]
@@ -166,13 +161,7 @@ class MatchBatch(GameBatch):
             self.driven.append((grid, started.game.theta))
         return started
 
-    def _move(
-        self,
-        played: MatchState,
-        rows: NDArray[np.int64],
-        generators: Sequence[np.random.Generator],
-        actions: NDArray[np.int64] | None,
-    ) -> MatchState:
+    def _move(self, played: MatchState, rows: Rows, generators: Generators, actions: Rows | None) -> MatchState:
         """Drive a step of the races that go on; without actions the players keep their policies."""
         game, stay = self.game, len(self.game.competitor_moves) - 1
         moves = np.full((self.episodes, 2), stay, np.int64)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.envs.batch import Generators, Rows
 from pcs_racing.envs.opponents import Opponent
 from pcs_racing.game.competitor import ask_moves
 from pcs_racing.game.rules import OUTSIDE, RaceGame
@@ -51,8 +52,8 @@ class MovingOpponents:
         races: RaceState,
         theta: NDArray[np.float64],
         opponents: Sequence[Opponent],
-        drawn: NDArray[np.int64],
-        generators: Sequence[np.random.Generator],
+        drawn: Rows,
+        generators: Generators,
     ) -> None:
         """Let the opponents move whose step of the game is over, and set their parameters."""
         # The races are the drive's own; the games only add who moved when.

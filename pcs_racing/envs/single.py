@@ -203,6 +203,7 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
     Where the argument `opponent` is not None it drives car 1, and ``car_0`` is the only agent.
     """
 
+    metadata: dict[str, Any] = {**OverBatch.metadata, "is_parallelizable": True}  # noqa: RUF012
     ignored_options = ("options",)  # what the API tests of PettingZoo hand over to every environment
     possible_agents: list[str] = []  # noqa: RUF012
 

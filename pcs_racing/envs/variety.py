@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import ANYTHING, Settings, checked, setting
 from pcs_racing.car.vehicle import F1TENTH, load_vehicle, load_vehicles
+from pcs_racing.envs.batch import Generators, Rows
 from pcs_racing.envs.circuits import Circuits
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
@@ -85,9 +86,9 @@ class Variety:
 
     def place_obstacles(
         self,
-        rows: NDArray[np.int64],
+        rows: Rows,
         starts: NDArray[np.float64],
-        generators: Sequence[np.random.Generator],
+        generators: Generators,
         given: Sequence[NDArray[np.float64]] | None,
     ) -> None:
         """Put obstacles on the circuits of new episodes: given ones, or drawn ones away from where the cars start.

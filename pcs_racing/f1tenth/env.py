@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from copy import deepcopy
 from enum import Enum
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import gymnasium
 import numpy as np
@@ -80,6 +80,7 @@ class F110Env(gymnasium.Env[Any, Any]):
 
     num_agents: int
     renderer: Any = None
+    render_callbacks: list[Callback]
     current_obs: Any = None  # of the class, where programs of generation A reach for it
 
     def __new__(cls, *args: Any, **named: Any) -> Self:
@@ -142,6 +143,10 @@ class F110Env(gymnasium.Env[Any, Any]):
         """Change the parameters of all cars, or of the one with an index from 0."""
         self.sim.update_params(params, index)
 
+    def add_render_callback(self, callback_func: Callback) -> None:
+        """Call a function with the renderer whenever a frame is drawn."""
+        self.render_callbacks.append(callback_func)
+
     def _shown(self, made: Callable[[], Any]) -> Any:
         """The renderer, made when it is first needed."""
         if not self.sim.started:
@@ -162,7 +167,7 @@ class GenerationA(F110Env):
     """
 
     metadata = {"render.modes": _MODES, "render_modes": _MODES, "render_fps": 100}  # noqa: RUF012
-    render_callbacks: ClassVar[list[Callback]] = []
+    render_callbacks: list[Callback] = []  # noqa: RUF012 of all environments together
 
     def __init__(self, *, faithful: bool = True, render_mode: str | None = None, **named: Any) -> None:
         warn_of_unknown("f110-v0", named, [*_A, "integrator", "faithful"])
@@ -196,10 +201,6 @@ class GenerationA(F110Env):
         obs |= {"lap_times": columns[k.LAP_TIME], "lap_counts": columns[k.LAPS], "collisions": columns[k.CRASHED]}
         F110Env.current_obs = obs
         return obs, self.timestep, done, infos
-
-    def add_render_callback(self, callback_func: Callback) -> None:
-        """Call a function with the renderer whenever a frame is drawn."""
-        GenerationA.render_callbacks.append(callback_func)
 
     def render(self, mode: str = "human") -> Any:
         """Show the cars in a window; where there is none, only the callbacks are called."""
@@ -244,7 +245,7 @@ class GenerationB(F110Env):
             check_choice("render_mode", render_mode, _MODES, ConfigError)
         self.render_mode, self.render_spec = render_mode, RenderSpec()
         self.metadata = {**self.metadata, "render_fps": int(1.0 / self.timestep)}
-        self._callbacks: list[Callback] = []
+        self.render_callbacks = []
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
@@ -294,10 +295,6 @@ class GenerationB(F110Env):
         done, infos = self._advance(action)
         return self._observe(laps), self.timestep, done, False, infos
 
-    def add_render_callback(self, callback_func: Callback) -> None:
-        """Call a function with the renderer whenever a frame is drawn."""
-        self._callbacks.append(callback_func)
-
     def render(self, mode: str = "human") -> Any:
         """Return a frame in mode "rgb_array"; else show it in a window, if there can be one."""
         if self.render_mode is None:
@@ -305,4 +302,4 @@ class GenerationB(F110Env):
         fps = self.metadata["render_fps"] * (10.0 if self.render_mode == "human_fast" else 1.0)
         window = self.render_mode != "rgb_array"
         self.renderer = self._shown(lambda: TrackRenderer(self.track.loaded, self.render_spec, window=window, fps=fps))
-        return self.renderer.draw(self.sim.states, self.sim.time, self._callbacks)
+        return self.renderer.draw(self.sim.states, self.sim.time, self.render_callbacks)

@@ -85,11 +85,7 @@ class RaceGame:
         theta[:, :width] = policies[:, :width]
         object.__setattr__(self, "_theta", theta)
         object.__setattr__(self, "_setup", setup)
-        object.__setattr__(
-            self,
-            "_lines",
-            start_lines(self.track, setup.config, np.random.SeedSequence(0, spawn_key=(0,)), split="train"),
-        )
+        _ = self.start_lines  # a circuit without any is refused here, not when games begin
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what the game was made of, not what was derived from it."""
@@ -129,11 +125,10 @@ class RaceGame:
         """Normalised coordinates of the archive's policies as the players observe them, shape (K, G)."""
         return np.clip(self.archive.normalised, LOW, HIGH)
 
-    @property
+    @cached_property
     def start_lines(self) -> Floats:
         """Arc lengths of the lines that :meth:`reset` draws from, m; places of training, which no table uses."""
-        lines: Floats = self._lines  # type: ignore[attr-defined]
-        return lines
+        return start_lines(self.track, self.setup.config, np.random.SeedSequence(0, spawn_key=(0,)), split="train")
 
     @cached_property
     def move_names(self) -> tuple[str, ...]:

@@ -31,16 +31,8 @@ COLOURS: Colours = {name: tuple(int(code[i : i + 2], 16) for i in (1, 3, 5)) for
 """Colours by the names of what they are for."""
 
 # Shapes in units of half a car's length and width, x to the front.
-_BODY = (
-    (0.97, 0.2),
-    (0.3, 0.4),
-    (-0.15, 0.62),
-    (-0.85, 0.55),
-    (-0.85, -0.55),
-    (-0.15, -0.62),
-    (0.3, -0.4),
-    (0.97, -0.2),
-)
+_LEFT_HALF = ((0.97, 0.2), (0.3, 0.4), (-0.15, 0.62), (-0.85, 0.55))
+_BODY = (*_LEFT_HALF, *((x, -y) for x, y in reversed(_LEFT_HALF)))
 _COCKPIT = ((0.2, 0.22), (-0.12, 0.34), (-0.3, 0.26), (-0.3, -0.26), (-0.12, -0.34), (0.2, -0.22))
 _ARROW = ((1.15, 0.0), (-1.0, 1.7), (-0.6, 0.0), (-1.0, -1.7))
 _AHEAD = ((1.85, 0.0), (1.25, 0.8), (1.42, 0.0), (1.25, -0.8))

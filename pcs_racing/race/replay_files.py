@@ -25,6 +25,7 @@ LONGEST_ITTC = 60.0
 """Times to collision are stored up to this one, s."""
 
 _LARGEST_FILE = 100_000_000
+_PLAIN = ("title", "track_name", "outcome", "frame_dt", "plan_dt")
 _DATA = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.DOTALL)
 
 
@@ -83,12 +84,8 @@ def plain_parts(replay: Replay) -> dict[str, Any]:
     """Return what a replay holds besides its arrays, as plain values."""
     return {
         "format": FORMAT,
-        "title": replay.title,
-        "track_name": replay.track_name,
+        **{name: getattr(replay, name) for name in _PLAIN},
         "car_names": list(replay.car_names),
-        "outcome": replay.outcome,
-        "frame_dt": replay.frame_dt,
-        "plan_dt": replay.plan_dt,
         "half_sizes": np.asarray(replay.half_sizes).tolist(),
         "events": [[round(event.time, 3), event.car, event.kind, event.text] for event in replay.events],
     }
@@ -119,8 +116,7 @@ def _from_values(values: object) -> Replay:
     """The reverse of `_to_values`, for values of any origin."""
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise InputError(f"it must say format {FORMAT!r}")
-    needed = {"format", "title", "track_name", "car_names", "outcome", "frame_dt", "plan_dt", "half_sizes", "events"}
-    needed |= {"walls", "line", "cars", "progress"}
+    needed = {*_PLAIN, "format", "car_names", "half_sizes", "events", "walls", "line", "cars", "progress"}
     optional = {"line_speed", "ittc", "paths", "candidates", "costs"}
     if not needed <= values.keys() <= needed | optional:
         missing, unknown = sorted(needed - values.keys()), sorted(values.keys() - needed - optional)
@@ -129,9 +125,8 @@ def _from_values(values: object) -> Replay:
         raise InputError("events must be a list of [time, car, kind, text]")
     if values["half_sizes"] is None:  # a replay that is made, not read, may leave it out
         raise InputError("half_sizes must be positive lengths in m")
-    plain = ("title", "track_name", "car_names", "outcome", "frame_dt", "plan_dt", "half_sizes")
     arrays = ("line", "cars", "progress", "line_speed", "ittc")
-    fields: dict[str, Any] = {name: values[name] for name in plain}
+    fields: dict[str, Any] = {name: values[name] for name in (*_PLAIN, "car_names", "half_sizes")}
     fields |= {name: packing.unpack(values[name], name) for name in arrays if name in values}
     fields |= {name: packing.unpack_paths(values[name], name) for name in ("paths", "candidates") if name in values}
     if "costs" in values:
