@@ -210,11 +210,7 @@ def as_array(values: Any) -> NDArray[Any]:
 
 
 def check_whole_array(
-    name: str,
-    value: ArrayLike,
-    *shapes: tuple[int | None, ...],
-    least: int | None = None,
-    most: int | None = None,
+    name: str, value: ArrayLike, *shapes: tuple[int | None, ...], least: int | None = None, most: int | None = None
 ) -> NDArray[np.int64]:
     """Return a new array of whole numbers; numbers with a fraction are refused, not cut off.
 

@@ -240,9 +240,7 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     batch_type = DriveBatch
     batch: DriveBatch
     declared = Declared(
-        HeadToHeadOptions,
-        positional=("track", "race"),
-        changed={"opponent": None, "time_step": 0.02, "rivalry": 1.0},
+        HeadToHeadOptions, positional=("track", "race"), changed={"opponent": None, "time_step": 0.02, "rivalry": 1.0}
     )
 
 

@@ -404,10 +404,7 @@ class DriveBatch:
 
     def infos(self) -> dict[str, NDArray[Any]]:
         """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
-        of_races = {
-            "opponent": self.drawn if self.opponents else np.full(self.episodes, -1),
-            **self.variety.infos(),
-        }
+        of_races = {"opponent": self.drawn if self.opponents else np.full(self.episodes, -1), **self.variety.infos()}
         return {
             **race_infos(self.state, self.players),
             **all_poses(self.state.cars, range(self.players)),

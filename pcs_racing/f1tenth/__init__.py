@@ -10,10 +10,7 @@ from typing import Any
 
 import gymnasium
 
-IDS = {
-    "f110-v0": "pcs_racing.f1tenth.env:GenerationA",
-    "f1tenth-v0": "pcs_racing.f1tenth.env:GenerationB",
-}
+IDS = {"f110-v0": "pcs_racing.f1tenth.env:GenerationA", "f1tenth-v0": "pcs_racing.f1tenth.env:GenerationB"}
 """Where the environment is, by its name in Gymnasium."""
 
 _PLACES = {

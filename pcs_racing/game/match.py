@@ -197,11 +197,7 @@ class MatchGame:
         return new
 
     def move(
-        self,
-        state: MatchState,
-        moves: Indices,
-        rows: Indices | None = None,
-        conditions: RaceConditions = AS_THE_SETUP,
+        self, state: MatchState, moves: Indices, rows: Indices | None = None, conditions: RaceConditions = AS_THE_SETUP
     ) -> MatchState:
         """Let both players move in the races that go on, or in some, and drive a step.
 

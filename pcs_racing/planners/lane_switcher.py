@@ -253,11 +253,6 @@ def _variants() -> dict[str, tuple[float, ...]]:
 
 
 LANE_SWITCHER = Planner(
-    name="lane-switcher",
-    parameters=PARAMETERS,
-    plan=plan,
-    control=control,
-    memory_size=MEMORY,
-    variants=_variants(),
+    name="lane-switcher", parameters=PARAMETERS, plan=plan, control=control, memory_size=MEMORY, variants=_variants()
 )
 """Two lanes, after the winner of ICRA 2022."""

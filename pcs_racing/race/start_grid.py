@@ -98,10 +98,7 @@ def places_of_grid(cars: int) -> int:
 
 
 def settle(
-    track: Track,
-    vehicles: tuple[VehicleParams, ...],
-    state: RaceState,
-    conditions: RaceConditions = AS_THE_SETUP,
+    track: Track, vehicles: tuple[VehicleParams, ...], state: RaceState, conditions: RaceConditions = AS_THE_SETUP
 ) -> None:
     """Set the Frenet coordinates of freshly placed cars, and mark those that stand in a wall or in another one."""
     cars = conditions.rows(vehicles, state.races)

@@ -107,12 +107,7 @@ def drive_away(
 
 
 def fit_places(
-    track: Track,
-    config: RaceConfig,
-    settings: KernelSettings,
-    spacings: Sequence[float],
-    *,
-    threads: int | None = None,
+    track: Track, config: RaceConfig, settings: KernelSettings, spacings: Sequence[float], *, threads: int | None = None
 ) -> tuple[float, Places, float]:
     """Find where a circuit is fit to start from, with the first of some distances across the track (m) that works.
 
