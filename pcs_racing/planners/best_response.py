@@ -117,9 +117,7 @@ def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):  # 
     out = plan[STEPS : 2 * STEPS]
     multiplier = plan[2 * STEPS : 3 * STEPS]
     bend = theta[ACCELERATION] / (STEP * STEP * STEP * STEP)
-    for k in range(STEPS):
-        out[k] = d
-        multiplier[k] = 0.0
+    out[:], multiplier[:] = d, 0.0
     missing = 0.0
     for turn in range(PASSES):
         previous = d - STEP * rate
@@ -140,13 +138,10 @@ def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):  # 
                 if turn == 0 or side * (wanted - was) > 0.0:
                     main[k] += STEEP
                     right += STEEP * wanted
-            low, high = -scratch[_RIGHT + k], scratch[_LEFT + k]
-            if turn > 0 and was < low:
+            inside = min(max(was, -scratch[_RIGHT + k]), scratch[_LEFT + k])
+            if turn > 0 and was != inside:
                 main[k] += 2.0 * STEEP
-                right += 2.0 * STEEP * low
-            elif turn > 0 and was > high:
-                main[k] += 2.0 * STEEP
-                right += 2.0 * STEEP * high
+                right += 2.0 * STEEP * inside
             right += pull[k] * min(max(other[STEPS + k] - was, -0.5), 0.5)
             multiplier[k] = right
         for k in range(STEPS):
@@ -171,10 +166,8 @@ def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, o
     keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
     nothing = scratch[_SIDE_OF : _SIDE_OF + STEPS]
     chosen, best = 0.0, -np.inf
-    for way in range(3):
-        side = 1.0 if way == 0 else -1.0
-        blocked = way == 2
-        side = 0.0 if blocked else side
+    for way in (1.0, -1.0, 0.0):
+        side, blocked = way, way == 0.0
         end = _go(track, s0, at, v, scale, trial, other, blocked, theta[FOLLOW])
         meets = False
         for k in range(STEPS):

@@ -115,22 +115,12 @@ def _payoffs(theta, view, leads, last, scratch):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def best_reply(payoffs, move, column):  # type: ignore[no-untyped-def]
-    """The best row against a column of a matrix (or, if not ``column``, the best column against a row)."""
-    best = 0
-    for k in range(1, MOVES):
-        here = payoffs[k * MOVES + move] if column else payoffs[move * MOVES + k]
-        there = payoffs[best * MOVES + move] if column else payoffs[move * MOVES + best]
-        best = k if here > there else best
-    return best
-
-
-@kernel
 def solve(own, opponent, leads):  # type: ignore[no-untyped-def]
     """The own move in the Stackelberg equilibrium of payoffs of shape (MOVES * MOVES,): own moves are rows."""
     chosen, best = 0, -np.inf
     for move in range(MOVES):
-        reply = best_reply(opponent, move, False) if leads else best_reply(own, move, True)
+        # The follower's best column against the leader's row, or its best row against the leader's column.
+        reply = np.argmax(opponent[move * MOVES :][:MOVES] if leads else own[move::MOVES])
         value = own[move * MOVES + reply] if leads else opponent[reply * MOVES + move]
         if value > best:
             best, chosen = value, move if leads else reply

@@ -319,6 +319,8 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
     keep = 0.5 * width + BODY_AIR
     per_return = 1.0 / _return_length(v)
     here = line[_sample_at(line, per_ds, s0), _frenet.KAPPA]
+    scratch[_MEAN_KAPPA:_LINE_AIR] = 0.0
+    scratch[_LINE_AIR:_BASE] = WALL_AIR
     kappa0 = here / max(1.0 - here * d, 0.25) + bend
     for first in range(0, GOALS, ACROSS):
         length = _near(v) * (FAR if first > 0 else 1.0)
@@ -338,14 +340,6 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
             scratch[_B + g] = length * slope + 2.0 * a
             scratch[_KAPPA + g] = kappa0
             scratch[_MAX_KAPPA + g] = abs(kappa0)
-            scratch[_MEAN_KAPPA + g] = 0.0
-            scratch[_KAPPA_RATE + g] = 0.0
-            scratch[_SIDEWAYS + g] = 0.0
-            scratch[_STRETCH + g] = 0.0
-            scratch[_SLOWED + g] = 0.0
-            scratch[_LINE_AIR + g] = WALL_AIR
-            scratch[_MOVE_AIR + g] = WALL_AIR
-            scratch[_MIN_AIR + g] = WALL_AIR
         for j in range(SEGMENTS):
             u = (j + 1) / SEGMENTS
             driven = u * length
@@ -725,13 +719,7 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
             )
     # Meeting the opponent only adds to a cost: so the candidate that costs least without it is looked at first, and
     # of the others those that could still be better than the best.
-    chosen = np.int64(0)  # the type is stated, or a second copy of _write_path is compiled for the constant
-    least = scratch[_LEAST]
-    for k in range(1, CANDIDATES):
-        if scratch[_LEAST + k] < least:
-            least = scratch[_LEAST + k]
-            chosen = np.int64(k)
-    first = chosen
+    first = chosen = np.int64(np.argmin(scratch[_LEAST:_COSTS]))
     best = 1e30
     for k in range(-1, CANDIDATES):
         c = np.int64(first if k < 0 else k)

@@ -88,8 +88,7 @@ def follow_line(track, theta, view, gap, sight, lane):  # type: ignore[no-untype
     beside = -0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) < gap < theta[_GAP]
     waits = beside and side_air(view) > 0.0 and abs(view[_view.OPP_D]) < abs(view[_view.OWN_D])
     d = within_walls(track, view[_view.OWN_S], view[_view.OWN_D]) if waits else 0.0
-    for j in range(LANE_POINTS):
-        lane[j] = d
+    lane[:LANE_POINTS] = d
     # Of the car where it is, and of the race line.
     air = min(side_air(view), abs(view[_view.OPP_D]) - 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]))
     ahead = 0.0 < gap < sight and air < IN_THE_WAY

@@ -38,25 +38,12 @@ def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]
             left, right = min(left, j), max(right, j)
             # A cell adds at most its four neighbours.
             if top + 4 > stack.shape[0]:
-                larger = np.empty(2 * stack.shape[0], dtype=np.int64)
-                larger[:top] = stack[:top]
-                stack = larger
-            if i > 0 and not (occupied[i - 1, j] or reached[i - 1, j]):
-                reached[i - 1, j] = True
-                stack[top] = (i - 1) * width + j
-                top += 1
-            if i < height - 1 and not (occupied[i + 1, j] or reached[i + 1, j]):
-                reached[i + 1, j] = True
-                stack[top] = (i + 1) * width + j
-                top += 1
-            if j > 0 and not (occupied[i, j - 1] or reached[i, j - 1]):
-                reached[i, j - 1] = True
-                stack[top] = i * width + j - 1
-                top += 1
-            if j < width - 1 and not (occupied[i, j + 1] or reached[i, j + 1]):
-                reached[i, j + 1] = True
-                stack[top] = i * width + j + 1
-                top += 1
+                stack = np.concatenate((stack, np.empty_like(stack)))
+            for ni, nj in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
+                if 0 <= ni < height and 0 <= nj < width and not (occupied[ni, nj] or reached[ni, nj]):
+                    reached[ni, nj] = True
+                    stack[top] = ni * width + nj
+                    top += 1
     return reached, (bottom_row, top_row, left, right)
 
 

@@ -97,40 +97,33 @@ def corridor(line, normal, room, resolution, corner, need, reach):  # type: igno
         dv = normal[k, 1] / resolution
         base = 0.0
         enough = interpolate(room, u, v) >= need
-        free_left = True
-        free_right = True
+        free = [True, True]  # to the left, to the right
         m = 0
         # Step by step to both sides in turn, so that the nearer place with room is found; a side ends at a wall.
-        while not enough and m * step < reach and (free_left or free_right):
+        while not enough and m * step < reach and (free[0] or free[1]):
             m += 1
-            if free_left:
-                r = interpolate(room, u + m * step * du, v + m * step * dv)
-                free_left = r > 0.0
-                if r >= need:
-                    base = m * step
-                    enough = True
-            if free_right and not enough:
-                r = interpolate(room, u - m * step * du, v - m * step * dv)
-                free_right = r > 0.0
-                if r >= need:
-                    base = -m * step
-                    enough = True
+            for side in range(2):
+                if free[side] and not enough:
+                    move = m * step if side == 0 else -m * step
+                    r = interpolate(room, u + move * du, v + move * dv)
+                    free[side], enough = r > 0.0, r >= need
+                    base = move if enough else 0.0
         if not enough:
             low[k] = 1.0
             high[k] = -1.0
             continue
-        for side in (1.0, -1.0):
+        for sign in (1.0, -1.0):
             a = 0.0
             r = interpolate(room, u + base * du, v + base * dv)
             while a < reach:
                 # No wall is nearer than r, so room can't run out within r - need.
                 ahead = max(step, 0.9 * (r - need))
-                x = base + side * (a + ahead)
+                x = base + sign * (a + ahead)
                 r = interpolate(room, u + x * du, v + x * dv)
                 if r < need:
                     break
                 a += ahead
-            if side > 0.0:
+            if sign > 0.0:
                 high[k] = base + a
             else:
                 low[k] = base - a

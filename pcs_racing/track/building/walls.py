@@ -81,13 +81,8 @@ def _corners(points, tolerance):  # type: ignore[no-untyped-def]
     # A speck of a few cells would collapse to a line.
     keep = np.full(n, n <= 12)
     # A closed line has no ends to begin with: the first point and the one farthest from it stand in for them.
-    far = 0
-    best = -1.0
-    for k in range(n):
-        d = (points[k, 0] - points[0, 0]) ** 2 + (points[k, 1] - points[0, 1]) ** 2
-        if d > best:
-            best = d
-            far = k
+    away = points - points[0]
+    far = np.argmax(away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1])
     keep[0] = True
     keep[far] = True
     stack = [(0, far), (far, n)]
@@ -106,9 +101,9 @@ def _corners(points, tolerance):  # type: ignore[no-untyped-def]
                 along = min(max(along, 0.0), length) / length
                 dx -= along * (x1 - x0)
                 dy -= along * (y1 - y0)
-            away = np.sqrt(dx * dx + dy * dy)
-            if away > worst:
-                worst = away
+            off = np.sqrt(dx * dx + dy * dy)
+            if off > worst:
+                worst = off
                 at = k
         if at >= 0:
             keep[at] = True
@@ -321,12 +316,9 @@ def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth
         for k in range(indices.shape[0]):
             away[k] = _nearest_squared(segments[indices[k]], middle[:, 0].mean(), middle[:, 1].mean())
         if size + indices.shape[0] > seen.shape[0]:
-            larger = np.empty(2 * (size + indices.shape[0]), dtype=np.int32)
-            larger[:size] = seen[:size]
-            seen = larger
-            longer = np.empty(larger.shape[0])
-            longer[:size] = distance[:size]
-            distance = longer
+            more = size + indices.shape[0]
+            seen = np.concatenate((seen, np.empty(more, dtype=np.int32)))
+            distance = np.concatenate((distance, np.empty(more)))
         order = np.argsort(away, kind="mergesort")
         seen[size : size + indices.shape[0]] = indices[order]
         distance[size : size + indices.shape[0]] = np.sqrt(away[order])
