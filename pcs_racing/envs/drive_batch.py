@@ -294,17 +294,8 @@ class DriveBatch:
         scenes = [self._scenes[row] for row in rows]
         for first, last in runs_of(scenes):
             scene = scenes[first]
-            observe_races(
-                scene.arrays,
-                self.state,
-                self.vehicles,
-                scene.sight._replace(players=players),
-                rows,
-                first,
-                last,
-                *self._buffers[0][2:],
-                out,
-            )
+            sight, work = scene.sight._replace(players=players), self._buffers[0][2:]
+            observe_races(scene.arrays, self.state, self.vehicles, sight, rows, first, last, *work, out)
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return actions as float64 of shape (B, players, 2), or raise an error that says what is wrong, and where."""

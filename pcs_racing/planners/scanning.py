@@ -25,22 +25,11 @@ SCAN_SIZE = WORK + BEAMS
 @compiled
 def scan_beams(track, beams, view, heading, work, ranges):  # type: ignore[no-untyped-def]
     """Scan from the own car with any beams, which turn with ``heading`` (rad); ``work`` holds `WORK` numbers."""
-    scan_into(
-        track,
-        beams,
-        view[_view.OWN_X],
-        view[_view.OWN_Y],
-        heading,
-        view[_view.OWN_S],
-        True,
-        view[_view.OPP_X],
-        view[_view.OPP_Y],
-        view[_view.OPP_PSI],
-        0.5 * view[_view.OPP_LENGTH],
-        0.5 * view[_view.OPP_WIDTH],
-        work.reshape(WORK_SHAPE),
-        ranges,
-    )
+    x, y, s = view[_view.OWN_X], view[_view.OWN_Y], view[_view.OWN_S]
+    other = view[_view.OPP_X], view[_view.OPP_Y], view[_view.OPP_PSI]
+    half_length, half_width = 0.5 * view[_view.OPP_LENGTH], 0.5 * view[_view.OPP_WIDTH]
+    lanes = work.reshape(WORK_SHAPE)
+    scan_into(track, beams, x, y, heading, s, True, *other, half_length, half_width, lanes, ranges)
 
 
 @compiled

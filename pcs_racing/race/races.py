@@ -177,17 +177,8 @@ def advance(
     if ticks < 0 or ticks % CONTROL_EVERY:
         raise InputError(f"ticks is {ticks}; it must be an even number from 0")
     settings = setup.settings if ittc else setup.settings._replace(ittc_horizon=0.0)
-    drive(
-        setup.track,
-        settings,
-        setup.planners,
-        setup.vehicles,
-        state,
-        theta,
-        ticks,
-        threads=threads,
-        conditions=conditions,
-    )
+    fixed = (setup.track, settings, setup.planners, setup.vehicles)
+    drive(*fixed, state, theta, ticks, threads=threads, conditions=conditions)
 
 
 @dataclass(frozen=True, eq=False)
