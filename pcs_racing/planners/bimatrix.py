@@ -120,7 +120,7 @@ def solve(own, opponent, leads):  # type: ignore[no-untyped-def]
     chosen, best = 0, -np.inf
     for move in range(MOVES):
         # The follower's best column against the leader's row, or its best row against the leader's column.
-        reply = np.argmax(opponent[move * MOVES :][:MOVES] if leads else own[move::MOVES])
+        reply = int(np.argmax(opponent[move * MOVES :][:MOVES] if leads else own[move::MOVES]))
         value = own[move * MOVES + reply] if leads else opponent[reply * MOVES + move]
         if value > best:
             best, chosen = value, move if leads else reply

@@ -82,7 +82,7 @@ def _corners(points, tolerance):  # type: ignore[no-untyped-def]
     keep = np.full(n, n <= 12)
     # A closed line has no ends to begin with: the first point and the one farthest from it stand in for them.
     away = points - points[0]
-    far = np.argmax(away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1])
+    far = int(np.argmax(away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]))
     keep[0] = True
     keep[far] = True
     stack = [(0, far), (far, n)]
