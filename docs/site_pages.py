@@ -155,9 +155,8 @@ def pages_of_data() -> dict[str, str]:
     from pcs_racing_agents.benchmark.card import board_page, board_rows, read_cards
     from pcs_racing_agents.results.text_table import markdown
 
-    for folder in (str(REPOSITORY / "tools"), str(REPOSITORY / "docs")):
-        if folder not in sys.path:
-            sys.path.append(folder)
+    if str(REPOSITORY / "tools") not in sys.path:
+        sys.path.append(str(REPOSITORY / "tools"))
     circuits, gallery, zoo = (importlib.import_module(name) for name in ("circuits_page", "gallery", "zoo_page"))
     cards = read_cards([REPOSITORY / "benchmarks" / "bench_v2"])
     return {

@@ -1,6 +1,6 @@
 """Take a picture of a page as a browser shows it: a race viewer, a replay or a report, for the documentation.
 
-    python docs/page_picture.py out/mine/view.html docs/images/view.png --link "agent=cfr-argmax&race=96&t=27"
+    python tools/page_picture.py out/mine/view.html docs/images/view.png --link "agent=cfr-argmax&race=96&t=27"
 
 ``--link`` is what follows the ``#`` of a page's address. The page is light, whatever the machine prefers, unless the
 link says otherwise. Needs Chromium; it is driven as the tests drive it.
