@@ -12,7 +12,7 @@ from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import setting, whole
 from pcs_racing.envs.drive_batch import DriveBatch
-from pcs_racing.envs.drive_options import DriveOptions, drive_elements
+from pcs_racing.envs.drive_options import DriveOptions, drive_elements, rivals_of
 from pcs_racing.envs.over_batch import Declared, described
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
@@ -155,8 +155,7 @@ class _SeveralAgents:
         cars = check_whole("cars", arguments["cars"], 1, MOST_CARS)
         if arguments["opponent"] is not None and isinstance(self, BatchVectorEnv):
             raise InputError(f"opponent is {arguments['opponent']!r}; it must be None here, give opponents instead")
-        given = [arguments["opponent"]] if arguments["opponents"] is None else arguments["opponents"]
-        opponents = 0 if given == [None] else len(given)
+        opponents = len(rivals_of(arguments["opponent"], arguments["opponents"]))
         if opponents >= cars:
             raise InputError(f"cars is {cars}, and there are {opponents} opponents; leave a car to an agent")
         return own, cars - opponents

@@ -24,7 +24,7 @@ from pcs_racing.envs.drive_kernel import (
     set_commands,
     step_races,
 )
-from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, samples_ahead, shares
+from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, rivals_of, samples_ahead, shares
 from pcs_racing.envs.infos import Result, all_poses, common_codes, pose_info, race_info, race_infos, race_results
 from pcs_racing.envs.moving_opponents import MovingOpponents
 from pcs_racing.envs.obstacles import obstacles_option
@@ -86,8 +86,7 @@ class DriveBatch:
         check_batch_size(episodes, threads)
         options = DriveOptions(**arguments)
         self.episodes, self.players, self.options = int(episodes), players, options
-        given = (options.opponent,) if options.opponents is None else options.opponents
-        given = () if given == (None,) else given
+        given = rivals_of(options.opponent, options.opponents)
         self.cars = players + len(given)  #: In each race.
         self.variety = Variety(self.episodes, options, cars=self.cars)
         changes: dict[str, Any] = {"start_lines": options.start_lines}

@@ -54,10 +54,14 @@ def _look_ahead(value: Any) -> tuple[float, ...]:
 
 def _opponents(value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple) or len(value) >= MOST_CARS:
-        raise InputError(
-            f"opponents is {value!r:.80}; it must list at most {MOST_CARS - 1} opponents, one for each car"
-        )
+        raise InputError(f"opponents is {value!r:.80}; it must list at most {MOST_CARS - 1} opponents")
     return tuple(value)
+
+
+def rivals_of(opponent: Any, opponents: Any) -> tuple[Any, ...]:
+    """Return what drives each car that no agent drives: nothing for a lone car."""
+    given = (opponent,) if opponents is None else _opponents(opponents)
+    return () if len(given) == 1 and given[0] is None else given
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +137,7 @@ class DriveOptions(EpisodeOptions):
         if self.randomize is not None and self.randomize.lidar_noise is not None and self.beams == 0:
             raise ConfigError("randomize holds lidar_noise, but beams is 0: there is no lidar")
 
-        if self.opponents is not None and self.opponent not in (None, DriveOptions.opponent):
+        if self.opponents is not None and str(self.opponent) not in ("None", DriveOptions.opponent):
             raise ConfigError(f"opponent is {self.opponent!r}, and opponents were given, too; give one of the two")
 
     @property

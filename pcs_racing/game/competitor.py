@@ -129,7 +129,8 @@ def check_competitor(game: RaceGame, competitor: Any) -> None:
     A competitor with a method ``check_fits(game)`` is asked; of a model, ``observation_space`` and ``action_space`` are
     compared.
     """
-    if isinstance(competitor, type) or not (
+    # An array has a method `choose`, and is no competitor.
+    if isinstance(competitor, type | np.ndarray) or not (
         isinstance(competitor, RandomMoves | Predictor | Decider | PolicySet | Policy | Chooser) or callable(competitor)
     ):
         raise InputError(

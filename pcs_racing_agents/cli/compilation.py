@@ -35,7 +35,7 @@ def compile_kernels() -> None:
     """
     # Spawned, not forked: numba's threads do not survive a fork.
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        for row in ((_tracks, _planners), (_races, _solvers_and_circuits), (_environments,)):
+        for row in ((_tracks, _planners), (_races, _solvers), (_environments, _circuits)):
             for task in [pool.submit(function) for function in row]:
                 task.result()
 
@@ -63,18 +63,23 @@ def _races() -> None:
     game.observation(game.step(game.reset(games=2, seed=0), np.zeros((2, 2), int)))
 
 
-def _solvers_and_circuits() -> None:
-    """Solvers of games, a generated circuit, and a lidar on a shipped one."""
-    from pcs_racing.track.mapping.circuits import generate_circuit
+def _solvers() -> None:
+    """Solvers of games, and a lidar."""
     from pcs_racing_agents.solvers import GameTree, cfr, exploitability, solve_exact
 
     tree = GameTree.from_payoffs(np.random.default_rng(0).normal(size=(2, 2, 2, 2)))
     solve_exact(tree)
     exploitability(tree, cfr(tree, 2).average)
+    Lidar(load_track(TRACK), 8).scan(np.zeros((2, 3)))
+
+
+def _circuits() -> None:
+    """A circuit that is generated, and then a track built from its walls."""
+    from pcs_racing.race.random_circuits import RandomCircuits, random_circuit
+
     # The libraries of the extra mapping may be missing.
     with suppress(ModuleNotFoundError):
-        generate_circuit(7)
-    Lidar(load_track(TRACK), 8).scan(np.zeros((2, 3)))
+        random_circuit(RandomCircuits(), 7)
 
 
 def _environments() -> None:

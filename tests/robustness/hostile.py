@@ -44,10 +44,10 @@ MERGED = "\n".join(["a0: &a0 {k: v}", *(f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1
 TEXTS = {
     "names that stand for names": BOMB,
     "merged mappings": MERGED,
-    "deep nesting": "a: " + "[" * 5000,
-    "deep mappings": "{a: " * 5000,
+    "deep nesting": "a: " + "[" * 1000,
+    "deep mappings": "{a: " * 1000,
     "a long number": "seed: 0x" + "f" * 100_000,
-    "a large file": "a: " + "x" * 3_000_000,
+    "a large file": "a: " + "x" * 2_000_000,
     "code": "!!python/object/apply:os.system ['touch hacked']",
 }
 
