@@ -38,12 +38,12 @@ demo: $(VENV)/base.stamp
 	$(VENV)/bin/pcs-racing study quick --out out/demo
 
 # The kernels are compiled once before the tests begin, rather than by every worker at the same time. Linear algebra keeps
-# to one thread: several in each worker, and in the processes that these start, would fight for two cores. Of three
-# workers one usually waits for a cluster, a browser or a killed process.
+# to one thread: several in each worker, and in the processes that these start, would fight for two cores. Of four
+# workers one or two usually wait for a cluster, a browser or a killed process.
 test: export OMP_NUM_THREADS = 1
 test: export OPENBLAS_NUM_THREADS = 1
 test: kernels
-	$(RUN) -m pytest -n 3 --dist worksteal
+	$(RUN) -m pytest -n 4 --dist worksteal
 
 FROM ?= HEAD
 quick: export OMP_NUM_THREADS = 1
@@ -109,6 +109,7 @@ benchmark-history: $(VENV)/test.stamp
 benchmarks: $(VENV)/compare.stamp
 	@for script in $(filter-out benchmarks/pooled_studies.py,$(wildcard benchmarks/*.py)); do echo "== $$script"; $(RUN) "$$script" || exit 1; done
 
+docs: export OMP_NUM_THREADS = 1
 docs: $(VENV)/docs.stamp
 	$(RUN) -m sphinx --fail-on-warning --keep-going --builder html --doctree-dir out/doctrees docs out/docs
 	@echo "out/docs/index.html"

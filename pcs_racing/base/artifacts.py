@@ -57,9 +57,7 @@ class ManifestFormat:
         if not isinstance(manifest, dict) or manifest.get("format") != form:
             raise InputError(f"{file} is no manifest of {self.a_noun}: format must be {form!r}")
         if manifest.get("version") != self.version:
-            raise InputError(
-                f"{file} has version {manifest.get('version')!r}; this release reads version {self.version}"
-            )
+            raise InputError(f"{file} has version {manifest.get('version')!r}; this release reads {self.version}")
         odd = set(manifest) ^ {"format", "version", *self.keys}
         if odd:
             names = ", ".join(sorted(map(str, odd)))

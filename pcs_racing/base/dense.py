@@ -81,7 +81,8 @@ def weight_count(sizes: Sequence[int]) -> int:
 
 
 def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    array = np.array(values, np.float32)
+    with np.errstate(over="ignore"):  # infinity is refused below
+        array = np.array(values, np.float32)
     if array.shape != shape:
         raise InputError(f"{name} have shape {array.shape}; they must have {shape}")
     if not np.isfinite(array).all():

@@ -67,7 +67,7 @@ def unknown_argument(function: str, name: str, known: Iterable[str]) -> UnknownA
 def choices(name: str, known: Iterable[str]) -> str:
     """Return the end of an error message about an unknown name: the nearest known one, and all of them."""
     names = list(known)
-    near = difflib.get_close_matches(name, names, n=1)
+    near = difflib.get_close_matches(str(name), names, n=1)
     return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names)}"
 
 

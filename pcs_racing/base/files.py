@@ -24,6 +24,7 @@ from pcs_racing.base.errors import InputError
 MAX_YAML = 200_000
 """Maximum size of a YAML file in bytes; larger files would take seconds to parse."""
 
+_FLOATS = yaml.SafeLoader("")
 _MOST_VALUES = 2_000_000  # of a YAML text, names written out; letters count as a tenth
 _DEEPEST = 50
 _LONGEST_NUMBER = 100  # characters
@@ -128,9 +129,11 @@ def parse_json(file: str | os.PathLike[str], content: bytes | str) -> Any:
 def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:
     """Return the number of values of a node with all aliases expanded; every node is visited once."""
     if isinstance(node, yaml.ScalarNode):
-        number = node.tag.rpartition(":")[2] in ("int", "float", "timestamp")
-        if number and len(node.value) > _LONGEST_NUMBER:
+        kind = node.tag.rpartition(":")[2]
+        if kind in ("int", "float", "timestamp") and len(node.value) > _LONGEST_NUMBER:
             raise InputError(f"the number {node.value[:20]}... has {len(node.value)} characters")
+        if kind == "float" and not math.isfinite(_FLOATS.construct_yaml_float(node)):
+            raise InputError(f"line {node.start_mark.line + 1} holds {node.value:.20}; numbers must be finite")
         return 1.0 + 0.1 * len(node.value)
     if id(node) not in sizes:
         if depth > _DEEPEST:

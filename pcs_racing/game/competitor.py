@@ -129,8 +129,7 @@ def check_competitor(game: RaceGame, competitor: Any) -> None:
     A competitor with a method ``check_fits(game)`` is asked; of a model, ``observation_space`` and ``action_space`` are
     compared.
     """
-    # An array has a method `choose`, and is no competitor.
-    if isinstance(competitor, type | np.ndarray) or not (
+    if isinstance(competitor, type | np.ndarray) or not (  # an array has a method `choose`, too
         isinstance(competitor, RandomMoves | Predictor | Decider | PolicySet | Policy | Chooser) or callable(competitor)
     ):
         raise InputError(

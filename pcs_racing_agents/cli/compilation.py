@@ -9,7 +9,7 @@ import numpy as np
 
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.game.make import make_game
-from pcs_racing.planners.registry import parse_policy
+from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.races import draw_starts, run_races
 from pcs_racing.track.loading import load_track
@@ -35,7 +35,7 @@ def compile_kernels() -> None:
     """
     # Spawned, not forked: numba's threads do not survive a fork.
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        for row in ((_tracks, _planners), (_races, _solvers), (_environments, _circuits)):
+        for row in ((_tracks, _planners), (_races, _field), (_environments, _circuits), (_solvers,)):
             for task in [pool.submit(function) for function in row]:
                 task.result()
 
@@ -46,9 +46,16 @@ def _tracks() -> None:
 
 
 def _planners() -> None:
-    """The planners, without a race."""
+    """The planners of most races, without a race."""
     for text in PLANNERS:
         parse_policy(text).planner.pointers()
+
+
+def _field() -> None:
+    """All other planners."""
+    for name in planner_names():
+        if name not in PLANNERS:
+            parse_policy(name).planner.pointers()
 
 
 def _races() -> None:

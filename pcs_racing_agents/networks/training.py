@@ -82,7 +82,8 @@ def train_network(
         "starting_pairs": len(np.unique(rows.pair)),
         "validation_pairs": len(result.validation_pairs),
         "epochs": result.epochs[-1].epoch,
-        **{key: value if key == "epoch" else float(f"{value:.6g}") for key, value in best._asdict().items()},
+        # Before the first epoch there is no loss of training.
+        **{k: v if k == "epoch" else float(f"{v:.6g}") for k, v in best._asdict().items() if np.isfinite(v)},
     }
     summary["best_epoch"] = summary.pop("epoch")
     hidden = ", ".join(str(width) for width in settings.hidden)

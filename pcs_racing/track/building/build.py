@@ -50,7 +50,7 @@ def check_line(points: ArrayLike, label: str) -> Floats:
         )
     if step.sum() > MAX_LENGTH:
         raise MapError(
-            f"{label} is {step.sum():.0f} m long: at most {MAX_LENGTH:.0f} m are supported (is it in metres?)"
+            f"{label} is {step.sum():.0f} m long: at most {MAX_LENGTH:.0f} m are possible (is it in metres?)"
         )
     samples = sample_closed(xy, 2.0 * LINE_SPACING).xy
     crossing = first_crossing(samples)[0]

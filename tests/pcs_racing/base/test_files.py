@@ -12,8 +12,9 @@ from refusal import refused
 from pcs_racing import InputError
 from pcs_racing.base.files import plain_yaml, read_limited, unpack_arrays
 
+finite = st.floats(allow_nan=False, allow_infinity=False)
 plain = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**62), 2**62) | st.floats(allow_nan=False) | st.text(max_size=10),
+    st.none() | st.booleans() | st.integers(-(2**62), 2**62) | finite | st.text(max_size=10),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
     max_leaves=10,
 )

@@ -104,7 +104,7 @@ def test_a_file_sets_some_fields_and_the_arguments_others_before_they_are_checke
         ("7: 1", "unknown soup setting 7"),
         ("bowls: 0", "bowls is 0; it must be a whole number from 1 to 9"),
         ("bowls: true", "bowls is True; it must be a whole number"),
-        ("salt: .nan", "salt is nan; it must be a number from 0 to 1"),
+        ("salt: .nan", "line 1 holds .nan; numbers must be finite"),
         ("kind: claer", "kind is 'claer'; it must be one of clear, thick (did you mean 'clear'?)"),
         ("[1, 2]", "it must be a mapping"),
         ("a: [", "not valid YAML"),

@@ -61,10 +61,10 @@ def test_states_and_scans_beside_the_gym(ring, tmp_path):
 
 
 def test_states_are_those_that_the_gym_recorded(reference):
-    """Ten trajectories from states of their own, by the gym's controllers, steering late by two steps."""
+    """Ten trajectories from states of their own, far beside the map, by the gym's controllers with steering delayed."""
     recorded = np.load(reference / "st_dynamics.npz")
     angle = np.linspace(0.0, 6.0, 60)
-    empty = Track.from_refline(100.0 * np.cos(angle), 100.0 * np.sin(angle), np.ones(60))
+    empty = Track.from_refline(10.0 * np.cos(angle) + 1000.0, 10.0 * np.sin(angle), np.ones(60))
     env = gymnasium.make("pcs_racing:f1tenth-v0", config={"map": empty, "num_agents": 1})
     for states, controls in zip(recorded["cmd_states"], recorded["cmd_controls"], strict=True):
         env.sim.reset([[0.0, 0.0, 0.0]])

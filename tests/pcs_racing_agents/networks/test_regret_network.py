@@ -59,6 +59,7 @@ def test_bad_observations_are_refused_and_of_others_the_highest_value_before_cli
     refused(r"\(2, 6\); network 'toy' .*\(\.\.\., 7\)", network, np.zeros((2, 6)))
     refused(r"shape \(\)", network, 1.0)
     refused("NaN or infinity", network, [0.0, 0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
+    refused("NaN or infinity", values_network, [1e300] * 4, clipped=False)  # beyond float32
     assert network(np.zeros((0, 7))).shape == (0, 4)
     network = values_network([1.0, 3.0, 2.0, -5.0], [-3.0, -4.0, -1.0, -2.0], [0.0, 0.0, 0.0, 0.0], clipped=True)
     np.testing.assert_array_equal(network(np.eye(3)), [[1.0, 3.0, 2.0, 0.0], [0.0] * 4, [0.0] * 4])
@@ -138,7 +139,7 @@ def other_weights(folder: Path, change) -> None:
         (lambda f: edit(f, training=[]), "it must be a mapping"),
         (lambda f: edit(f, elements=["a"]), "has 7 inputs"),
         (lambda f: edit(f, elements=["a"] * 7), "elements .*each once"),
-        *[(lambda f, e=e: edit(f, epsilon=e), "epsilon is") for e in ([float("nan")], [0.5, 0.5], [])],
+        *[(lambda f, e=e: edit(f, epsilon=e), "epsilon is") for e in ([-1.0], [0.5, 0.5], [])],
         (
             lambda f: other_weights(f, lambda t: {**t, "input.mean": np.full(7, np.nan, "f")}),
             "it must be 7 finite numbers",
