@@ -95,6 +95,8 @@ def main() -> None:
     parser.add_argument("--beams", type=int, default=0, help="beams of the lidar in the observations")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first race; each other has the next one")
     given = parser.parse_args()
+    if given.name in minari.list_local_datasets():
+        parser.error(f"there is a dataset {given.name} already; give another --name")
 
     opponent = None if given.opponent == "none" else given.opponent
     options = {"track": given.track, "race": given.race, "duration": given.duration, "beams": given.beams}

@@ -93,11 +93,8 @@ def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:
     if is_model(given) and not isinstance(given, str | Path):
         own = callable(getattr(given, "get_env", None)) and given.get_env() is not None
         return model_policy(given) if own else policy_of(given, competitor_name(given), options, cars)
-    return parse_policy(given) if _is_policy_text(given) else given
-
-
-def _is_policy_text(given: Any) -> bool:
-    return isinstance(given, str) and given.partition(":")[0].strip() in planner_names()
+    named = isinstance(given, str) and given.partition(":")[0].strip() in planner_names()
+    return parse_policy(given) if named else given
 
 
 def shared_planner(opponents: list[Opponent], game: RaceGame | None) -> Planner:

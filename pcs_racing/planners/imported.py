@@ -37,6 +37,7 @@ ODOMETRY = {
 }  # fmt: skip
 STATE = [_view.OWN_X, _view.OWN_Y, _view.OWN_DELTA, _view.OWN_V, _view.OWN_PSI, _view.OWN_PSI_DOT, _view.OWN_BETA]
 
+_PREFIX = "drivers of "
 _lidar = lru_cache(maxsize=8)(Lidar)  # 1080 beams over 4.7 rad, up to 30 m
 
 
@@ -52,8 +53,7 @@ class _Drivers:
     def __post_init__(self) -> None:
         self.classes = driver_classes(self.path)
         if not self.classes:
-            methods = f"{', '.join(METHODS[:-1])} or {METHODS[-1]}"
-            raise InputError(f"{self.path} has no driver: a class with a method {methods}")
+            raise InputError(f"{self.path} has no driver: a class with a method {' or '.join(METHODS)}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _Drivers, (self.path,)
@@ -91,7 +91,7 @@ def _ask(driver: Any, track: Track, view: NDArray[np.float64]) -> tuple[float, f
 def run_file(path: str | Path) -> ModuleType:
     """Run a Python file, once in this process, and return it as a module."""
     path = Path(path)
-    name = f"drivers of {path.resolve()}"
+    name = f"{_PREFIX}{path.resolve()}".replace(".", ":")  # behind a dot pickle would look for a part of a package
     if name in sys.modules:
         return sys.modules[name]
     spec = spec_from_file_location(name, path)
@@ -107,6 +107,11 @@ def run_file(path: str | Path) -> ModuleType:
     finally:
         sys.path.pop(0)
     return module
+
+
+def files_run() -> list[str]:
+    """Return the files that this process has run: another one needs them to unpack objects of their classes."""
+    return [str(module.__file__) for name, module in sys.modules.items() if name.startswith(_PREFIX)]
 
 
 def driver_classes(path: str | Path) -> list[type]:

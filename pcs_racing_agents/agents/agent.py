@@ -8,6 +8,7 @@ simulated again to the last bit. To an opponent who does not know the seed the m
 """
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,6 @@ from pcs_racing.base.seeds import GOLDEN, scramble_one
 from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor, is_model
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
-from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 
@@ -150,14 +150,6 @@ class Driver(PolicySet):
     def __repr__(self) -> str:
         return f"<Driver {self.name!r}: {len(self.policies)} policies of planner {self.planner.name!r}>"
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle a registered planner by its name, so that the other process uses its own object."""
-        planner: Planner | str = self.planner
-        if self.planner.name in planner_names() and get_planner(self.planner.name) is self.planner:
-            planner = self.planner.name
-        rows = [(policy.parameters, policy.name) for policy in self.policies]
-        return _driver, (self.name, planner, rows, dict(self.facts))
-
     @property
     def planner(self) -> Planner:
         """Planner of its policies."""
@@ -171,11 +163,6 @@ class Driver(PolicySet):
         return fingerprint(
             self.planner.name, self.planner.parameter_names, [p.parameters for p in self.policies], *weights
         )
-
-
-def _driver(name: str, planner: Planner | str, rows: list[tuple[Any, str]], facts: dict[str, str]) -> Driver:
-    family = get_planner(planner) if isinstance(planner, str) else planner
-    return Driver(name, tuple(Policy(family, theta, policy) for theta, policy in rows), facts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,11 +221,18 @@ def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
         return Agent(name, candidate.strategy, candidate.setting, candidate.seed, candidate.facts)
     if isinstance(candidate, Driver):
         return Driver(name, candidate.policies, candidate.facts)
-    if isinstance(candidate, Predictor):
+    if isinstance(candidate, Predictor) and not isinstance(candidate, Decider):
         return Named(name, candidate)
     if is_dataclass(candidate) and any(field.name == "name" for field in fields(candidate)):
         return replace(candidate, name=name)
-    raise InputError(f"{candidate!r} has a name of its own, {candidate.name!r}; it can't be called {name!r}")
+    named = copy(candidate)
+    try:
+        named.name = name
+    except AttributeError:
+        raise InputError(
+            f"{candidate!r} has a name of its own, {candidate.name!r}; it can't be called {name!r}"
+        ) from None
+    return named
 
 
 def competitor_hash(competitor: Competitor) -> str:

@@ -3,6 +3,7 @@
 import importlib
 import inspect
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,15 @@ def own_code(text: str, *given: Any) -> Any:
 
     A driver's class becomes its policy (:func:`pcs_racing.drivers_from`). Any other class or function is called with
     what is ``given``, if it needs an argument or several are given. A module is looked for in the working directory as
-    well.
+    well. A policy's name is the text, by which another process finds the code again; a file alone is its first driver.
     """
     place, separator, name = text.partition(":")
-    if not separator or not name.isidentifier() or place in planner_names():
+    file = place.endswith(".py")
+    if file and not separator:
+        return replace(next(iter(drivers_from(place).values())), name=text)
+    if not name.isidentifier() or (place in planner_names() and not file):
         return None
-    if place.endswith(".py"):
+    if file:
         module = run_file(place)
     else:
         here = str(Path.cwd())
@@ -38,13 +42,16 @@ def own_code(text: str, *given: Any) -> Any:
             raise InputError(f"{place} can't be imported: {error}") from error
     made = getattr(module, name, None)
     if isinstance(made, type) and any(callable(getattr(made, method, None)) for method in METHODS):
-        return drivers_from(inspect.getfile(made))[name]
-    if callable(made):
+        # The planner has the path as it is given, as on a command line that names the file.
+        given_here = file and module.__name__ == made.__module__
+        made = drivers_from(place if given_here else inspect.getfile(made))[made.__name__]
+    elif callable(made):
         needed = [one for one in inspect.signature(made).parameters.values() if one.default is one.empty]
         made = made(*given) if len(given) > 1 else made(*given[: len(needed)])
     if made is None:
         raise InputError(f"{text} is no driver and no agent: {place} has no class and no function {name!r}")
-    return made.policy() if isinstance(made, Planner) else made
+    made = made.policy() if isinstance(made, Planner) else made
+    return replace(made, name=text) if isinstance(made, Policy) else made
 
 
 def _is_module(name: str) -> bool:

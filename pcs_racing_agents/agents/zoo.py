@@ -167,7 +167,7 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
     if not separator or name not in entries() or name in planner_names():
         own = own_code(str(text).strip(), setting)
         if own is not None:
-            return as_competitor(own, rest if isinstance(own, Agent) or not hasattr(own, "name") else None)
+            return as_competitor(own, str(text).strip())
         return build(str(text).strip(), setting, seed=seed)
     options: dict[str, Any] = {}
     for option in rest.split(","):

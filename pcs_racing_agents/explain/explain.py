@@ -107,9 +107,8 @@ def explain_game(
     cars = (as_competitor(ego), as_competitor(opponent))
     competitor = cars[car]
     if isinstance(competitor, Driver):
-        raise InputError(
-            f"{competitor.name!r} in car {car} makes no moves, so there is nothing to explain; try the other car"
-        )
+        other = "nor does the other car's" if isinstance(cars[1 - car], Driver) else "try the other car"
+        raise InputError(f"{competitor.name!r} in car {car} makes no moves, so there is nothing to explain; {other}")
     recording = record_game(game, *cars, policies=policies, start=start, seed=seed, candidates=candidates)
     played, arena = recording.played, recording.game
     names = recording.replay.car_names

@@ -7,7 +7,7 @@ import platform
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache, partial
@@ -19,6 +19,7 @@ from typing import Any
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.planners.imported import files_run, run_file
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.jobs.folders import JobError, package_version
 
@@ -70,7 +71,8 @@ def make_executor(
         with _shut_down(ThreadPoolExecutor(count, "pcs-racing")) as executor:
             yield executor
     else:
-        with _one_thread_each(), _shut_down(ProcessPoolExecutor(count, get_context("spawn"), _prepare)) as executor:
+        pool = ProcessPoolExecutor(count, get_context("spawn"), _prepare, (files_run(),))
+        with _one_thread_each(), _shut_down(pool) as executor:
             yield executor
 
 
@@ -182,13 +184,19 @@ def _one_thread_each() -> Iterator[None]:
                 os.environ.pop(key, None)
 
 
-def _prepare() -> None:
-    """Prepare a worker process: Ctrl-C is left to the parent, and the worker ends if its parent is killed."""
+def _prepare(files: Sequence[str]) -> None:
+    """Prepare a worker: Ctrl-C is left to the parent, the worker ends if its parent is killed, and runs own files."""
     # Ctrl-C reaches the whole group of processes; a worker that died of it would look like a crash.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+    _run_files(files)
+
+
+def _run_files(files: Sequence[str]) -> None:
+    for file in files:
+        run_file(file)
 
 
 def _end_with(sentinel: int) -> None:
@@ -227,7 +235,7 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
             LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, **quiet) as cluster,
             Client(cluster) as client,
         ):
-            client.run(_prepare)
+            client.run(_prepare, files_run())
             yield client.get_executor(pure=False)
         return
     with _client(Client, address) as client:
@@ -238,6 +246,7 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
                 f"the dask scheduler at {address} has no workers; start some: dask worker {address} --nthreads 1"
             ) from None
         _check_workers(client.run(worker_identity))
+        client.run(_run_files, files_run())
         yield client.get_executor(pure=False)
 
 

@@ -232,6 +232,17 @@ def concatenate_races(tables: Iterable[RaceTable]) -> RaceTable:
     return RaceTable(**{field.name: joined(field.name) for field in fields(RaceTable)})
 
 
+def closeness_text(races: RaceTable) -> str:
+    """Return how close the races without a crash were at their end; empty if there are none."""
+    gaps = np.abs(races.lead[~races.crashed])
+    if not len(gaps):
+        return ""
+    return (
+        f"How close the races were: of the {len(gaps):,} without a crash {(gaps <= 5.0).mean():.0%} ended within 5 m "
+        f"and {(gaps <= 20.0).mean():.0%} within 20 m; the median gap was {np.median(gaps):.1f} m."
+    )
+
+
 def narrow(values: NDArray[Any]) -> NDArray[Any]:
     """Return whole numbers in the narrowest signed type that holds them, and other numbers as they are."""
     if values.dtype.kind != "i" or values.size == 0:

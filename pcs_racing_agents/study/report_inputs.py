@@ -140,7 +140,6 @@ def _number(text: str | None, path: str | Path) -> float:
 # Example races
 
 KINDS = ("win", "loss", "crash")
-CLOSE = 5.0  # m
 
 
 class ExplainedRace(NamedTuple):
@@ -199,17 +198,6 @@ def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highli
                 highlights[kind] = Highlight(rank, abs(float(races.lead[race])), title, race, len(numbers))
                 break
     return highlights
-
-
-def closeness_text(races: RaceTable) -> str:
-    """Return how close the races without a crash were at their end; empty if there are none."""
-    gaps = np.abs(races.lead[~races.crashed])
-    if not len(gaps):
-        return ""
-    return (
-        f"How close the races were: {(gaps <= CLOSE).mean():.0%} of the {len(gaps):,} without a crash ended within "
-        f"{CLOSE:g} m; the median gap was {np.median(gaps):.1f} m."
-    )
 
 
 def watch_race(pairing: Pairing, race: int, title: str) -> ExplainedRace:

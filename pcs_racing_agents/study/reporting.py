@@ -16,7 +16,7 @@ from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.race_files import read_results, write_results
-from pcs_racing_agents.results.races import RaceTable, concatenate_races
+from pcs_racing_agents.results.races import RaceTable, closeness_text, concatenate_races
 from pcs_racing_agents.results.text_table import table_rows
 from pcs_racing_agents.study.config import BEST_BLIND
 from pcs_racing_agents.study.family_gains import COLUMNS as FAMILY_COLUMNS
@@ -28,7 +28,6 @@ from pcs_racing_agents.study.report_inputs import (
     KINDS,
     Highlight,
     ReplyLoss,
-    closeness_text,
     read_curves,
     read_losses,
     select_highlights,

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
+from pcs_racing_agents.results.races import closeness_text
 from pcs_racing_agents.results.text_table import Column, aligned, table_rows
 from pcs_racing_agents.tournament.play import Tournament
 from pcs_racing_agents.tournament.ratings import Ratings
@@ -133,6 +134,7 @@ def tournament_text(tournament: Tournament) -> str:
         f"{races} races of {plan.config.duration:g} s, preset {plan.config.name}, on "
         f"{', '.join(track.name for track in plan.tracks)}; seed {plan.seed}\n"
         f"{1.0 - crashes / races:.0%} finished, {passed / races:.0%} with an overtake\n"
+        f"{closeness_text(tournament.races)}\n"
     )
     known = [column for column in META_COLUMNS if not np.isnan([getattr(line, column.name) for line in table]).all()]
     payoffs = payoff_matrix(tournament)

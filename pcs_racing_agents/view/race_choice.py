@@ -1,9 +1,10 @@
-"""Selection of races of a tournament to show: spread over agents and outcomes, typical ones first.
+"""Selection of races of a tournament to show: spread over agents and outcomes, the closest ones first.
 
 For one of its agents a race is a win by switching, another win, a loss, a crash by its own fault or the other's, or a
 tie. It is won by switching where "never-switch" loses to the same opponent, from the same start and policy. Agents and
-outcomes take turns. Within an agent and outcome, opponents and circuits take turns, and of each the race with the
-median lead comes first, then those at a quarter and three quarters, and so on.
+outcomes take turns. Within an agent and outcome, opponents and circuits take turns, and of each the races come by
+the distance between the cars at the end. What is shown is closer than what is typical, which the tournament's table
+says.
 """
 
 from collections.abc import Iterator, Sequence
@@ -85,36 +86,21 @@ def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
 
 
 def _in_turns(races: RaceTable, agent: int, mask: NDArray[np.bool_]) -> Iterator[int]:
-    """Yield an agent's races of one outcome: circuits and opponents take turns, each with its median lead first.
+    """Yield an agent's races of one outcome: circuits and opponents take turns, each with its closest race first.
 
     ``mask`` has shape (2, N): the races, by the car that the agent drove in them.
     """
     cars, numbers = np.nonzero(mask)
-    lead = np.where(cars == 0, races.lead[numbers], -races.lead[numbers])
+    gap = np.abs(races.lead[numbers])
     others = races.agents.codes[numbers, 1 - cars]
     tracks = races.track.codes[numbers]
     groups: list[Sequence[int]] = []
     for pair in sorted({*zip(tracks.tolist(), others.tolist(), strict=True)}, key=lambda pair: pair[::-1]):
         rows = np.flatnonzero((tracks == pair[0]) & (others == pair[1]))
-        ordered = numbers[rows][np.argsort(lead[rows], kind="stable")]
-        groups.append([int(ordered[rank]) for rank in _from_the_middle(len(ordered))])
+        groups.append(numbers[rows][np.argsort(gap[rows], kind="stable")].tolist())
     # Each agent starts with another group: else all of them would show their race against the same opponent.
     groups = groups[agent % len(groups) :] + groups[: agent % len(groups)] if groups else []
     for turn in range(max(map(len, groups), default=0)):
         for group in groups:
             if turn < len(group):
                 yield group[turn]
-
-
-def _from_the_middle(count: int) -> list[int]:
-    """Return 0 to ``count`` - 1: the middle, then the middles of both halves, and so on."""
-    order, spans = [], [(0, count)]
-    while spans:
-        following = []
-        for low, high in spans:
-            if low < high:
-                middle = (low + high - 1) // 2
-                order.append(middle)
-                following += [(low, middle), (middle + 1, high)]
-        spans = following
-    return order

@@ -111,7 +111,7 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", sys.path[:])
     assert load_entrant("never-switch", protocol.setting).name == "never-switch"
-    assert load_entrant("brought:agent", protocol.setting).name == "mine"
+    assert load_entrant("brought:agent", protocol.setting).name == "brought:agent"
     assert load_entrant("brought:agent", protocol.setting, weights=tmp_path / "net.pt", name="x").name == "x"
     assert load_entrant("lattice:pace=0.4", protocol.setting).name == "lattice:pace=0.4"
     assert load_entrant("ppo-drive", protocol.setting, drive=True).planner.name == "ppo-drive"

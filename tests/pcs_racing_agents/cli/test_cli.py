@@ -21,7 +21,7 @@ from refusal import refused
 
 from pcs_racing import list_tracks, load_track, read_replay
 from pcs_racing.base.settings import Settings, names, setting, whole
-from pcs_racing.planners.registry import SHIPPED
+from pcs_racing.planners import registry
 from pcs_racing.race.calibration import calibrate
 from pcs_racing.track.maps import shipped_folder
 from pcs_racing.track.track import calibration_values
@@ -78,20 +78,22 @@ def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(print
     assert read_replay(tmp_path / "race.html").track_name == "Brackwater"
 
 
-def test_a_race_writes_a_replay(printed, tmp_path):
-    for name in ("race.html", "race.json"):
-        out = printed("race", "--track", "Pipkin", *PAIR, *SHORT, "--replay", tmp_path / name)
-        assert str(tmp_path / name) in out
-        replay = read_replay(tmp_path / name)
-        assert replay.track_name == "Pipkin"
-        assert replay.candidates is not None
+@pytest.mark.parametrize("name", ["race.html", "race.json"])
+def test_a_race_writes_a_replay(printed, tmp_path, name):
+    assert str(tmp_path / name) in printed("race", "--track", "Pipkin", *PAIR, *SHORT, "--replay", tmp_path / name)
+    assert read_replay(tmp_path / name).candidates is not None
 
 
-def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, tmp_path):
+def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, tmp_path, monkeypatch):
+    """Without a folder it prints its table and writes nothing."""
+    monkeypatch.chdir(tmp_path)
     arguments = ["tournament", "--track", "Pipkin", "--agents", "random-moves", "always-restraint +", "--races", 2]
+    table = run(*arguments, *SHORT)[1]
+    assert not list(tmp_path.iterdir())
     code, out, err = run(*arguments, *SHORT, "--out", tmp_path / "out")
     assert code == 0
     assert "2 races of 4 s, preset paper, on Pipkin" in out
+    assert out.startswith(table)
     assert "2/2 races" in err
     results = (tmp_path / "out" / "results.csv").read_bytes()
     assert b"random-moves,always-restraint+,Pipkin" in results
@@ -104,19 +106,12 @@ def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, tmp_path):
     assert "holds another run: its seed is 0, not 1" in err
 
 
-def test_agents_lists_the_zoo(printed):
+def test_the_zoo_and_all_planners_are_listed_with_their_options_and_parameters(printed):
     out = printed("agents")
     assert {"cfr-argmax", "always-aggressiveness+", "lane-switcher"} <= {line.split()[0] for line in out.splitlines()}
-    out = printed("agents", "best-fixed")
-    assert "- Option target, by default None. The policy's index." in out
-
-
-def test_a_tournament_without_a_folder_prints_its_table_and_writes_nothing(printed, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    arguments = ["tournament", "--track", "Pipkin", "--agents", "random-moves", "never-switch", "--races", 2]
-    out = printed(*arguments, *SHORT)
-    assert "2 races of 4 s, preset paper, on Pipkin" in out
-    assert not list(tmp_path.iterdir())
+    assert "- Option target, by default None. The policy's index." in printed("agents", "best-fixed")
+    assert set(registry.SHIPPED) <= set(printed("policies").splitlines())
+    assert "air to keep beside the opponent, m" in printed("policies", "lattice")
 
 
 def test_track_list_and_show(printed, tmp_path):
@@ -148,11 +143,9 @@ def test_track_import_completes_a_map(run, copied, tmp_path):
 
 
 def test_track_generate_is_repeatable(run, tmp_path):
-    for name in ("one", "two"):
-        assert run("track", "generate", "--seed", 2, "--name", "Dell", "--out", tmp_path / name)[0] == 0
-    one, two = (load_track(tmp_path / name) for name in ("one", "two"))
-    assert one.name == "Dell"
-    assert one.content_hash == two.content_hash
+    one, two = tmp_path / "one", tmp_path / "two"
+    assert [run("track", "generate", "--seed", 2, "--name", "Dell", "--out", out)[0] for out in (one, two)] == [0, 0]
+    assert load_track(one).content_hash == load_track(two).content_hash
 
 
 def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, printed, copied, monkeypatch):
@@ -181,14 +174,6 @@ def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, printed, c
     assert after == before
 
 
-def test_policies_lists_every_planner_and_parameter(printed):
-    out = printed("policies")
-    assert set(SHIPPED) <= set(out.splitlines())
-    out = printed("policies", "lattice")
-    assert "side_margin" in out
-    assert "air to keep beside the opponent, m" in out
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -210,10 +195,7 @@ def test_policies_lists_every_planner_and_parameter(printed):
         (["race", "--ego", "random:Random"], "here it must be a driver, not an agent"),
         (["play", "--opponent", "nahs"], "did you mean 'nash'?"),
         (["tournament", "--track", "Pipkin", "--agents", "nahs", "nash"], "did you mean 'nash'?"),
-        (
-            ["tournament", "--track", "Pipkin", "--agents", "random-moves", "nash", "--archive", "x"],
-            "unknown archive 'x'",
-        ),
+        (["tournament", "--agents", "random-moves", "nash", "--archive", "x"], "unknown archive 'x'"),
         (["track", "calibrate", "--write"], "--write changes a map folder: say which"),
         (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
         (["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"], "style 'baroque' is unknown"),
@@ -245,11 +227,7 @@ def test_an_error_is_one_line(run, arguments, message, tmp_path, monkeypatch):
     [
         (KeyboardInterrupt(), 130, "pcs-racing: interrupted\n"),
         (None, 143, "pcs-racing: terminated\n"),
-        (
-            PermissionError(13, "Permission denied", "results.csv"),
-            2,
-            "can't read or write results.csv: Permission denied",
-        ),
+        (PermissionError(13, "Permission denied", "a.csv"), 2, "can't read or write a.csv: Permission denied"),
         (OSError("no room for\n  two lines"), 2, "pcs-racing: error: no room for two lines\n"),
     ],
 )
@@ -351,7 +329,7 @@ def test_a_race_begins_without_what_other_commands_need():
     "words",
     [
         "race --ego latice",
-        "tournament --agents nahs nash",
+        "tournament --agents a b",
         "rcae",
         "race --track Pipkn",
         "race --race cup",
@@ -372,10 +350,13 @@ def test_a_word_that_is_no_choice_is_one_line_with_the_nearest(capsys):
 
 
 OWN = """
+from dataclasses import dataclass
+
 class Straight:
     def plan(self, obs):
         return 0.0, 1.0
 
+@dataclass
 class First:
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         return 0 * observation[:, 0].astype(int), state
@@ -392,15 +373,27 @@ def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monk
     (tmp_path / "own_racers.py").write_text(OWN)
     setting = make_setting("default", "paper")
     for place in ("own_racers.py", "own_racers"):
-        straight = parse_driver(f"{place}:Straight")
-        assert straight.name.endswith(":Straight")
-        assert parse_agent(f"{place}:Straight", setting).name == straight.name
-        assert parse_agent(f"{place}:First", setting).name == "First"
-        assert parse_agent(f"{place}:last", setting).name == "default"
+        assert parse_driver(f"{place}:Straight").name == f"{place}:Straight"
+        for name in ("Straight", "First", "last"):
+            assert parse_agent(f"{place}:{name}", setting).name == f"{place}:{name}"
+        assert parse_agent(f"{place}:last", setting).model.name == "default"
         refused(
             "no driver and no agent: .* has no class and no function 'Nobody'", parse_agent, f"{place}:Nobody", setting
         )
         refused("here it must be a driver, not an agent", parse_driver, f"{place}:First")
+
+
+def test_own_code_races_in_other_processes_and_commands_find_it_again(tmp_path, monkeypatch, printed, run):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "own_racers.py").write_text(OWN)
+    cars = ["own_racers.py:Straight", "own_racers.py:First", "own_racers.py"]
+    races = ["--races", 2, "--executor", "processes", "--workers", 1, "--out", "out"]
+    for line in (["tournament", "--agents", *cars, *races], ["view", "out", "--no-open"], ["explain", "out"]):
+        with monkeypatch.context() as patch:  # each command in a process that does not know them yet
+            patch.setattr(registry, "_planners", dict(registry._planners))
+            text = printed(*line)
+    assert "own_racers.py:First (car 1) against own_racers.py:Straight" in text
+    assert "makes no moves, so there is nothing to explain; nor does" in run("explain", "out", "--index", 2)[2]
 
 
 @pytest.mark.parametrize(("race", "archive"), [("paper", "default"), ("contest", "contest"), ("roboracer", "contest")])

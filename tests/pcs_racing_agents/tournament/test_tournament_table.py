@@ -44,7 +44,8 @@ def test_the_table_counts_every_ending_once():
     assert a.score == pytest.approx((2 + 0.5) / 8)  # a win, a crash that the other pays for, half a tie
     assert b.score == pytest.approx((4 + 0.5) / 8)
     assert (a.overtakes, b.overtakes) == (3 / 8, 1 / 8)
-    assert "62% finished, 38% with an overtake" in tournament_text(played(*rows))
+    text = tournament_text(played(*rows))
+    assert "62% finished, 38% with an overtake\nHow close the races were: of the 5 without a crash 100% ended" in text
     matrix = payoff_matrix(played(*rows))
     np.testing.assert_allclose(matrix, [[np.nan, 2.5 / 8], [4.5 / 8, np.nan]])
 
