@@ -39,9 +39,7 @@ def check_steps(name: str, value: Any, least: int) -> tuple[float, ...]:
     lengths = value if isinstance(value, list | tuple) else [None]
     whole_tenths = [is_number(one) and abs(10.0 * one - round(10.0 * one)) < 1e-9 for one in lengths]
     if len(lengths) < least or not all(whole_tenths):
-        raise InputError(
-            f"{name} is {value!r:.80}; it must be a list of {least} or more lengths in whole tenths of 1 s"
-        )
+        raise InputError(f"{name} is {value!r:.80}; it must list {least} or more lengths in whole tenths of 1 s")
     if any(not (0.1 <= one <= 600.0 or (k == 0 and one == 0.0)) for k, one in enumerate(lengths)):
         raise InputError(f"{name} is {value!r:.80}; steps last 0.1 to 600 s, and the first one may last 0")
     return tuple(map(float, lengths))

@@ -49,8 +49,7 @@ def test_a_match_remembers_its_races(short):
 
 def test_a_faster_policy_wins_and_the_result_is_that_of_the_match(short):
     made = MatchEnv(opponent="lattice:pace=0.1", **{**short, "step_seconds": 8.0})
-    last = play(made, 10, [5, 5, 5])[-1]
-    assert last[3]["score"] == 3.0
+    assert play(made, 10, [5, 5, 5])[-1][3]["score"] == 3.0
     assert made.outcome()["result"] == "win"
     slow = MatchEnv(opponent="lattice:pace=0.9", **{**short, "step_seconds": 4.0})
     play(slow, 1, [0, 0, 0])
