@@ -178,8 +178,8 @@ def kept_arguments(env: Any) -> dict[str, Any]:
     """The arguments of an environment at the control level, whatever wraps it."""
     seen = env
     while seen is not None:
-        if type(seen).__name__ in ("VecNormalize", "VecFrameStack"):
-            raise InputError(f"the model was trained behind {type(seen).__name__}, which is not supported here")
+        if type(seen).__name__ in ("VecNormalize", "VecFrameStack") and getattr(seen, "norm_obs", True):
+            raise InputError(f"the model was trained behind {type(seen).__name__}; only save_model keeps VecNormalize")
         options = getattr(vars(seen).get("batch"), "options", None)
         if isinstance(options, DriveOptions):
             return {"cars": int(seen.batch.cars), **_plain(options)}

@@ -12,10 +12,10 @@ import re
 import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -59,6 +59,17 @@ def _actor_rows(rows, flat, sizes, at, tanh, squash, scratch, out):  # type: ign
             out[r, j] = hyperbolic_tangent(value) if squash else value
 
 
+class ObservationScale(NamedTuple):
+    """What ``VecNormalize`` made of observations at the end of a training."""
+
+    mean: NDArray[np.float64]  #: shape (D,)
+    spread: NDArray[np.float64]  #: shape (D,): Of which a unit is one.
+    clip: float  #: Largest size of what is seen, in these units.
+
+    def __call__(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.clip((rows - self.mean) / self.spread, -self.clip, self.clip).astype(np.float32)
+
+
 @dataclass(frozen=True, eq=False)
 class Sb3Policy:
     """The actor of a trained policy: fully connected layers from an observation to moves, or to steering and speed."""
@@ -68,12 +79,14 @@ class Sb3Policy:
     activation: str  #: One of :data:`ACTIVATIONS`.
     moves: bool  #: Whether the outputs are the logits of moves.
     squash: bool = False  #: Whether a tanh follows the last layer.
+    scale: ObservationScale | None = None  #: Of the observations; they are taken as they are without.
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of the layers."""
+        """SHA-256 of the layers and of the scale."""
         about = f"{self.layers.sizes} {self.activation} {self.moves} {self.squash}".encode()
-        return hashlib.sha256(about + self._flat.tobytes()).hexdigest()
+        scale = b"".join(np.asarray(values).tobytes() for values in self.scale or ())
+        return hashlib.sha256(about + self._flat.tobytes() + scale).hexdigest()
 
     @cached_property
     def _flat(self) -> NDArray[np.float32]:
@@ -88,6 +101,7 @@ class Sb3Policy:
             raise InputError(
                 f"policy {self.name!r} takes observations of {sizes[0]} numbers; here they have {rows.shape[-1]}"
             )
+        rows = rows if self.scale is None else self.scale(rows)
         flat_rows = np.ascontiguousarray(rows.reshape(-1, sizes[0]))
         out = np.empty((len(flat_rows), sizes[-1]), np.float32)
         scratch, last = np.empty((2, sizes.max()), np.float32), weight_count(self.layers.sizes[:-1])
@@ -159,12 +173,44 @@ def plain_model(model: Any, name: str) -> Any:
     if callable(state) and "features_extractor_class" not in getattr(model, "policy_kwargs", ()):
         activation = getattr(getattr(model.policy, "activation_fn", None), "__name__", None)
         with suppress(InputError):
-            return actor_of(name, state(), activation)
+            return replace(actor_of(name, state(), activation), scale=_scale_of(model.get_env()))
     return model
+
+
+def _scaler(env: Any) -> Any:
+    """The ``VecNormalize`` around environments, if it changes their observations."""
+    while env is not None and type(env).__name__ != "VecNormalize":
+        env = vars(env).get("venv")
+    return env if env is not None and env.norm_obs else None
+
+
+def _scale_of(env: Any) -> ObservationScale | None:
+    scaler = _scaler(env)
+    if scaler is None:
+        return None
+    seen = scaler.obs_rms
+    return ObservationScale(seen.mean, np.sqrt(seen.var + scaler.epsilon), float(scaler.clip_obs))
+
+
+def _read_scale(file: Path, given: Any, size: int) -> ObservationScale:
+    """Return the scale that a file holds, for observations of a size."""
+    try:
+        mean, spread, clip = (np.array(given[key], np.float64) for key in ObservationScale._fields)
+    except (KeyError, IndexError, TypeError, ValueError):
+        mean = spread = clip = np.empty(0)
+    right = mean.shape == spread.shape == (size,) and clip.shape == () and clip > 0.0
+    if not right or not (np.abs(mean) < 1e9).all() or not ((spread > 1e-9) & (spread < 1e9)).all():
+        raise InputError(
+            f"{file}: scale must hold mean and spread, {size} numbers each below 1e9, spreads above 1e-9, and a clip "
+            "above 0"
+        )
+    return ObservationScale(mean, spread, float(clip))
 
 
 def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
     """Save a model of Stable-Baselines3, and beside the zip the arguments of its environment as ``.yaml``.
+
+    The scale of ``VecNormalize``, if it is around the environment, is kept with them.
 
     Parameters
     ----------
@@ -175,7 +221,12 @@ def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
         The environment that it was trained in; by default that which it is connected to.
     """
     target = Path(path).with_suffix(".zip")
-    text = yaml.safe_dump(kept_arguments(model.get_env() if env is None else env), sort_keys=False).encode()
+    env = model.get_env() if env is None else env
+    scaler, scale = _scaler(env), _scale_of(env)
+    arguments = kept_arguments(env if scaler is None else scaler.venv)
+    if scale is not None:
+        arguments["scale"] = {key: np.asarray(values).tolist() for key, values in scale._asdict().items()}
+    text = yaml.safe_dump(arguments, sort_keys=False).encode()
     model.save(target)
     write_atomically(target.with_suffix(".yaml"), lambda file: file.write(text))
     return target
@@ -190,4 +241,8 @@ def load_model(path: str | Path) -> Policy:
         )
     model = load_sb3_policy(Path(path))
     arguments = parse_yaml(file, read_limited(file, MAX_YAML, "the arguments of a model", InputError))
+    if not isinstance(arguments, dict):
+        raise InputError(f"{file} holds {arguments!r:.80}; it must hold the arguments of an environment by name")
+    if "scale" in arguments:
+        model = replace(model, scale=_read_scale(file, arguments.pop("scale"), model.layers.sizes[0]))
     return model_policy(model, name=str(path), **arguments)

@@ -68,5 +68,19 @@ def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more)
         rival.reset(seed=1)
         rival.step([0.0, -1.0])
         assert rival.batch.state.memory[0, 1, :2].any()
+    scaled = sb3.common.vec_env.VecNormalize(sb3.common.vec_env.DummyVecEnv([lambda: env]), clip_obs=1.5)
+    scaled.obs_rms.update(3.0 * ROWS[:, : env.observation_space.shape[0]] + 1.0)
+    model.set_env(scaled)
+    refused("behind VecNormalize; only save_model", as_competitor, model, "mine")
+    seen = env.reset(seed=3)[0][None]
+    expected = np.clip(model.predict(scaled.normalize_obs(seen), deterministic=True)[0], -1.0, 1.0)
+    kept = load_model(save_model(tmp_path / "model", model)).planner.drive
+    np.testing.assert_allclose(np.clip(kept.model.predict(seen)[0], -1.0, 1.0), expected, atol=1e-5)
+    assert kept.content_hash != named.planner.drive.content_hash
+    for harm, said in (("clip: 1.5", "clip: -1"), ("scale:", "scales:"), ("spread:", "spreads:")):
+        text = (tmp_path / "model.yaml").read_text()
+        (tmp_path / "model.yaml").write_text(text.replace(harm, said))
+        refused("scale", load_model, file)
+        (tmp_path / "model.yaml").write_text(text)
     (tmp_path / "model.yaml").unlink()
     refused(r"model\.yaml with the arguments", load_model, file)
