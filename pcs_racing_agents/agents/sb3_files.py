@@ -67,6 +67,7 @@ class ObservationScale(NamedTuple):
     clip: float  #: Largest size of what is seen, in these units.
 
     def __call__(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return what the model sees of observations, shape (..., D)."""
         return np.clip((rows - self.mean) / self.spread, -self.clip, self.clip).astype(np.float32)
 
 

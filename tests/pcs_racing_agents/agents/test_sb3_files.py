@@ -72,15 +72,12 @@ def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more)
     scaled.obs_rms.update(3.0 * ROWS[:, : env.observation_space.shape[0]] + 1.0)
     model.set_env(scaled)
     refused("behind VecNormalize; only save_model", as_competitor, model, "mine")
-    seen = env.reset(seed=3)[0][None]
+    seen, kept = env.reset(seed=3)[0][None], load_model(save_model(tmp_path / "model", model)).planner.drive
     expected = np.clip(model.predict(scaled.normalize_obs(seen), deterministic=True)[0], -1.0, 1.0)
-    kept = load_model(save_model(tmp_path / "model", model)).planner.drive
     np.testing.assert_allclose(np.clip(kept.model.predict(seen)[0], -1.0, 1.0), expected, atol=1e-5)
     assert kept.content_hash != named.planner.drive.content_hash
     for harm, said in (("clip: 1.5", "clip: -1"), ("scale:", "scales:"), ("spread:", "spreads:")):
-        text = (tmp_path / "model.yaml").read_text()
-        (tmp_path / "model.yaml").write_text(text.replace(harm, said))
+        (tmp_path / "model.yaml").write_text((tmp_path / "model.yaml").read_text().replace(harm, said))
         refused("scale", load_model, file)
-        (tmp_path / "model.yaml").write_text(text)
     (tmp_path / "model.yaml").unlink()
     refused(r"model\.yaml with the arguments", load_model, file)
