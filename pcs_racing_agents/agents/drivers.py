@@ -11,9 +11,7 @@ from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry
 
 
-def random_policy(
-    setting: Setting, *, name: str = "random-policy", seed: int = 0, first: int | None = None
-) -> Driver:
+def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 0, first: int | None = None) -> Driver:
     """Drive every policy that the archive's synthesis evaluated: the paper's random agent.
 
     Parameters
