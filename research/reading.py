@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.make import make_game
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.observing import earlier, lead, opponent, own
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
@@ -24,7 +23,6 @@ from pcs_racing_agents.tournament.statistics import clustered_mean
 
 Labels = NDArray[np.int64]
 HEAD = ("agent", "circuit", "decisions", "bits", "p", "changed", "own place", "reader", "difference", "with the lead")
-DRAWS = 199
 
 
 def information(opponents: Labels, moves: Labels, given: Labels) -> float:
@@ -47,7 +45,7 @@ def right(cells: Labels, moves: Labels, half: Labels, otherwise: NDArray[np.bool
     return hits
 
 
-def read(game: Any, agent: Agent, raced: dict[str, Any], variants: Labels, seed: int) -> tuple[object, ...]:
+def read(game: Any, agent: Any, raced: dict[str, Any], variants: Labels, seed: int) -> tuple[object, ...]:
     """Return the numbers of a line from all races of an agent; ``variants``, shape (egos, opponents, races, 2)."""
     axes, rng = len(game.archive.characteristics), np.random.default_rng(seed)
     middle, made = np.median(game.archive.normalised, axis=0), raced["moves"][:, 0].astype(np.int64)
@@ -67,9 +65,9 @@ def read(game: Any, agent: Agent, raced: dict[str, Any], variants: Labels, seed:
         changed.append(agent.probabilities(before).argmax(axis=1) != agent.probabilities(swapped).argmax(axis=1))
     given = np.arange(made.shape[1]) * 4 + own_place
     grid = place.reshape(*variants.shape[:3], -1)
-    orders = [np.arange(grid.shape[1]), *(rng.permutation(grid.shape[1]) for _ in range(DRAWS))]
     bits = []
-    for order in orders:
+    for draw in range(200):
+        order = rng.permutation(grid.shape[1]) if draw else np.arange(grid.shape[1])
         other = grid[:, order].reshape(made.shape)
         both = (place >= 0) & (other >= 0)
         bits.append(information(other[both], made[both], given[both]))
@@ -81,10 +79,9 @@ def read(game: Any, agent: Agent, raced: dict[str, Any], variants: Labels, seed:
     reader = right(cells, *columns[1:], blind)
     further = right(3 * cells + third[known], *columns[1:], reader)
     gain = clustered_mean(reader.astype(np.float64) - blind, egos, rivals)
-    shares = (f"{float(part.mean()):.3f}" for part in (np.concatenate(changed), blind, reader))
-    p = float(np.mean(np.array(bits) >= bits[0]))
-    difference = with_interval(gain.mean, gain.low, gain.high)
-    return int(known.sum()), f"{bits[0]:.4f}", f"{p:.3f}", *shares, difference, f"{further.mean():.3f}"
+    p, difference = np.mean(np.array(bits) >= bits[0]), with_interval(gain.mean, gain.low, gain.high)
+    shares = (f"{part.mean():.3f}" for part in (p, np.concatenate(changed), blind, reader))
+    return int(known.sum()), f"{bits[0]:.4f}", *shares, difference, f"{further.mean():.3f}"
 
 
 @command("reading", "python -m research reading --race contest --archive contest --out out/reading")
@@ -103,9 +100,8 @@ def run(
     for name in track:
         game = make_game(load_track(name), setting.archive, setting.config)
         pairing = cross_pairing(game, egos[0], rival, egos=12, opponents=24, lines=3, seed=rules.seed)
-        shape = (*(len(np.unique(pairing.variants[:, car])) for car in (0, 1)), 6, 2)
+        variants = pairing.variants.reshape(len(np.unique(pairing.variants[:, 0])), -1, 6, 2)
         for agent, raced in zip(egos, pairing.race(egos), strict=True):
-            assert isinstance(agent, Agent)
-            lines.append((agent.name, name, *read(game, agent, raced, pairing.variants.reshape(shape), rules.seed)))
+            lines.append((agent.name, name, *read(game, agent, raced, variants, rules.seed)))
     print("\n".join(aligned([[str(cell) for cell in line] for line in lines])))
     print(f"written: {write_csv(lines, output_folder(out) / 'reading.csv')}")

@@ -5,6 +5,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -67,10 +68,7 @@ def test_scores_and_gains_are_means_over_the_same_races(results):
 
 
 def test_a_rating_explains_the_score(protocol, results, monkeypatch):
-    class Line:
-        rating = 100.0
-
-    table = {("default", "paper", "never-switch"): Line}
+    table = {("default", "paper", "never-switch"): SimpleNamespace(rating=100.0)}
     monkeypatch.setattr("pcs_racing_agents.benchmark.scoring.measurements", lambda: table)
     own = [one for one in results["random-moves"] if one.cell.opponent == "never-switch"]
     score = np.mean([one.races.score.mean() for one in own])
@@ -90,15 +88,10 @@ def test_a_protocol_of_another_installation_is_refused_also_on_the_leaderboard(p
 
 
 def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_driver_nothing(protocol):
-    class Counts:
-        asked = 0
-
-        def predict(self, observation, *_):
-            self.asked += len(observation)
-
-    agent = Counts()
+    asked = []
+    agent = SimpleNamespace(predict=lambda observation, *_: asked.append(len(observation)))
     assert decision_cost(protocol, agent, repeats=3) > 0.0
-    assert agent.asked == 3
+    assert asked == [1, 1, 1]
     assert decision_cost(protocol, make("lattice:pace=0.4")) is None
 
 
@@ -128,14 +121,8 @@ def card(name="mine", score=0.5, **changes):
     parts = (("all", "all"), ("all", "seen"), ("all", "unseen"), ("keeps", "seen"))
     scores = tuple(CardScore(*part, 10 + k, score, score - 0.1, score + 0.1, 0.1, 0.0) for k, part in enumerate(parts))
     gains = {"all": Gain("best-fixed", 0.1, 0.0, 0.2)}
-    values = {
-        "protocol": "p-v1",
-        "protocol_sha256": "ab" * 32,
-        "agent": name,
-        "agent_sha256": "cd" * 32,
-        "gains": gains,
-    }
-    return Card(**{**values, "scores": scores, **changes})
+    hashes = {"protocol_sha256": "ab" * 32, "agent_sha256": "cd" * 32}
+    return Card(**{"protocol": "p-v1", "agent": name, **hashes, "gains": gains, "scores": scores, **changes})
 
 
 def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_path):
@@ -199,11 +186,8 @@ def test_the_leaderboard_ranks_cards_of_one_protocol_and_tells_what_was_not_meas
     cards = read_cards(good)
     assert [row[0] for row in board_rows(cards)] == ["agent", "b", "a"]
     assert "p-v1" in board_page(cards)
-    for name, value in (
-        ("v2", card("c", protocol="p-v2")),
-        ("hash", card("d", protocol_sha256="0" * 64)),
-        ("twice", card("a")),
-    ):
+    others = {"v2": card("c", protocol="p-v2"), "hash": card("d", protocol_sha256="0" * 64), "twice": card("a")}
+    for name, value in others.items():
         refused(name, read_cards, [*good, folder(name, value)])
     reply = ReplyLoss(0.123, 0.1, 0.15, 8, 1, 40)
     hidden = HiddenScore("ef" * 32, 40, 0.4, 0.3, 0.5, 0.1)
@@ -236,7 +220,6 @@ def test_a_full_card_has_the_loss_to_a_best_reply(protocol_file, tmp_path, monke
     reply = read_card(out).best_reply
     assert (reply.starts, reply.rounds) == (8, 1)
     assert reply.low <= reply.loss <= reply.high
-    assert -0.5 <= reply.loss <= 0.5
     assert "Loss to a learned best reply (8 starts, 1 round)" in (out / "card.md").read_text()
 
 
@@ -251,8 +234,7 @@ def test_the_hidden_part_is_the_one_that_the_protocol_states(protocol_file, tmp_
     made = read_card(tmp_path / "card")
     assert (made.hidden.sha256, made.hidden.races) == (digest, made.score().races)
     assert made.protocol_sha256 == load_protocol(str(stated)).content_hash == load_protocol(protocol_file).content_hash
-    names = [file.name for file in (tmp_path / "card").rglob("*")]
-    assert not [name for name in names if "idden" in name]  # what is published says nothing of the circuits
+    assert not [*(tmp_path / "card").rglob("*idden*")]  # what is published says nothing of the circuits
     secret.write_text(secret.read_text() + "\n")
     assert main([*command, str(stated)]) == 2  # another file
     assert main([*command, protocol_file]) == 2  # no part is stated
