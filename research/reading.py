@@ -101,7 +101,7 @@ def run(
         game = make_game(load_track(name), setting.archive, setting.config)
         pairing = cross_pairing(game, egos[0], rival, egos=12, opponents=24, lines=3, seed=rules.seed)
         variants = pairing.variants.reshape(len(np.unique(pairing.variants[:, 0])), -1, 6, 2)
-        for agent, raced in zip(egos, pairing.race(egos), strict=True):
-            lines.append((agent.name, name, *read(game, agent, raced, variants, rules.seed)))
+        for label, agent, raced in zip(agents, egos, pairing.race(egos), strict=True):
+            lines.append((label, name, *read(game, agent, raced, variants, rules.seed)))
     print("\n".join(aligned([[str(cell) for cell in line] for line in lines])))
     print(f"written: {write_csv(lines, output_folder(out) / 'reading.csv')}")
