@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from pcs_racing_agents.cli.commands import add_commands
 from pcs_racing_agents.cli.main import run_parsed
+from research import reading
 from research.axes import command as axes
 from research.headroom import command as headroom
 from research.matches import command as matches
@@ -16,7 +17,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run an experiment; errors and the exit status are those of ``pcs-racing``."""
     parser = argparse.ArgumentParser(prog="python -m research", description=__doc__, allow_abbrev=False)
     commands = parser.add_subparsers(title="experiments", metavar="NAME", required=True)
-    for command in (axes, headroom, matches, robust_curve):
+    for command in (axes, headroom, matches, reading, robust_curve):
         add_commands(commands, command)
     return run_parsed(parser.parse_args(arguments))
 

@@ -10,8 +10,6 @@ may ask for other drivers.
 
 import argparse
 
-import numpy as np
-
 from pcs_racing import load_race_config, load_track, parse_policy, run_races
 from pcs_racing_agents.cli.options import DEFAULT_TRACK
 from pcs_racing_agents.cli.race import EGO, OPPONENT
@@ -20,10 +18,8 @@ from pcs_racing_agents.cli.race import EGO, OPPONENT
 def main() -> None:
     """Print a line for each such seed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--track", default=DEFAULT_TRACK, help="name or folder of a circuit")
-    parser.add_argument("--ego", default=EGO, help="driver of car 0")
-    parser.add_argument("--opponent", default=OPPONENT, help="driver of car 1")
-    parser.add_argument("--race", default="paper", help="rules of the race")
+    for option, default in (("track", DEFAULT_TRACK), ("ego", EGO), ("opponent", OPPONENT), ("race", "paper")):
+        parser.add_argument(f"--{option}", default=default)
     parser.add_argument("--seeds", type=int, default=30, help="try seeds 0 to this number, less one")
     arguments = parser.parse_args()
     track, config = load_track(arguments.track), load_race_config(arguments.race)
@@ -31,16 +27,13 @@ def main() -> None:
     crashes, found = 0, []
     for seed in range(arguments.seeds):
         result = run_races(track, [ego], opponent, config, seed=seed)
-        crashes += int(result.crashed[0])
-        overtakes = int(result.state.overtakes[0].sum())
+        crashes, overtakes = crashes + int(result.crashed[0]), int(result.state.overtakes[0].sum())
         if not result.crashed[0] and overtakes > 0:
             found.append((abs(float(result.lead[0])), seed, overtakes, int(result.winner[0])))
-    print(f"{track.name}, {config.name}: {ego.name} against {opponent.name}, race 0 of {arguments.seeds} seeds")
+    print(f"{track.name}, {config.name}: {ego.name} against {opponent.name}, race 0 of {arguments.seeds} seeds:")
     print(f"{crashes} end in a crash, {len(found)} are driven to the end with an overtake")
     for lead, seed, overtakes, winner in sorted(found):
         print(f"seed {seed:3d}: {overtakes} overtakes, car {winner} wins by {lead:.1f} m")
-    if found:
-        print(f"median of their leads: {np.median([lead for lead, *_ in found]):.1f} m")
 
 
 if __name__ == "__main__":

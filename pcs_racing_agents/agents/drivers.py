@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.trained import NAME, load_driver, read_driver
@@ -10,13 +11,20 @@ from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry
 
 
-def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 0) -> Driver:
-    """Drive every policy that the archive's synthesis evaluated: the paper's random agent."""
+def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 0, first: int | None = None) -> Driver:
+    """Drive every policy that the archive's synthesis evaluated: the paper's random agent.
+
+    Parameters
+    ----------
+    first : int, optional
+        Only so many of them, the first ones: before they were searched they were drawn, the ``scouts`` of its settings.
+    """
     archive = setting.archive
     explored = len(archive.explored_parameters)
     if explored == 0:
         raise InputError(f"archive {archive.name!r} holds no explored policies, so there is no {name!r} to race")
-    return Driver(name, tuple(archive.explored_policy(i) for i in range(explored)))
+    count = explored if first is None else check_whole("first", first, 1, explored)
+    return Driver(name, tuple(archive.explored_policy(i) for i in range(count)))
 
 
 def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str | None = None) -> Driver:

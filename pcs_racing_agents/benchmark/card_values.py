@@ -1,5 +1,6 @@
 """What a score card may say: declared values, since cards are what strangers send in."""
 
+import re
 from dataclasses import MISSING, dataclass
 from typing import Any, ClassVar
 
@@ -16,6 +17,13 @@ def _name(value: Any) -> str:
     return name
 
 
+def _sha256(value: Any) -> str:
+    if not isinstance(value, str) or re.fullmatch("[0-9a-f]{64}", value) is None:
+        raise ConfigError(f"a hash is {value!r:.80}; it must have 64 hexadecimal digits")
+    return value
+
+
+SHA256 = checked(_sha256)
 NAME, COUNT = checked(_name, f"at most {LONGEST_NAME} printable characters"), whole(1, 10**9)
 SHARE, DIFFERENCE = number(0.0, 1.0), number(-1.0, 1.0)
 
@@ -31,6 +39,12 @@ class _Estimate(Settings):
         low, value, high = (getattr(self, name) for name in ("low", self.value, "high"))
         if not low <= value <= high:
             raise ConfigError(f"{self.value} is {value:g}, outside of its interval from {low:g} to {high:g}")
+
+    @property
+    def interval(self) -> str:
+        """Interval as text, of a value without a sign."""
+        low, high = (getattr(self, name) for name in ("low", "high"))
+        return f"[{low:.3f}, {high:.3f}]"
 
 
 @dataclass(frozen=True)
@@ -49,11 +63,6 @@ class CardScore(_Estimate):
     high: float = setting(MISSING, SHARE, "Upper limit.")
     own_crash: float = setting(MISSING, SHARE, "Share of the races that ended in a crash by the agent's own fault.")
     other_crash: float = setting(MISSING, SHARE, "Share that ended in another crash.")
-
-    @property
-    def interval(self) -> str:
-        """Interval of the score as text."""
-        return f"[{self.low:.3f}, {self.high:.3f}]"
 
 
 @dataclass(frozen=True)
@@ -78,3 +87,16 @@ class ReplyLoss(_Estimate):
     starts: int = setting(MISSING, COUNT, "Starts of the learner on each circuit.")
     rounds: int = setting(MISSING, COUNT, "Rounds of the learner.")
     races: int = setting(MISSING, COUNT, "Races in which the loss was measured.")
+
+
+@dataclass(frozen=True)
+class HiddenScore(_Estimate):
+    """The score over the races of a protocol's hidden part, which only the maintainers can drive."""
+
+    value = "score"
+    sha256: str = setting(MISSING, SHA256, "Hash of the part's file, which the protocol states.")
+    races: int = setting(MISSING, COUNT, "Number of races.")
+    score: float = setting(MISSING, SHARE, "Mean score: 1 for a win, 0.5 for a tie, else 0.")
+    low: float = setting(MISSING, SHARE, "Lower limit of its 95 % interval.")
+    high: float = setting(MISSING, SHARE, "Upper limit.")
+    own_crash: float = setting(MISSING, SHARE, "Share of the races that ended in a crash by the agent's own fault.")

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 from pcs_racing.base.errors import InputError
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from pcs_racing_agents.agents.agent import Competitor
-    from pcs_racing_agents.benchmark.card_values import ReplyLoss
+    from pcs_racing_agents.benchmark.card_values import HiddenScore, ReplyLoss
     from pcs_racing_agents.benchmark.protocol import Protocol
     from pcs_racing_agents.benchmark.scoring import CellRaces
     from pcs_racing_agents.jobs.jobs import Job
@@ -51,6 +52,9 @@ def run(
     name: Annotated[str | None, Option("name on the card (default: that of the agent)")] = None,
     protocol: Annotated[str, Option("protocol: its name or a YAML file")] = "bench_v2",
     full: Annotated[bool, Option("also train a best reply to the agent and measure the loss to it (minutes)")] = False,
+    hidden: Annotated[
+        Path | None, Option("also drive the protocol's hidden part: its file, which the maintainers keep", "FILE")
+    ] = None,
     out: Annotated[Path, Option("folder of the card; a run that was stopped there goes on", "DIR")],
     workers: Workers,
 ) -> None:
@@ -58,6 +62,7 @@ def run(
     from pcs_racing.game.competitor import competitor_name
     from pcs_racing_agents.agents.agent import competitor_hash
     from pcs_racing_agents.benchmark.entrants import load_entrant
+    from pcs_racing_agents.benchmark.hidden import hidden_score, load_hidden
     from pcs_racing_agents.benchmark.protocol import load_protocol
     from pcs_racing_agents.benchmark.scoring import play_protocol
 
@@ -70,15 +75,25 @@ def run(
     entrants = [load_entrant(text, rules.setting, drive=drive, weights=weights, name=name) for text in agents]
     digests = [competitor_hash(agent) for agent in entrants]
     settings = {"protocol": rules.content_hash, "agents": digests}
-    with workers.start() as executor, open_job(out, "benchmark", settings) as job:
+    with (
+        TemporaryDirectory() as folder,
+        workers.start() as executor,
+        open_job(out, "benchmark", settings) as job,
+    ):
+        secret = None if hidden is None else load_hidden(rules, hidden, Path(folder))
         results = play_protocol(rules, entrants, job=job, executor=executor, progress=show_progress("races"))
+        scores: dict[str, HiddenScore] = {}
+        if secret is not None:
+            # Without a job: nothing of what is hidden stays in the folder of a card.
+            driven = play_protocol(secret[1], entrants, executor=executor, progress=show_progress("hidden races"))
+            scores = {name: hidden_score(secret[0], races) for name, races in driven.items()}
         for i, (agent, digest) in enumerate(zip(entrants, digests, strict=True)):
             # Several agents share a job, whose groups of tasks need names that differ.
             part = "" if alone else f"agent-{i}-"
             reply = _best_reply(rules, agent, job, part, executor) if full else None
             # Names of agents hold colons and equals signs, which some file systems do not allow.
-            folder = re.sub(r"[^\w.+-]", "_", competitor_name(agent))
-            _write(rules, agent, digest, results, reply, out if alone else output_folder(out / folder))
+            own = out if alone else output_folder(out / re.sub(r"[^\w.+-]", "_", competitor_name(agent)))
+            _write(rules, agent, digest, results, reply, scores.get(competitor_name(agent)), own)
 
 
 def _write(
@@ -87,6 +102,7 @@ def _write(
     digest: str,
     results: "dict[str, list[CellRaces]]",
     reply: "ReplyLoss | None",
+    hidden: "HiddenScore | None",
     folder: Path,
 ) -> None:
     """Print the card of one agent and write it."""
@@ -113,6 +129,7 @@ def _write(
         rating=rating(protocol, own),
         cost_us=decision_cost(protocol, agent),
         best_reply=reply,
+        hidden=hidden,
     )
     print(f"\n{name}")
     print("\n".join(aligned(summary_rows(card))))

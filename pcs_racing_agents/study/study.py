@@ -14,7 +14,7 @@ from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
-from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.agents.zoo import build, parse_agent
 from pcs_racing_agents.jobs.progress import Progress, show_progress
 from pcs_racing_agents.study.config import BEST_BLIND, StudyConfig
 
@@ -86,7 +86,8 @@ class Study:
             options = {"networks": self.network(name)}
         elif name in BEST_BLIND:
             options = {"fit": self.folder / "blind" / f"{name}.yaml"}
-        return build(name, self.setting, seed=seed, **options)
+        make = build if options else parse_agent
+        return make(name, self.setting, seed=seed, **options)
 
     def progress(self, unit: str) -> Progress | None:
         """Return a progress function that updates a line on stderr; None if the study is quiet."""

@@ -121,9 +121,7 @@ def run_learn(
 
 
 @command("axes show", "python -m research axes show out/learned/characteristics.yaml")
-def run_show(
-    learned: Annotated[Path, Option("learned characteristics", "FILE")],
-) -> None:
+def run_show(learned: Annotated[Path, Option("learned characteristics", "FILE")]) -> None:
     """Print what learned characteristics are made of."""
     print(learned_text(load_learned(learned)))
 

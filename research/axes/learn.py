@@ -72,11 +72,7 @@ class Learning:
     estimates: Floats  #: shape (N, 3): Coordinates of every policy as estimated when it was left out.
 
 
-def learn_characteristics(
-    pool: PolicyPool,
-    settings: LearnSettings | None = None,
-    **run: Unpack[Run],
-) -> Learning:
+def learn_characteristics(pool: PolicyPool, settings: LearnSettings | None = None, **run: Unpack[Run]) -> Learning:
     """Race a pool of policies, and learn characteristics from it.
 
     Parameters

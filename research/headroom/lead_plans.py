@@ -50,11 +50,7 @@ def plan_members(policies: int, count: int) -> list[int]:
 
 
 def lead_plan_payoffs(
-    pool: PolicyPool,
-    plans: Sequence[Plan],
-    *,
-    step_seconds: float = 8.0,
-    **run: Unpack[Run],
+    pool: PolicyPool, plans: Sequence[Plan], *, step_seconds: float = 8.0, **run: Unpack[Run]
 ) -> Floats:
     """Race every lead plan against every policy of a pool.
 

@@ -111,11 +111,7 @@ def save_behaviours(table: Behaviours, folder: str | Path) -> Path:
     """Write a table into a folder, which is made if need be; returns the folder."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **{name: getattr(table, name) for name in ARRAYS})
-    fields = {
-        **game_fields(table.game),
-        "opponents": list(table.opponents),
-        "training": dict(table.training),
-    }
+    fields = {**game_fields(table.game), "opponents": list(table.opponents), "training": dict(table.training)}
     return BEHAVIOURS_FORMAT.save(folder, fields, buffer.getvalue())
 
 

@@ -12,10 +12,7 @@ from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 
 
-@command(
-    "match",
-    "python -m research match --race contest --track Pipkin Saltmere --unseen Tarnfjord --out out/match",
-)
+@command("match", "python -m research match --race contest --track Pipkin Saltmere --unseen Tarnfjord --out out/match")
 def run(
     *,
     track: Circuits = (DEFAULT_TRACK,),

@@ -49,10 +49,7 @@ class LearningRaces:
         return list(combinations_with_replacement(range(len(self.setting.archive)), 2))
 
 
-def learn_behaviours(
-    learning: LearningRaces,
-    **run: Unpack[Run],
-) -> Behaviours:
+def learn_behaviours(learning: LearningRaces, **run: Unpack[Run]) -> Behaviours:
     """Race all pairs of an archive's policies, each kept for a whole race, and return what they see and win.
 
     Progress counts blocks of pairs.

@@ -29,8 +29,7 @@ def run(
     shares: Annotated[Sequence[float], Option("shares of the training games against the pool", "P")] = SHARES,
     baseline: Annotated[str, Option("agent to gain over", "AGENT")] = "never-switch",
     config: Annotated[
-        str,
-        Option(f"settings of the robust responses: {', '.join(shipped_configs('robust'))}, or a YAML file", "NAME"),
+        str, Option(f"settings of the robust responses: {', '.join(shipped_configs('robust'))}, or a YAML file", "NAME")
     ] = "default",
     reply: Annotated[
         str, Option(f"settings of the best replies: {', '.join(shipped_configs('response'))}, or a YAML file", "NAME")

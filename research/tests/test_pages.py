@@ -43,7 +43,7 @@ def test_commands_are_those_of_the_experiments(page, line, monkeypatch):
 
 
 def test_there_are_commands_and_impossible_ones_are_found(monkeypatch):
-    assert {line.split()[3] for _, line in COMMANDS} == {"axes", "headroom", "match", "robust-curve"}
+    assert {line.split()[3] for _, line in COMMANDS} == {"axes", "headroom", "match", "reading", "robust-curve"}
     assert not parsed(["axes", "learn", "--trak", "Pipkin"], monkeypatch)
 
 

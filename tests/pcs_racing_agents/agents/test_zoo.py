@@ -61,6 +61,8 @@ def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_an
     assert len(make("lane-switcher").policies) == 20
     explored = make("random-policy")
     assert len(explored.policies) == len(agent.setting.archive.explored_parameters)
+    assert len(make("random-policy", first=80).policies) == 80
+    refused("first is 0; it must be a whole number from 1 to", make, "random-policy", first=0)
     with pytest.raises(AttributeError, match="has no attribute 'mak'"):
         pcs_racing_agents.mak  # noqa: B018
     from pcs_racing_agents.tournament.games import game_between

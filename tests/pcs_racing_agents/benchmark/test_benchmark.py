@@ -1,8 +1,11 @@
 """The benchmark on a small protocol: races, scores, cards, and the leaderboard."""
 
+import hashlib
 import json
 import sys
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +16,7 @@ from zoo_games import toy_archive
 from pcs_racing import save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.benchmark.card import Card, board_page, board_rows, read_card, read_cards, write_card
-from pcs_racing_agents.benchmark.card_values import CardScore, Gain, ReplyLoss
+from pcs_racing_agents.benchmark.card_values import CardScore, Gain, HiddenScore, ReplyLoss
 from pcs_racing_agents.benchmark.entrants import load_entrant
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
 from pcs_racing_agents.benchmark.scoring import decision_cost, gain, play_protocol, rating, summarise
@@ -65,10 +68,7 @@ def test_scores_and_gains_are_means_over_the_same_races(results):
 
 
 def test_a_rating_explains_the_score(protocol, results, monkeypatch):
-    class Line:
-        rating = 100.0
-
-    table = {("default", "paper", "never-switch"): Line}
+    table = {("default", "paper", "never-switch"): SimpleNamespace(rating=100.0)}
     monkeypatch.setattr("pcs_racing_agents.benchmark.scoring.measurements", lambda: table)
     own = [one for one in results["random-moves"] if one.cell.opponent == "never-switch"]
     score = np.mean([one.races.score.mean() for one in own])
@@ -88,15 +88,10 @@ def test_a_protocol_of_another_installation_is_refused_also_on_the_leaderboard(p
 
 
 def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_driver_nothing(protocol):
-    class Counts:
-        asked = 0
-
-        def predict(self, observation, *_):
-            self.asked += len(observation)
-
-    agent = Counts()
+    asked = []
+    agent = SimpleNamespace(predict=lambda observation, *_: asked.append(len(observation)))
     assert decision_cost(protocol, agent, repeats=3) > 0.0
-    assert agent.asked == 3
+    assert asked == [1, 1, 1]
     assert decision_cost(protocol, make("lattice:pace=0.4")) is None
 
 
@@ -126,14 +121,8 @@ def card(name="mine", score=0.5, **changes):
     parts = (("all", "all"), ("all", "seen"), ("all", "unseen"), ("keeps", "seen"))
     scores = tuple(CardScore(*part, 10 + k, score, score - 0.1, score + 0.1, 0.1, 0.0) for k, part in enumerate(parts))
     gains = {"all": Gain("best-fixed", 0.1, 0.0, 0.2)}
-    values = {
-        "protocol": "p-v1",
-        "protocol_sha256": "ab" * 32,
-        "agent": name,
-        "agent_sha256": "cd" * 32,
-        "gains": gains,
-    }
-    return Card(**{**values, "scores": scores, **changes})
+    hashes = {"protocol_sha256": "ab" * 32, "agent_sha256": "cd" * 32}
+    return Card(**{"protocol": "p-v1", "agent": name, **hashes, "gains": gains, "scores": scores, **changes})
 
 
 def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_path):
@@ -166,6 +155,7 @@ def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_pa
         ({"gains": {"mine": {}}}, "gains are"),
         ({"gains": {"all": {"gain": 0.1}}}, "must be a mapping of over"),
         ({"best_reply": {"loss": 0.1}}, "must be a mapping of loss"),
+        ({"hidden": {"score": 0.1}}, "must be a mapping of sha256"),
         ({"rating": 1e308}, "rating is"),
         ({"cost_us": -1.0}, "cost_us is"),
         ({"page": "x"}, "must be a mapping of protocol"),
@@ -196,16 +186,17 @@ def test_the_leaderboard_ranks_cards_of_one_protocol_and_tells_what_was_not_meas
     cards = read_cards(good)
     assert [row[0] for row in board_rows(cards)] == ["agent", "b", "a"]
     assert "p-v1" in board_page(cards)
-    for name, value in (
-        ("v2", card("c", protocol="p-v2")),
-        ("hash", card("d", protocol_sha256="0" * 64)),
-        ("twice", card("a")),
-    ):
+    others = {"v2": card("c", protocol="p-v2"), "hash": card("d", protocol_sha256="0" * 64), "twice": card("a")}
+    for name, value in others.items():
         refused(name, read_cards, [*good, folder(name, value)])
     reply = ReplyLoss(0.123, 0.1, 0.15, 8, 1, 40)
-    head, measured, other = board_rows([card("a", best_reply=reply), card("b")])
-    column = head.index("best reply")
-    assert (measured[column], other[column]) == ("+0.123 [+0.100, +0.150]", "not measured")
+    hidden = HiddenScore("ef" * 32, 40, 0.4, 0.3, 0.5, 0.1)
+    head, *rows = board_rows([card("a", best_reply=reply, hidden=hidden), card("b")])
+    for name, measured, other in (
+        ("best reply", "+0.123 [+0.100, +0.150]", "not measured"),
+        ("hidden", "0.400 [0.300, 0.500]", "self-reported"),
+    ):
+        assert [row[head.index(name)] for row in rows] == [measured, other]
 
 
 @pytest.fixture(scope="module")
@@ -229,8 +220,24 @@ def test_a_full_card_has_the_loss_to_a_best_reply(protocol_file, tmp_path, monke
     reply = read_card(out).best_reply
     assert (reply.starts, reply.rounds) == (8, 1)
     assert reply.low <= reply.loss <= reply.high
-    assert -0.5 <= reply.loss <= 0.5
     assert "Loss to a learned best reply (8 starts, 1 round)" in (out / "card.md").read_text()
+
+
+def test_the_hidden_part_is_the_one_that_the_protocol_states(protocol_file, tmp_path):
+    pytest.importorskip("skimage")
+    secret, stated = tmp_path / "hidden.yaml", tmp_path / "protocol.yaml"
+    secret.write_text(f"circuits: [{2**33}, {2**40 + 1}]\nstyles: [hull]\nseed: {2**50}\n")
+    digest = hashlib.sha256(secret.read_bytes()).hexdigest()
+    stated.write_text(json.dumps({**json.loads(Path(protocol_file).read_text()), "hidden": digest}))
+    command = ["benchmark", "always-restraint+", "--hidden", str(secret), "--out", str(tmp_path / "card"), "--protocol"]
+    assert main([*command, str(stated)]) == 0
+    made = read_card(tmp_path / "card")
+    assert (made.hidden.sha256, made.hidden.races) == (digest, made.score().races)
+    assert made.protocol_sha256 == load_protocol(str(stated)).content_hash == load_protocol(protocol_file).content_hash
+    assert not [*(tmp_path / "card").rglob("*idden*")]  # what is published says nothing of the circuits
+    secret.write_text(secret.read_text() + "\n")
+    assert main([*command, str(stated)]) == 2  # another file
+    assert main([*command, protocol_file]) == 2  # no part is stated
 
 
 def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_path, capsys):

@@ -41,16 +41,11 @@ def test_the_table_and_the_file_say_the_same_and_nobody_is_compared_with_himself
 
 def test_the_gain_is_the_mean_difference_of_the_scores_of_the_same_races(races):
     archive, *_ = family_gains(races, "clever", "blind")
-    against = [row for row in races if row.opponent == "never-switch"]
     scores = {
-        ego: [
-            1.0 if row.winner == "ego" else 0.5 * (row.winner == "" and row.crash == "")
-            for row in against
-            if row.ego == ego
-        ]
+        ego: races.take([i for i, row in enumerate(races) if (row.ego, row.opponent) == (ego, "never-switch")]).score
         for ego in ("clever", "blind")
     }
-    mean = sum(scores["clever"]) / len(scores["clever"]) - sum(scores["blind"]) / len(scores["blind"])
+    mean = scores["clever"].mean() - scores["blind"].mean()
     assert archive.gain == pytest.approx(mean)
     assert archive.low < mean < archive.high
     clever = [i for i, row in enumerate(races) if row.ego == "clever"]

@@ -85,10 +85,8 @@ def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished, p
 
 def test_the_report_tells_losses_gains_and_moves(finished, page):
     losses = rows_of(finished.folder / "best_replies.csv")
-    assert [(row["agent"], row["track"], row["races"]) for row in losses] == [
-        ("cfr-argmax", "Pipkin", "40"),
-        ("self-play", "Pipkin", "40"),
-    ]
+    assert [row["agent"] for row in losses] == ["cfr-argmax", "self-play"]
+    assert {(row["track"], row["races"]) for row in losses} == {("Pipkin", "40")}
     assert f"<td>{float(losses[0]['loss']):+.3f}</td>" in page
     families = {row["family"]: row["use"] for row in rows_of(finished.folder / "families.csv")}
     assert families == {"never-switch": "training", "random-moves": "training", "lane-switcher": "test"}
