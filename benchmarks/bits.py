@@ -198,7 +198,7 @@ def archive(folders: list[Path]) -> Digests:
         tracks=("Pipkin",),
         generations=3,
         population=12,
-        scouts=16,
+        initial_sample=16,
         opponents=2,
         starts=1,
         duration=8.0,
@@ -208,7 +208,7 @@ def archive(folders: list[Path]) -> Digests:
         final_duration=8.0,
         final_opponents=2,
         final_starts=1,
-        fewest=3,
+        min_policies=3,
         most=8,
         seed=1,
     )

@@ -1,10 +1,10 @@
-"""What several studies of the same races say together: gains over the blind agent that was best in training.
+"""What several studies of the same races say together: gains over the open-loop agent that was best in training.
 
     python benchmarks/pooled_studies.py out/contest out/table-1 out/table-2 out/table-3 out/table-4
     python benchmarks/pooled_studies.py out/first-0 out/first-1 out/again-0 out/again-1 --archives 0 1 0 1
 
 Each folder is that of a finished `pcs-racing study` with a seed of its own. A gain is the score of an agent minus that
-of the blind agent which won most training races *of its study*. The mean over the studies comes with a 95 % interval by
+of the open-loop agent that won most training races *of its study*. The mean over studies has a 95 % interval by
 Student's t over archives, of which --archives names that of each study (by default each has its own): it covers what
 depends on archive, seed of training and races. Where an archive has several studies, the standard deviation between
 them, and between the means of archives, is printed, too.
@@ -27,24 +27,24 @@ Cell = tuple[str, str]  # circuit and opponent
 
 
 class Table(NamedTuple):
-    """The main table of a study: its best blind agent, and the score of each agent in each cell."""
+    """The main table of a study: its best open-loop agent, and the score of each agent in each cell."""
 
-    blind: str
+    open_loop: str
     seen: dict[Cell, bool]
     scores: dict[tuple[Cell, str], float]
 
 
 def read_table(folder: Path) -> Table:
     """Read the table of a finished study."""
-    blind, seen, scores = "", {}, {}
+    open_loop, seen, scores = "", {}, {}
     with open(folder / "table.csv", newline="", encoding="utf-8") as file:
         for row in csv.DictReader(file):
             cell = row["track"], row["opponent"]
             seen[cell] = row["seen"] == "1"
             scores[cell, row["arm"]], scores[cell, row["base"]] = float(row["score"]), float(row["score_base"])
             if row["kind"] == "adaptivity gain":
-                blind = row["base"]
-    return Table(blind, seen, scores)
+                open_loop = row["base"]
+    return Table(open_loop, seen, scores)
 
 
 def pooled(numbers: list[float], archives: list[str]) -> str:
@@ -65,7 +65,7 @@ def spread(numbers: list[float], archives: list[str]) -> str:
 def gains(tables: list[Table], cells: list[Cell], arm: str) -> list[float]:
     """Mean gain of an agent over some cells, in each study."""
     return [
-        float(np.mean([table.scores[cell, arm] - table.scores[cell, table.blind] for cell in cells]))
+        float(np.mean([table.scores[cell, arm] - table.scores[cell, table.open_loop] for cell in cells]))
         for table in tables
     ]
 
@@ -116,9 +116,9 @@ def main() -> None:
     arms = list(dict.fromkeys(arm for (_, arm) in tables[0].scores))
     arms = [arm for arm in arms if all((cell, arm) in table.scores for table in tables for cell in cells)]
 
-    print("| study | archive | best blind agent in training |\n|---|---|---|")
+    print("| study | archive | best open-loop agent in training |\n|---|---|---|")
     for folder, archive, table in zip(folders, archives, tables, strict=True):
-        print(f"| {folder.name} | {archive} | {table.blind} |")
+        print(f"| {folder.name} | {archive} | {table.open_loop} |")
     groups: dict[str, list[Cell]] = {}
     for opponent in dict.fromkeys(opponent for _, opponent in cells):
         for seen, what in ((True, "learning circuits"), (False, "unseen circuits")):

@@ -160,8 +160,8 @@ def coverage_table(datasets: int, seed: int) -> None:
 
 
 def adaptivity_table(datasets: int, seed: int) -> None:
-    """Twelve blind arms of similar strength; the adaptive arm is exactly 0.04 better than the best of them."""
-    print("| best blind arm chosen on | mean gain | truth of that arm | interval misses it |")
+    """Twelve open-loop arms of similar strength; the adaptive arm is exactly 0.04 better than the best of them."""
+    print("| best open-loop arm chosen on | mean gain | truth of that arm | interval misses it |")
     print("|---|---|---|---|")
     strengths = np.linspace(-0.03, 0.0, 12)
     size = (20, 20, 2)
@@ -200,7 +200,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(f"Percent of {arguments.datasets} data sets in which the true difference is rejected at the 5 % level\n")
     coverage_table(arguments.datasets, arguments.seed)
-    print("\nThe adaptive arm is 0.040 better than the best of 12 blind arms\n")
+    print("\nThe adaptive arm is 0.040 better than the best of 12 open-loop arms\n")
     adaptivity_table(arguments.datasets, arguments.seed)
 
 

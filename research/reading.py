@@ -74,13 +74,13 @@ def read(game: Any, agent: Any, raced: dict[str, Any], variants: Labels, seed: i
     known = place >= 0
     egos, rivals = (np.repeat(variants[..., car].reshape(-1, 1), made.shape[1], axis=1)[known] for car in (0, 1))
     columns = given[known], made[known], np.unique(rivals, return_inverse=True)[1] % 2
-    blind = right(*columns)
+    own_rule = right(*columns)
     cells = 4 * given[known] + place[known]
-    reader = right(cells, *columns[1:], blind)
+    reader = right(cells, *columns[1:], own_rule)
     further = right(3 * cells + third[known], *columns[1:], reader)
-    gain = clustered_mean(reader.astype(np.float64) - blind, egos, rivals)
+    gain = clustered_mean(reader.astype(np.float64) - own_rule, egos, rivals)
     p, difference = np.mean(np.array(bits) >= bits[0]), with_interval(gain.mean, gain.low, gain.high)
-    shares = (f"{part.mean():.3f}" for part in (p, np.concatenate(changed), blind, reader))
+    shares = (f"{part.mean():.3f}" for part in (p, np.concatenate(changed), own_rule, reader))
     return int(known.sum()), f"{bits[0]:.4f}", *shares, difference, f"{further.mean():.3f}"
 
 

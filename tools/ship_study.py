@@ -46,7 +46,7 @@ def ship(study: Study, checkout: Path) -> list[Path]:
             written.append(save_network_set(networks, checkout / "networks" / name))
     folder = checkout / "pcs_racing_agents" / "agents" / "fits"
     folder.mkdir(exist_ok=True)
-    for file in sorted(study.folder.glob("blind/*.yaml")):
+    for file in sorted(study.folder.glob("open-loop/*.yaml")):
         if file.name != "done.yaml":
             written.append(save_fit(load_fit(file), folder / f"{stem}-{file.name}"))
     return written

@@ -17,7 +17,7 @@ def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 
     Parameters
     ----------
     first : int, optional
-        Only so many of them, the first ones: before they were searched they were drawn, the ``scouts`` of its settings.
+        Only so many of them, the first ones: those of its initial sample were drawn and not searched.
     """
     archive = setting.archive
     explored = len(archive.explored_parameters)

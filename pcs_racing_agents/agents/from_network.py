@@ -100,17 +100,17 @@ def network_agent(network: RegretNetwork, setting: Setting, seed: int = 0, decis
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveStrategy:
-    """A strategy that follows a blind agent, unless a network predicts a gain above a margin."""
+    """A strategy that follows an open-loop agent, unless a network predicts a gain above a margin."""
 
     network: RegretNetwork  #: Values of the moves, in the units of its target.
-    blind: Agent  #: The agent to follow; it does not use its observations.
-    #: Least difference between the values of the best move and of the blind agent's, 0 or above. A move that the
+    open_loop: Agent  #: The agent to follow; it does not use its observations.
+    #: Least difference between the values of the best move and of the open-loop agent's, 0 or above. A move that the
     #: network does not value ("stay", where it has not learned it) counts 0, as in a network of advantages.
     margin: float
 
     def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
-        default = self.blind.probabilities(observation)
+        default = self.open_loop.probabilities(observation)
         # A move that the network does not value is no better than the mean of all: as an advantage, 0.
         values = np.zeros(default.shape)
         predicted = self.network.unclipped(observation)
@@ -193,10 +193,10 @@ def adaptive(
     seed: int = 0,
     kind: str = "gain",
     network: NetworkSource = None,
-    blind: str | Agent = "best-fixed",
+    open_loop: str | Agent = "best-fixed",
     margin: float | None = None,
 ) -> Agent:
-    """Follow a blind agent, and leave it where a network predicts a gain above a margin.
+    """Follow an open-loop agent, and leave it where a network predicts a gain above a margin.
 
     Parameters
     ----------
@@ -204,19 +204,19 @@ def adaptive(
         What the network was trained to approximate; names the shipped one.
     network : RegretNetwork, str or path, optional
         Values of the moves: another network, the name of a shipped one or its folder.
-    blind : Agent or str
+    open_loop : Agent or str
         The default strategy, with its own needs.
     margin : float, optional
         Least predicted gain of a move, in units of the network's target; by default the ``margin`` in the facts of the
         network's training, else 0.
     """
     loaded = fitting_network(network, setting, kind, name)
-    blind_agent = build_member(blind, setting, seed)
+    open_loop_agent = build_member(open_loop, setting, seed)
     if margin is None:
         margin = loaded.training.get("margin", 0.0)  # type: ignore[assignment]
     margin = check_number(f"the margin of agent {name!r}", margin, 0.0)
-    facts = {**network_facts(loaded), "keeps to": blind_agent.name, "margin": f"{margin:g}"}
-    return Agent(name, AdaptiveStrategy(loaded, blind_agent, float(margin)), setting, seed, facts)
+    facts = {**network_facts(loaded), "keeps to": open_loop_agent.name, "margin": f"{margin:g}"}
+    return Agent(name, AdaptiveStrategy(loaded, open_loop_agent, float(margin)), setting, seed, facts)
 
 
 def _entry(kind: str, decision: str, summary: str, source: str) -> Entry:
@@ -252,7 +252,7 @@ PPO = _entry(
 )
 ADAPTIVE = Entry(
     adaptive,
-    "follows the best blind strategy unless a network predicts a gain above a margin",
-    "advantage over the best blind strategy, with a margin",
+    "follows the best open-loop strategy unless a network predicts a gain above a margin",
+    "advantage over the best open-loop strategy, with a margin",
     "network",
 )

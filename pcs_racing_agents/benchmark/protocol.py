@@ -76,7 +76,7 @@ class Protocol:
     config: ProtocolConfig
     setting: Setting  #: Archive and rules of the game.
     tracks: dict[str, Track]
-    opponents: dict[str, Competitor]  #: And the blind strategies.
+    opponents: dict[str, Competitor]  #: And the open-loop strategies.
 
     @property
     def cells(self) -> Iterator[Cell]:

@@ -37,7 +37,7 @@ def play_protocol(
     agents: Sequence[Competitor],
     **run: Unpack[Run],
 ) -> dict[str, list[CellRaces]]:
-    """Simulate the races of agents and of the protocol's blind strategies, which all drive the same ones.
+    """Simulate the races of agents and of the protocol's open-loop strategies, which all drive the same ones.
 
     A driver with fewer policies than the protocol has start policies drives as many races, from more start lines.
 
@@ -49,7 +49,7 @@ def play_protocol(
     Returns
     -------
     dict of str to list of CellRaces
-        By name: the agents first, then the blind strategies.
+        By name: the agents first, then the open-loop strategies.
     """
     arms = {competitor_name(agent): as_competitor(agent) for agent in agents}
     if len(arms) < len(agents):

@@ -17,9 +17,9 @@ from pcs_racing.planners.planner import Policy
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor
-from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, WalkStrategy
 from pcs_racing_agents.agents.from_network import AdaptiveStrategy
 from pcs_racing_agents.agents.observing import earlier, opponent, own
+from pcs_racing_agents.agents.open_loop import ConstantStrategy, OpenLoopStrategy, WalkStrategy
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.runner import record_game
@@ -73,7 +73,7 @@ class Explanation:
     played: RaceTable  #: Result of the race; of one game.
     unit: Unit | None  #: Unit of the values.
     default: DefaultStrategy | None
-    blind: bool  #: Whether the agent is known not to use its observations of the opponent.
+    open_loop: bool  #: Whether the agent is known not to use its observations of the opponent.
 
     @property
     def middle(self) -> Floats:
@@ -127,10 +127,10 @@ def explain_game(
         replay=mark_moves(recording.replay, played, arena.move_names, config.ends),
         played=played,
         unit=None if network is None else value_unit(network, str(config.utility)),
-        default=DefaultStrategy(strategy.blind.name, strategy.margin)
+        default=DefaultStrategy(strategy.open_loop.name, strategy.margin)
         if isinstance(strategy, AdaptiveStrategy)
         else None,
-        blind=is_blind(competitor),
+        open_loop=is_open_loop(competitor),
     )
 
 
@@ -145,7 +145,7 @@ def _steps(
         observation = earlier(played.observations[:, car], axes, k)
         default_move = None
         if isinstance(strategy, AdaptiveStrategy):
-            default_move = int(strategy.blind.predict(observation[0])[0])
+            default_move = int(strategy.open_loop.predict(observation[0])[0])
         steps.append(
             ExplainedDecision(
                 time=arena.config.ends[k],
@@ -169,7 +169,7 @@ def observed_lead(observation: NDArray[np.float32], axes: int, step: int) -> Flo
     return LEAD_SCALE * observation[:, step * (2 * axes + 2) + 2 * axes].astype(np.float64)
 
 
-def is_blind(competitor: Competitor) -> bool:
+def is_open_loop(competitor: Competitor) -> bool:
     """Return whether an agent's moves are known to depend on nothing but time and its own policy."""
     return isinstance(getattr(competitor, "strategy", None), ConstantStrategy | OpenLoopStrategy | WalkStrategy)
 

@@ -29,7 +29,7 @@ def story(explanation: Explanation) -> str:
         f"{me.removesuffix(number)}{number} against {other} on {explanation.replay.track_name}, "
         f"{explanation.race} rules: {explanation.replay.outcome}"
     ]
-    if explanation.blind:
+    if explanation.open_loop:
         lines.append(f"{me} never looks at the opponent: what is seen below does not change its moves.")
     for k, step in enumerate(explanation.steps):
         lines += [

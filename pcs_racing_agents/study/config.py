@@ -18,8 +18,8 @@ from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.targets import get_target
 from pcs_racing_agents.synthesis.config import load_archive_config
 
-BEST_BLIND = ("best-fixed", "best-schedule", "best-lead-plan")
-"""Blind agents, fitted on training races: the best fixed policy, the best open-loop sequence, the best lead plan."""
+BEST_OPEN_LOOP = ("best-fixed", "best-schedule", "best-lead-plan")
+"""Open-loop agents, fitted on training races: the best fixed policy, the best sequence of moves, the best lead plan."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class StudyConfig(Settings):
     fitting_games: int = setting(
         100,
         whole(2, 1_000_000),
-        "Games against each opponent on each circuit, to select the best blind agents; even.",
+        "Games against each opponent on each circuit, to select the best open-loop agents; even.",
     )
     fixed_targets: int = setting(
         16,
@@ -81,9 +81,9 @@ class StudyConfig(Settings):
         ("never-switch", "random-policy", "lane-switcher"), names(), "Opponents of the table."
     )
     arms: tuple[str, ...] = setting(
-        ("never-switch", *BEST_BLIND, "cfr-argmax"),
+        ("never-switch", *BEST_OPEN_LOOP, "cfr-argmax"),
         names(),
-        "Agents of the table; the first is the baseline. With the three best blind agents among them (best-fixed, "
+        "Agents of the table; the first is the baseline. With the three best open-loop agents among them (best-fixed, "
         "best-schedule, best-lead-plan) the table has the adaptivity gain; some without the others are refused.",
     )
     best: str = setting("cfr-argmax", text(), "The agent of main interest among them.")
@@ -150,12 +150,12 @@ class StudyConfig(Settings):
             )
         if self.ppo is not None and load_ppo_settings(self.ppo).level != "duel":  # type: ignore[attr-defined]
             raise ConfigError(f"ppo is {self.ppo!r}; these are no settings of level duel")
-        # With some of them only, the best of those that are there would be called the best blind agent.
-        missing = [name for name in BEST_BLIND if name not in self.arms]
-        if 0 < len(missing) < len(BEST_BLIND):
-            present = next(name for name in BEST_BLIND if name in self.arms)
+        # With some of them only, the best of those that are there would be called the best open-loop agent.
+        missing = [name for name in BEST_OPEN_LOOP if name not in self.arms]
+        if 0 < len(missing) < len(BEST_OPEN_LOOP):
+            present = next(name for name in BEST_OPEN_LOOP if name in self.arms)
             raise ConfigError(
-                f"arms hold {present!r} but not {missing[0]!r}; name all of {', '.join(BEST_BLIND)} or none: the "
+                f"arms hold {present!r} but not {missing[0]!r}; name all of {', '.join(BEST_OPEN_LOOP)} or none: the "
                 "adaptivity gain is over the one that won most training races"
             )
         if self.best not in self.arms:

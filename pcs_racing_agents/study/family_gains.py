@@ -62,8 +62,8 @@ COLUMNS = (
 )
 
 
-def family_gains(races: RaceTable, best: str, blind: str, trained: Collection[str] = ()) -> list[FamilyGain]:
-    """Return the gain of an agent over a blind one, a line for each of :func:`families`.
+def family_gains(races: RaceTable, best: str, open_loop: str, trained: Collection[str] = ()) -> list[FamilyGain]:
+    """Return the gain of an agent over an open-loop one, a line for each of :func:`families`.
 
     ``trained`` are the opponents that were met in training.
 
@@ -72,17 +72,19 @@ def family_gains(races: RaceTable, best: str, blind: str, trained: Collection[st
     pairs = {(track, opponent, ego): numbers for (track, ego, opponent, _), numbers in races.pairs.items()}
     cells = list(dict.fromkeys((track, opponent) for track, opponent, ego in pairs if ego == best))
     gains = []
-    against = list(dict.fromkeys(opponent for _, opponent in cells if opponent not in (best, blind)))
+    against = list(dict.fromkeys(opponent for _, opponent in cells if opponent not in (best, open_loop)))
     for name, use, members in families(against, trained):
         own = [
-            (track, opponent) for track, opponent in cells if opponent in members and (track, opponent, blind) in pairs
+            (track, opponent)
+            for track, opponent in cells
+            if opponent in members and (track, opponent, open_loop) in pairs
         ]
         if not own:
             continue
         tracks, opponents = (tuple(dict.fromkeys(words)) for words in zip(*own, strict=True))
         differences, labels = [], []
         for track, opponent in own:
-            first, second = (races.take(pairs[track, opponent, arm]) for arm in (best, blind))
+            first, second = (races.take(pairs[track, opponent, arm]) for arm in (best, open_loop))
             differences.append(first.score - matched_scores(first, second, f"{track} against {opponent}"))
             place = (np.full(len(first), opponents.index(opponent)), np.full(len(first), tracks.index(track)))
             labels.append(np.column_stack([first.variants, *place, first.start_s.round(4)]))

@@ -60,7 +60,7 @@ def adaptivity_picture(table: StudyTable) -> Any:
     """Draw the adaptivity gain of each row: the best agent minus the best one without observations."""
     rows = [(row, row.gain) for row in table.rows if row.gain is not None]
     if not rows:
-        raise InputError("the table has no adaptivity gains; name the best and the blind arm")
+        raise InputError("the table has no adaptivity gains; name the best and the open-loop arm")
     figure = new_figure(7.2, 1.0 + 0.34 * len(rows))
     axes = figure.subplots()
     axes.axvline(0.0, color=INK, lw=0.8)
@@ -81,7 +81,7 @@ def adaptivity_picture(table: StudyTable) -> Any:
         [-i for i in range(len(rows))], [f"{short(row.track)} against {short(row.opponent)}" for row, _ in rows]
     )
     axes.set_ylim(-len(rows) + 0.4, 0.6)
-    axes.set_xlabel(f"score of {short(str(table.best))} minus score of {short(str(table.blind))}")
+    axes.set_xlabel(f"score of {short(str(table.best))} minus score of {short(str(table.open_loop))}")
     axes.set_title(
         "blue: circuits learned on, orange: others; hollow: p (Holm) not below 0.05", fontsize=8.5, color=SOFT
     )

@@ -132,8 +132,8 @@ def _train(
     )
 
 
-def choose_blind(study: Study) -> None:
-    """Fit the best blind agents on training races: a fixed policy, an open-loop sequence of moves, a lead plan."""
+def choose_open_loop(study: Study) -> None:
+    """Fit the best open-loop agents on training races: a fixed policy, an open-loop sequence of moves, a lead plan."""
     from pcs_racing_agents.tournament.fitting import (
         TrainingRaces,
         fit_best_fixed,
@@ -154,7 +154,7 @@ def choose_blind(study: Study) -> None:
     if 0 < config.fixed_targets < len(study.archive):
         rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(FITTING_SEED,)))
         targets = select_diverse(study.archive, config.fixed_targets, "map", rng).tolist()
-    folder = study.folder / "blind"
+    folder = study.folder / "open-loop"
     settings = {"archive": study.archive.content_hash}
     with open_job(folder / "races", "fitting", settings) as job:
         for name, find in (

@@ -10,7 +10,7 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import load_fit
-from pcs_racing_agents.explain.explain import is_blind
+from pcs_racing_agents.explain.explain import is_open_loop
 from pcs_racing_agents.explain.situations import Situations, summarise, write_situations
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
@@ -18,7 +18,7 @@ from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.race_files import read_results, write_results
 from pcs_racing_agents.results.races import RaceTable, closeness_text, concatenate_races
 from pcs_racing_agents.results.text_table import table_rows
-from pcs_racing_agents.study.config import BEST_BLIND
+from pcs_racing_agents.study.config import BEST_OPEN_LOOP
 from pcs_racing_agents.study.family_gains import COLUMNS as FAMILY_COLUMNS
 from pcs_racing_agents.study.family_gains import family_gains, write_family_gains
 from pcs_racing_agents.study.playing import PLAYING_SEED, RATING_SEED, REPLY_SEED, TABLE_SEED, StudyRaces, table_races
@@ -60,8 +60,8 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
     """
     pairings = []
     for table, pairing, _ in study_races:
-        # A blind agent's moves in situations would show the situations, not the agent.
-        if table == "main" and isinstance(pairing.ego, Agent) and not is_blind(pairing.ego):
+        # An open-loop agent's moves in situations would show the situations, not the agent.
+        if table == "main" and isinstance(pairing.ego, Agent) and not is_open_loop(pairing.ego):
             # Begun anew for each pairing: all agents are shown in the same races.
             rng = np.random.default_rng(np.random.SeedSequence(study.config.seed, spawn_key=(SEED,)))
             pairings.append(pairing.take(np.sort(rng.permutation(len(pairing))[:races])))
@@ -104,26 +104,26 @@ def study_table(
     """Compare the arms of one of the study's tables; ``scored`` may give the races other winners."""
     races = concatenate_races(cell.races for cell in study_races if cell.table == name)
     races = races if scored is None else scored(races)
-    config, blind = study.config, best_blind(study)
+    config, open_loop = study.config, best_open_loop(study)
     learned_on = {study.track(circuit).name for circuit in config.circuits}
-    table = make_table(races, base=config.arms[0], best=config.best, blind=blind, seen=learned_on)
+    table = make_table(races, base=config.arms[0], best=config.best, open_loop=open_loop, seen=learned_on)
     if config.game.race.name == "paper":
         return table
     # With other rules than the paper's its figures can't be compared.
     return replace(table, rows=tuple(replace(row, paper=None) for row in table.rows))
 
 
-def best_blind(study: Study) -> str | None:
-    """Return the blind arm that won most training races; None without such arms.
+def best_open_loop(study: Study) -> str | None:
+    """Return the open-loop arm that won most training races; None without such arms.
 
     It is the best of the best fixed policy, the best open-loop sequence and the best lead plan. The sequence is at
     least as good on those races as any constant move, and the plan as any of the fixed policies, since their searches
     begin with the best of these.
     """
-    if not set(BEST_BLIND) <= set(study.config.arms):
+    if not set(BEST_OPEN_LOOP) <= set(study.config.arms):
         return None
-    fits = {name: load_fit(study.folder / "blind" / f"{name}.yaml") for name in BEST_BLIND}
-    return max(BEST_BLIND, key=lambda name: float(fits[name].training["reached"]))  # of equals the first
+    fits = {name: load_fit(study.folder / "open-loop" / f"{name}.yaml") for name in BEST_OPEN_LOOP}
+    return max(BEST_OPEN_LOOP, key=lambda name: float(fits[name].training["reached"]))  # of equals the first
 
 
 def _content(
@@ -180,17 +180,17 @@ def _papers_statistic(study: Study, study_races: Sequence[StudyRaces]) -> Iterat
 
 def _families(study: Study, study_races: Sequence[StudyRaces], table: StudyTable) -> Iterator[TitledTable]:
     """Write the gains by family of opponents in the widest table, and yield them as a sheet; nothing without a gain."""
-    if table.best is None or table.blind is None:
+    if table.best is None or table.open_loop is None:
         return
     name = "further" if study.config.further_lines else "main"
     races = concatenate_races(cell.races for cell in study_races if cell.table == name)
-    gains = family_gains(races, table.best, table.blind, study.config.response_pool)
+    gains = family_gains(races, table.best, table.open_loop, study.config.response_pool)
     if not gains:
         return
     write_family_gains(gains, study.folder / "families.csv")
     rows = table_rows(FAMILY_COLUMNS, gains)
     yield TitledTable(
-        f"Gain by opponent: {table.best} minus {table.blind}",
+        f"Gain by opponent: {table.best} minus {table.open_loop}",
         rows[0],
         rows[1:],
         "Mean over all races of the table. Agents learned against the opponents for training; those for tests they "
@@ -206,8 +206,8 @@ def _findings(table: StudyTable) -> Iterator[str]:
         yield verdict_text(arm, table.base, results)
     gains = [row.gain.result for row in table.rows if row.gain is not None]
     if gains and table.best is not None:
-        blind = f"{table.blind}, the best blind agent in training"
-        yield f"What looking at the race brings: {verdict_text(table.best, blind, gains)}"
+        open_loop = f"{table.open_loop}, the best open-loop agent in training"
+        yield f"What looking at the race brings: {verdict_text(table.best, open_loop, gains)}"
 
 
 def _caution(table: StudyTable) -> str:

@@ -61,17 +61,22 @@ class Stage(NamedTuple):
             require("moocore", *(("cma",) if method == "mo-cma-es" else ()), extra="synthesis")
 
 
-LEARNED = ("networks", "blind", "responses", "robust", "psro", "self-play", "ppo")
+LEARNED = ("networks", "open-loop", "responses", "robust", "psro", "self-play", "ppo")
 
 STAGES = (
     Stage("archive", (), "searches policies", preparing.make_the_archive),
     Stage("trees", ("archive",), "plays game trees", preparing.play_trees),
     Stage("networks", ("trees",), "trains networks on the trees", preparing.train_networks),
-    Stage("blind", ("archive",), "chooses the best agents that look at nothing but who leads", preparing.choose_blind),
-    Stage("responses", ("networks", "blind"), "learns answers to opponents", preparing.learn_responses),
+    Stage(
+        "open-loop",
+        ("archive",),
+        "chooses the best agents that look at nothing but who leads",
+        preparing.choose_open_loop,
+    ),
+    Stage("responses", ("networks", "open-loop"), "learns answers to opponents", preparing.learn_responses),
     Stage("self-play", ("archive",), "lets both cars learn", playing.play_against_itself),
-    Stage("robust", ("blind",), "learns robust answers to opponents", playing.learn_robust_agent),
-    Stage("psro", ("blind",), "learns answers to answers", playing.learn_psro_agent),
+    Stage("robust", ("open-loop",), "learns robust answers to opponents", playing.learn_robust_agent),
+    Stage("psro", ("open-loop",), "learns answers to answers", playing.learn_psro_agent),
     Stage("ppo", ("archive",), "trains the PPO baseline", preparing.train_ppo_baseline),
     Stage("races", LEARNED, "drives the races of the table", playing.race_tables),
     Stage("ratings", LEARNED, "lets agents race all against all", playing.race_for_ratings),

@@ -16,7 +16,7 @@ from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import build, parse_agent
 from pcs_racing_agents.jobs.progress import Progress, show_progress
-from pcs_racing_agents.study.config import BEST_BLIND, StudyConfig
+from pcs_racing_agents.study.config import BEST_OPEN_LOOP, StudyConfig
 
 NETWORK_AGENTS = {"cfr-argmax": "regret", "cfr-regret-matching": "regret", "nash": "nash", "ppo": "ppo"}
 """Targets of the networks of the zoo's agents."""
@@ -79,13 +79,13 @@ class Study:
         options: dict[str, Any] = {}
         kind = NETWORK_AGENTS.get(name)
         if name == "adaptive" and self.config.responses:
-            options = {"network": self.network(self.config.responses[0]), "blind": self.agent("best-fixed")}
+            options = {"network": self.network(self.config.responses[0]), "open_loop": self.agent("best-fixed")}
         elif kind is not None and self.network(kind).is_dir():
             options = {"network": self.network(kind)}
         elif name in SET_AGENTS and self.network(name).is_dir():
             options = {"networks": self.network(name)}
-        elif name in BEST_BLIND:
-            options = {"fit": self.folder / "blind" / f"{name}.yaml"}
+        elif name in BEST_OPEN_LOOP:
+            options = {"fit": self.folder / "open-loop" / f"{name}.yaml"}
         make = build if options else parse_agent
         return make(name, self.setting, seed=seed, **options)
 

@@ -85,7 +85,7 @@ class TableRow:
     lines_drawn: bool
     arms: tuple[ArmResult, ...]  #: The base first.
     differences: tuple[Difference, ...]  #: Differences of the other arms from the base.
-    gain: Difference | None  #: The adaptivity gain: the best agent minus the blind one that was best in training.
+    gain: Difference | None  #: The adaptivity gain: the best agent minus the open-loop one that was best in training.
 
     @property
     def name(self) -> str:
@@ -99,8 +99,8 @@ class StudyTable:
 
     rows: tuple[TableRow, ...]
     base: str  #: The agent that the others are compared with: the paper's non-GT one.
-    best: str | None  #: ``best``, ``blind``: The agents that the adaptivity gain is the difference of.
-    blind: str | None
+    best: str | None  #: ``best``, ``open_loop``: The agents that the adaptivity gain is the difference of.
+    open_loop: str | None
 
     @property
     def arms(self) -> tuple[str, ...]:
@@ -113,7 +113,7 @@ def make_table(
     *,
     base: str | None = None,
     best: str | None = None,
-    blind: str | None = None,
+    open_loop: str | None = None,
     seen: Collection[str] = (),
 ) -> StudyTable:
     """Compare the arms of every row.
@@ -126,7 +126,7 @@ def make_table(
         The arm to compare with; by default the first.
     best : str, optional
         The agent of the adaptivity gain. It must be chosen before the races.
-    blind : str, optional
+    open_loop : str, optional
         The best arm without observations, chosen on training races.
     seen : collection of str
         Circuits that agents were trained on.
@@ -145,16 +145,16 @@ def make_table(
         raise InputError("there are no races; a table needs some")
     arms = list(dict.fromkeys(arm for *_, arm in pairs))
     base = arms[0] if base is None else base
-    for role, name in (("base", base), ("best", best), ("blind", blind)):
+    for role, name in (("base", base), ("best", best), ("open_loop", open_loop)):
         if name is not None and name not in arms:
             raise InputError(f"{role} is {name!r}, which did not race; the arms are {', '.join(arms)}")
-    if best == blind:
-        blind = None  # the best agent is itself blind: there is no such gain
+    if best == open_loop:
+        open_loop = None  # the best agent is itself open-loop: there is no such gain
     rows = [
-        _row(track, opponent, pairs, [base, *(arm for arm in arms if arm != base)], best, blind, track in seen)
+        _row(track, opponent, pairs, [base, *(arm for arm in arms if arm != base)], best, open_loop, track in seen)
         for track, opponent in dict.fromkeys((track, opponent) for track, opponent, _ in pairs)
     ]
-    return StudyTable(tuple(_adjusted(rows)), base, best, blind)
+    return StudyTable(tuple(_adjusted(rows)), base, best, open_loop)
 
 
 def by_progress(races: RaceTable) -> RaceTable:
@@ -168,7 +168,7 @@ def _row(
     pairs: dict[tuple[str, str, str], RaceTable],
     arms: list[str],
     best: str | None,
-    blind: str | None,
+    open_loop: str | None,
     seen: bool,
 ) -> TableRow:
     label = f"{track} against {opponent}"
@@ -198,7 +198,7 @@ def _row(
         low, high = max(mean.low, 0.0), min(mean.high, 1.0)
         shares = float(races.crashed.mean()), float((races.fault[:, 0] > 0).mean())
         results.append(ArmResult(arm, len(races), mean.mean, low, high, float(by_ego.std(ddof=1)), *shares))
-    gain = difference(best, blind) if best in scores and blind in scores else None
+    gain = difference(best, open_loop) if best in scores and open_loop in scores else None
     return TableRow(
         track=track,
         opponent=opponent,

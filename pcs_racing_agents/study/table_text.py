@@ -42,7 +42,7 @@ def paper_text(row: TableRow) -> str:
 def overview_rows(table: StudyTable, show: Callable[[Difference], str] = difference_text) -> list[tuple[str, ...]]:
     """Return the short table, its head first: a line for each row, a column for each agent's difference."""
     others = [arm for arm in table.arms if arm != table.base]
-    gain = [] if table.best is None or table.blind is None else [f"{table.best} - {table.blind}"]
+    gain = [] if table.best is None or table.open_loop is None else [f"{table.best} - {table.open_loop}"]
     papers = any(row.paper is not None for row in table.rows)
     paper_column = ["paper: GT"] if papers else []
     lines: list[tuple[str, ...]] = [("circuit", "opponent", *paper_column, table.base, *others, *gain)]
@@ -109,10 +109,10 @@ def notes(table: StudyTable) -> list[str]:
             "Where the intervals leave out the start lines, each pair had its own, or there were too few to say how "
             "much they matter: then the result is about these lines."
         )
-    if table.best is not None and table.blind is not None:
+    if table.best is not None and table.open_loop is not None:
         sentences.append(
-            f"Adaptivity gain: {table.best} minus {table.blind}, the best of the blind agents, which look at nothing "
-            "of the race but who leads; that one was chosen on training races."
+            f"Adaptivity gain: {table.best} minus {table.open_loop}, the best of the open-loop agents, which look at "
+            "nothing of the race but who leads; that one was chosen on training races."
         )
     return sentences
 

@@ -58,7 +58,7 @@ def write_archive(
     facts = {
         "policies": len(parameters),
         "policies_not_beaten": int(front.sum()),
-        "enough_policies": bool(len(parameters) >= config.fewest),
+        "enough_policies": bool(len(parameters) >= config.min_policies),
         "hypervolume": hypervolume(scale(coordinates), REFERENCE),
         "hypervolume_error": hypervolume_error(raced, scale, REFERENCE),
         "own_crash_mean": measured.own_crash.mean(),
@@ -71,7 +71,7 @@ def write_archive(
         "loss_share_against_random": (winner == 1).mean(),
     }
     for axis, high, low in zip(config.axes, scale.ideal, scale.nadir, strict=True):
-        facts[f"hypervolume_unit_{axis}"] = f"0 at {low:.4f}, 1 at {high:.4f} (range of the scouts)"
+        facts[f"hypervolume_unit_{axis}"] = f"0 at {low:.4f}, 1 at {high:.4f} (range of the initial sample)"
     archive = PolicyArchive(
         name=config.name,
         planner=config.planner,
@@ -91,8 +91,8 @@ def write_archive(
     for (one, other), value in archive.correlations.items():
         facts[f"correlation_{one}_{other}"] = value
     facts["no_op_share"], facts["duplicate_share"] = no_op_share(archive), duplicate_share(archive)
-    if len(parameters) < config.fewest:
-        _log.warning("the archive holds %d policies; %d were wanted", len(parameters), config.fewest)
+    if len(parameters) < config.min_policies:
+        _log.warning("the archive holds %d policies; %d were wanted", len(parameters), config.min_policies)
     settings = {**stated_settings(config), **_versions(), **notes, **facts}
     archive = replace(archive, settings={key: _rounded(value) for key, value in settings.items()})
     course: list[tuple[object, ...]] = [("generation", "evaluations", "hypervolume", "front", "own_crash")]
@@ -134,7 +134,7 @@ def _top_tenth(values: Floats, by: Floats) -> float:
 def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
     """Every setting of a synthesis that matters, as a text or a number."""
     values = {**plain_settings(config), "characteristics": list(config.axes)}
-    if config.choose != "headroom":
+    if config.selection != "headroom":
         values = {key: value for key, value in values.items() if key not in HEADROOM_SETTINGS}
     texts = {key: ", ".join(map(str, value)) for key, value in values.items() if isinstance(value, list)}
     return {key: "none" if value is None else texts.get(key, value) for key, value in values.items()}

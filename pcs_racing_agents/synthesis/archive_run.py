@@ -1,7 +1,7 @@
 """The synthesis of an archive: search, choice and measurement of policies, as one resumable job.
 
-1. **Search.** Some policies at random (scouts) set the scale; then an optimiser proposes generation after generation,
-   and every policy is raced in the same scenarios (Algorithm 1 of the paper).
+1. **Search.** Some policies at random (the initial sample) set the scale; then an optimiser proposes generation after
+   generation, and every policy is raced in the same scenarios (Algorithm 1 of the paper).
 2. **Choice.** The best of everything evaluated are raced again, in other scenarios. Policies that crash too often, that
    another one clearly beats, or that nearly coincide with another one are left out. As an option, candidates race each
    other instead, and a pool that holds a game is kept (:mod:`pcs_racing_agents.synthesis.headroom_choice`).
@@ -67,7 +67,7 @@ def make_archive(
     hashes = {name: load_track(name).content_hash for name in (*config.tracks, *(config.judging_tracks or ()))}
     # Drawn before the folder is made: an impossible setting must leave nothing behind.
     search, choice, final = stage_scenarios(config)
-    scouts, optimiser, payoffs, judging = _roots(config)[3:]
+    first, optimiser, payoffs, judging = _roots(config)[3:]
     _check_folder(folder)
     settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
     with open_job(folder / "job", "archive", settings) as job:
@@ -78,7 +78,7 @@ def make_archive(
             races,
             family.bounds[varied],
             generations=config.generations,
-            initial=draw_policies(family, config.scouts, scouts, config.fixed)[:, varied],
+            initial=draw_policies(family, config.initial_sample, first, config.fixed)[:, varied],
             evaluations=config.evaluations,
             callback=races.after_generation,
             population=config.population,
@@ -92,7 +92,7 @@ def make_archive(
         )
         candidates, notes = choose(races, choice, _number(payoffs))
         kept, raced, more = measure(races, candidates, final)
-        if config.choose == "headroom":
+        if config.selection == "headroom":
             more = {**more, **judge_headroom(races, kept, _number(judging))}
         content = ", ".join(f"{name} {digest[:16]}" for name, digest in hashes.items())
         notes = {**notes, **more, "track_hashes": content}
@@ -124,7 +124,7 @@ def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenar
 
 
 def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
-    """Roots of the three stages, of the scouts, of the optimiser, and of the payoffs in choice and judgement."""
+    """Roots of the three stages, the initial sample, the optimiser, and the payoffs in choice and judgement."""
     return np.random.SeedSequence(config.seed).spawn(7)
 
 
@@ -171,9 +171,9 @@ def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats,
     if len(allowed) == 0:
         raise InputError(
             f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of the races of "
-            f"{config.duration:g} s, or lie below least or least_score; raise crash_limit, or lower the others"
+            f"{config.duration:g} s, or lie below min_coordinates or min_score; raise crash_limit, or lower the others"
         )
-    if config.choose == "headroom":
+    if config.selection == "headroom":
         parameters, notes = choose_for_headroom(races, allowed, seed)
     else:
         parameters, notes = _choose_front(races, allowed, scenarios)
@@ -194,7 +194,7 @@ def _choose_front(races: PolicyRaces, allowed: NDArray[np.int64], scenarios: Sce
     remeasured = summarise(raced)
     within_limits = np.flatnonzero(races.violation(remeasured) <= 0.0)
     not_beaten = within_limits[~_beaten(config, raced, within_limits)]
-    distinct = not_beaten[thin_out(_unit(remeasured.coordinates[not_beaten]), config.spacing, config.most)]
+    distinct = not_beaten[thin_out(_unit(remeasured.coordinates[not_beaten]), config.spacing, config.max_policies)]
     last = races.history[-1]
     races.note("choice", last.generation, last.hypervolume, len(distinct), remeasured)
     return theta[order[distinct]], {
@@ -217,17 +217,17 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
     if len(parameters):
         raced = races.race("measurement", "measurement", scenarios, parameters)
         measured = summarise(raced)
-        within_limits = np.flatnonzero((measured.own_crash <= limit) & (measured.score >= races.config.least_score))
+        within_limits = np.flatnonzero((measured.own_crash <= limit) & (measured.score >= races.config.min_score))
         kept = within_limits
-        if races.config.choose == "pareto":
+        if races.config.selection == "pareto":
             kept = within_limits[~_beaten(races.config, raced, within_limits)]
         # Sorted, so that an archive reads from the most careful to the fastest policy.
         kept = kept[np.argsort(measured.coordinates[kept, 0], kind="stable")]
-    fewest = 2 if races.config.choose == "pareto" else 3
+    fewest = 2 if races.config.selection == "pareto" else 3
     if len(kept) < fewest:
         raise InputError(
-            f"{len(kept)} policies remain below the crash limit of {limit:.0%} and above least_score; an archive needs "
-            f"{fewest} at least: raise crash_limit, lower least_score, or search longer"
+            f"{len(kept)} policies remain below the crash limit of {limit:.0%} and above min_score; an archive needs "
+            f"{fewest} at least: raise crash_limit, lower min_score, or search longer"
         )
     last = races.history[-1]
     races.note("measurement", last.generation, last.hypervolume, len(kept), measured)

@@ -29,7 +29,7 @@ from pcs_racing_agents.synthesis.synthesize import Evaluated
 Floats = NDArray[np.float64]
 
 BLOCK = 2  # policies of a task: a generation of 32 keeps 16 cores busy
-REFERENCE = -0.1  # worst point of a hypervolume: a tenth of the scouts' range below their worst
+REFERENCE = -0.1  # worst point of a hypervolume: a tenth of the initial sample's range below its worst
 
 
 class ArchiveProgress(NamedTuple):
@@ -41,14 +41,14 @@ class ArchiveProgress(NamedTuple):
     generation: int  #: ``generation``, ``generations``: Generations done, and asked for.
     generations: int
     evaluations: int  #: Policies raced in the search so far.
-    hypervolume: float  #: Of the search's front, in units of the scouts' range.
+    hypervolume: float  #: Of the search's front, in units of the initial sample's range.
     front: int  #: Policies in that front.
     own_crash: float  #: Mean own crash rate of the policies raced last.
     done: float  #: Share of all the racing that is done, 0 to 1.
 
 
 ArchiveCallback = Callable[[ArchiveProgress], object]
-"""Called after the scouts (generation 0), after every generation, and now and then in later stages."""
+"""Called after the initial sample (generation 0), after every generation, and now and then in later stages."""
 
 
 @dataclass
@@ -60,21 +60,21 @@ class PolicyRaces:
     executor: Executor | None
     callback: ArchiveCallback
     scenarios: Scenarios  #: Of the search.
-    scale: Scale = field(init=False)  #: Range of the scouts, once they have raced.
+    scale: Scale = field(init=False)  #: Range of the initial sample, once it has raced.
     #: Parameters, shape (n, P), and results of all policies of the search, in the order of the races.
     raced: list[tuple[Floats, Evaluation]] = field(default_factory=list)
     history: list[ArchiveProgress] = field(default_factory=list)
-    _names: deque[str] = field(default_factory=lambda: deque(["scouts"]))  # of the next evaluations
+    _names: deque[str] = field(default_factory=lambda: deque(["initial sample"]))  # of the next evaluations
 
     def __call__(self, parameters: Floats) -> Evaluated:
         """Race policies in the scenarios of the search; own crashes above the limit violate it."""
         evaluation = summarise(self.race("search", self._names.popleft(), self.scenarios, parameters))
-        # The first policies are the scouts, whose range is the unit of hypervolumes.
+        # The first policies are the initial sample, whose range is the unit of hypervolumes.
         if not self.raced:
             low, high = evaluation.coordinates.min(axis=0), evaluation.coordinates.max(axis=0)
             for axis, least, largest in zip(self.config.axes, low, high, strict=True):
                 if not least < largest:
-                    raise InputError(f"all {len(parameters)} scouts have {axis} {least:g}: no scale follows from them")
+                    raise InputError(f"the initial sample has {axis} {least:g} throughout: no scale follows from it")
             self.scale = Scale(high, low)
         self.raced.append((parameters, evaluation))
         return Evaluated(evaluation.coordinates, self.violation(evaluation))
@@ -109,13 +109,15 @@ class PolicyRaces:
         return get_planner(self.config.planner).complete(self.config.varied, parameters)
 
     def violation(self, evaluation: Evaluation) -> Floats:
-        """Return by how much policies violate the limits, shape (K,): per race, or in the scouts' range."""
+        """Return by how much policies violate the limits, shape (K,): per race, or in the initial sample's range."""
         beyond = evaluation.own_crash - self.config.search_crash_limit
         if self.config.rivals:
-            beyond = np.maximum(beyond, self.config.least_score - evaluation.score)
-        if self.config.least is None:
+            beyond = np.maximum(beyond, self.config.min_score - evaluation.score)
+        if self.config.min_coordinates is None:
             return beyond
-        shortfall = (np.array(self.config.least) - evaluation.coordinates) / (self.scale.ideal - self.scale.nadir)
+        shortfall = (np.array(self.config.min_coordinates) - evaluation.coordinates) / (
+            self.scale.ideal - self.scale.nadir
+        )
         return np.maximum(beyond, shortfall.max(axis=1))
 
     @property

@@ -20,7 +20,7 @@ CHOICES = ("pareto", "headroom")
 
 KIND = "archive"
 HEADROOM_SETTINGS = ("groups", "payoff_races", "judging_races", "judging_tracks")
-"""Settings that only matter with ``choose: headroom``."""
+"""Settings that only matter with ``selection: headroom``."""
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
 _SECONDS = number(0.1, 3600.0)
@@ -29,7 +29,7 @@ _SECONDS = number(0.1, 3600.0)
 def _numbers(value: Any) -> tuple[float, ...]:
     """Return a list of numbers as a tuple."""
     if not isinstance(value, list | tuple) or not all(map(is_number, value)):
-        raise InputError(f"least is {value!r}; it must be a list of numbers")
+        raise InputError(f"min_coordinates is {value!r}; it must be a list of numbers")
     return tuple(value)
 
 
@@ -73,7 +73,7 @@ class ArchiveConfig(Settings):
     step_size: float = setting(
         0.3, number(1e-6, 1.0), "Initial standard deviation of CMA-ES, as a share of the parameters' ranges."
     )
-    scouts: int = setting(
+    initial_sample: int = setting(
         80,
         whole(8, 10_000),
         "Policies of the initial sample, drawn at random; their range is the scale of the axes in the loss and in the "
@@ -83,7 +83,7 @@ class ArchiveConfig(Settings):
     rivals: tuple[str, ...] = setting(
         (), names(0), "Drivers of other planners that are met in every stage beside the random policies, each as often."
     )
-    least_score: float = setting(
+    min_score: float = setting(
         0.0,
         number(0.0, 1.0),
         "Smallest score against the rivals, a win being 1 and a tie 1/2, of a policy that may be chosen.",
@@ -95,12 +95,12 @@ class ArchiveConfig(Settings):
         "Largest share of crashes by own fault, in races of final_duration, of a policy in the archive; 1 keeps all. "
         "For the shorter races of the search it is converted with a constant crash rate.",
     )
-    least: tuple[float, ...] | None = setting(
+    min_coordinates: tuple[float, ...] | None = setting(
         None,
         checked(_numbers),
         "Smallest coordinate of a policy in the archive, one for each axis; None for no limit.",
     )
-    choose: str = setting(
+    selection: str = setting(
         "pareto",
         choice(CHOICES),
         "Rule of the selection: policies that no other one clearly beats on the axes (the paper), or a pool with much "
@@ -118,19 +118,19 @@ class ArchiveConfig(Settings):
     groups: int = setting(
         4,
         whole(1, 1000),
-        "With choose: headroom, groups of candidates along the first axis from which equally many policies are taken.",
+        "With selection: headroom, groups of candidates along the first axis that as many policies are taken from.",
     )
     payoff_races: int = setting(
-        16, whole(4, 100_000), "With choose: headroom, races of each pair of candidates on each track."
+        16, whole(4, 100_000), "With selection: headroom, races of each pair of candidates on each track."
     )
     judging_races: int = setting(
         64,
         whole(4, 100_000),
-        "With choose: headroom, races of each pair of the chosen policies on each track, whose headroom the manifest "
-        "states.",
+        "With selection: headroom, races of each pair of the chosen policies on each track, whose headroom the "
+        "manifest states.",
     )
     judging_tracks: tuple[str, ...] | None = setting(
-        None, names(), "With choose: headroom, circuits without a say in the choice on which it is judged, too."
+        None, names(), "With selection: headroom, circuits that no choice is made on, on which it is judged, too."
     )
     spacing: float = setting(
         0.015,
@@ -138,8 +138,8 @@ class ArchiveConfig(Settings):
         "Smallest distance between two policies of the archive, in units of the archive's ranges; of two nearer "
         "policies one is dropped.",
     )
-    fewest: int = setting(40, whole(1, 10_000), "Minimum number of policies in the archive, if possible.")
-    most: int = setting(80, whole(2, 10_000), "Maximum number of policies; with more, the spacing is widened.")
+    min_policies: int = setting(40, whole(1, 10_000), "Minimum number of policies in the archive, if possible.")
+    max_policies: int = setting(80, whole(2, 10_000), "Maximum number of policies; with more, the spacing is widened.")
     final_opponents: int = setting(12, whole(1, 1000), "Opponents in the measurement, which gives the coordinates.")
     final_starts: int = setting(3, whole(1, 1000), "Start lines on each track in the measurement.")
     seed: int = setting(0, whole(0, 2**63 - 1), "Seed of all random draws.")
@@ -153,29 +153,29 @@ class ArchiveConfig(Settings):
                 raise ConfigError(
                     f"{key} is {length:g} s; it must be a multiple of segment_seconds, {self.segment_seconds:g} s"
                 )
-        if self.fewest > self.most:
-            raise ConfigError(f"fewest is {self.fewest}, above most, {self.most}")
-        if self.least_score > 0.0 and not self.rivals:
-            raise ConfigError(f"least_score is {self.least_score:g}, but there are no rivals to reach it against")
-        if self.choose == "headroom":
+        if self.min_policies > self.max_policies:
+            raise ConfigError(f"min_policies is {self.min_policies}, above max_policies, {self.max_policies}")
+        if self.min_score > 0.0 and not self.rivals:
+            raise ConfigError(f"min_score is {self.min_score:g}, but there are no rivals to reach it against")
+        if self.selection == "headroom":
             self._check_headroom()
         if not self.varied:
             raise ConfigError(f"fixed names all parameters of planner {self.planner!r}; at least one must vary")
         get_characteristics(self.axes)
-        if self.least is not None and len(self.least) != len(self.axes):
+        if self.min_coordinates is not None and len(self.min_coordinates) != len(self.axes):
             raise ConfigError(
-                f"least is {self.least!r}; it must be a list of numbers, one for each of {', '.join(self.axes)}"
+                f"min_coordinates is {self.min_coordinates!r}; it must list a number for each of {', '.join(self.axes)}"
             )
 
     def _check_headroom(self) -> None:
         """Check what only the choice for headroom needs."""
-        if not 3 <= self.most <= self.candidates:
+        if not 3 <= self.max_policies <= self.candidates:
             raise ConfigError(
-                f"most is {self.most}; a pool chosen for headroom holds 3 policies at least, and no more than there "
-                f"are candidates, {self.candidates}"
+                f"max_policies is {self.max_policies}; a pool chosen for headroom holds 3 policies at least, and no "
+                f"more than there are candidates, {self.candidates}"
             )
-        if self.groups > self.most:
-            raise ConfigError(f"groups is {self.groups}, above most, {self.most}")
+        if self.groups > self.max_policies:
+            raise ConfigError(f"groups is {self.groups}, above max_policies, {self.max_policies}")
         for key in ("payoff_races", "judging_races"):
             if getattr(self, key) % 4:
                 raise ConfigError(f"{key} is {getattr(self, key)}; it must be a multiple of 4")
@@ -213,8 +213,8 @@ class ArchiveConfig(Settings):
 
     @property
     def evaluations(self) -> int:
-        """Policies that the search races at most, scouts included."""
-        return self.scouts + self.generations * self.population
+        """Policies that the search races at most, the initial sample included."""
+        return self.initial_sample + self.generations * self.population
 
     @property
     def races(self) -> int:
@@ -228,11 +228,15 @@ class ArchiveConfig(Settings):
         work = {
             "search": self.evaluations * self.races * self.duration,
             "choice": self.candidates * races * (self.choice_opponents + more) * self.choice_starts * self.duration,
-            "measurement": self.most * races * (self.final_opponents + more) * self.final_starts * self.final_duration,
+            "measurement": self.max_policies
+            * races
+            * (self.final_opponents + more)
+            * self.final_starts
+            * self.final_duration,
         }
-        if self.choose == "headroom":
+        if self.selection == "headroom":
             judging = len(self.tracks) + len(self.judging_tracks or ())
-            pairs, chosen = comb(self.candidates, 2), comb(self.most, 2)
+            pairs, chosen = comb(self.candidates, 2), comb(self.max_policies, 2)
             work["choice"] = pairs * len(self.tracks) * self.payoff_races * self.final_duration
             work["judgement"] = chosen * judging * self.judging_races * self.final_duration
         return work

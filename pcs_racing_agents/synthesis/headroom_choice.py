@@ -34,23 +34,23 @@ def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tupl
     """Race all pairs of candidates of all speeds, and choose the pool with the most headroom.
 
     Candidates are taken from the ``allowed`` policies of the search; ``seed`` is the root of start lines, noise and of
-    the search for the pool. Returned are the parameters that vary, shape (config.most, P), in the order of the first
-    axis, and what the choice expects of the pool.
+    the search for the pool. Returned are the parameters that vary, shape (config.max_policies, P), in the order
+    of the first axis, and what the choice expects of the pool.
     """
     config = races.config
     theta, explored = races.explored()
     first = explored.coordinates[allowed, 0]
     intervals = config.groups * INTERVALS_PER_GROUP
     rows = allowed[best_of_each_interval(first, explored.won[allowed], config.candidates, intervals)]
-    if len(rows) < config.most:
+    if len(rows) < config.max_policies:
         raise InputError(
-            f"{len(rows)} candidates differ in {config.axes[0]}; a pool of {config.most} needs more: search longer, "
-            "raise crash_limit or lower most"
+            f"{len(rows)} candidates differ in {config.axes[0]}; a pool of {config.max_policies} needs more: search "
+            "longer, raise crash_limit or lower max_policies"
         )
     payoffs = races.payoffs("choice", _pool(config, theta[rows], config.tracks, config.payoff_races, seed))
     expected = np.array([denoised(folds) for folds in payoffs])
     groups = np.array_split(np.arange(len(rows)), config.groups)
-    pool = choose_pool(expected, groups, config.most, seed=seed)
+    pool = choose_pool(expected, groups, config.max_policies, seed=seed)
     last = races.history[-1]
     races.note(
         "choice", last.generation, last.hypervolume, len(pool), Evaluation(*(values[rows[pool]] for values in explored))

@@ -1,8 +1,8 @@
-"""Fits on training races: the best blind agents of three kinds, and the equilibrium mixture of agents.
+"""Fits on training races: the best open-loop agents of three kinds, and the equilibrium mixture of agents.
 
-Blind agents are an open-loop sequence of moves, a fixed policy, and a lead plan (a policy behind and one ahead). Every
-candidate drives the same training races (common random numbers), which reduces the noise of their differences. A blind
-agent's result is a :class:`pcs_racing_agents.agents.fits.Fit`, a small file for the agents "best-schedule",
+They are an open-loop sequence of moves, a fixed policy, and a lead plan (a policy behind and one ahead). Every
+candidate drives the same training races (common random numbers), which reduces the noise of their differences. An
+open-loop agent's result is a :class:`pcs_racing_agents.agents.fits.Fit`, a small file for the agents "best-schedule",
 "best-fixed" and "best-lead-plan".
 """
 
@@ -19,8 +19,8 @@ from pcs_racing.game.competitor import competitor_name
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
-from pcs_racing_agents.agents.blind import LEAD_PLAN, best_fixed, best_lead_plan, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
+from pcs_racing_agents.agents.open_loop import LEAD_PLAN, best_fixed, best_lead_plan, best_schedule
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games

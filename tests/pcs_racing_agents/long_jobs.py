@@ -6,8 +6,8 @@ from pcs_racing_agents.jobs.chunks import read_chunk
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 
 SYNTHESIS = (
-    "{duration: 4.0, final_duration: 4.0, segment_seconds: 2.0, scouts: 12, opponents: 1, starts: 1, candidates: 12,"
-    " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, fewest: 2}"
+    "{duration: 4, final_duration: 4, segment_seconds: 2, initial_sample: 12, opponents: 1, starts: 1, candidates: 12,"
+    " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, min_policies: 2}"
 )
 TREES = ["--archive", "default", "--track", "Pipkin", "--moves", "2", "--step", "2"]
 

@@ -20,7 +20,7 @@ def toy_report(archive, watched) -> ReportContent:
     table = make_table(
         toy_races(tracks=("Tarnfjord", NASTY), opponents=("never-switch",), egos=4, variants=4),
         best="our-best",
-        blind="best-fixed",
+        open_loop="best-fixed",
         seen={"Tarnfjord"},
     )
     losses = [ReplyLoss("our-best", "Tarnfjord", 0.2, 0.1, 0.3, 400, 0.7, 0.3, 0.05)]

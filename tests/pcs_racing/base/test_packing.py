@@ -90,6 +90,5 @@ def test_costs_keep_their_order_and_their_rejections(costs):
     back = packing.unpack_costs(json.loads(json.dumps(packing.pack_costs(costs))), "costs")
     assert np.array_equal(np.isinf(back), np.isinf(costs))
     finite = np.isfinite(costs)
-    order = np.argsort(costs[finite], kind="stable")
-    assert np.all(np.diff(back[finite][order]) >= 0)
+    assert np.all(np.diff(back[finite][np.argsort(costs[finite], kind="stable")]) >= 0)
     assert np.all(np.abs(back[finite] - costs[finite]) <= 0.0005 + 1e-9)

@@ -209,8 +209,7 @@ def test_frames_are_those_since_the_last_ones():
     env.step(1)
     env.step(2)
     kept = env.get_state()
-    frames = env.render()
-    assert len(frames) == 50
+    assert len(env.render()) == 50
     assert env.render() == []
     np.testing.assert_array_equal(
         env.get_state().batch[0].race.cars, kept.batch[0].race.cars

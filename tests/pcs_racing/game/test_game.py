@@ -137,8 +137,7 @@ def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
     assert len(np.unique(begin % track.length)) == len(np.unique(game.start_lines)) > 30
     assert len(np.unique(state.policy, axis=0)) > 0.5 * min(400, count**2)
     for car in range(2):
-        drawn = np.bincount(state.policy[:, car], minlength=count)
-        assert drawn.max() < 4.0 * 400 / count + 5.0
+        assert np.bincount(state.policy[:, car], minlength=count).max() < 4.0 * 400 / count + 5.0
 
 
 def test_a_step_leaves_the_state_alone_and_games_that_are_over_stand_still(game):

@@ -57,8 +57,7 @@ def test_all_variants_drive_shipped_circuits_alone(name, drive_alone):
 )
 def test_all_variants_drive_real_circuits_alone(name, speeds, real_maps, drive_alone):
     policies = [switcher.LANE_SWITCHER.policy(variant) for variant in VARIANTS]
-    result = drive_alone(load_track(real_maps / name), policies, speed_range=speeds)
-    assert not result.crashed.any()
+    assert not drive_alone(load_track(real_maps / name), policies, speed_range=speeds).crashed.any()
 
 
 @pytest.mark.parametrize("name", list_tracks())

@@ -56,8 +56,7 @@ def test_a_configuration_by_name_or_from_yaml_and_bad_files(tmp_path):
     config = load_race_config(file, start_gap=3.0)
     assert config == dataclasses.replace(CONTEST, name="sprint", duration=12.5, speed_range=(0.8, 1.1), start_gap=3.0)
     hash(config)  # the range is a tuple, not a list
-    config = load_race_config("contest", duration=16.0)
-    assert config == dataclasses.replace(CONTEST, duration=16.0)
+    assert load_race_config("contest", duration=16.0) == dataclasses.replace(CONTEST, duration=16.0)
     refused(r"race settings 'papper' are unknown", load_race_config, "papper", error=UnknownNameError)
     for text, message in [
         ("durration: 4", "rules.yaml: unknown race setting 'durration'"),

@@ -194,8 +194,7 @@ def test_a_frame_tells_which_way_a_car_drives(race, view, heading):
 
 
 def test_frames_of_a_replay_show_the_candidates_that_were_kept(race):
-    frames = list(replay_frames(race, Renderer(race, 160, 100), fps=10.0))
-    assert len(frames) == 11
+    assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=10.0))) == 11
     assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=10.0, speed=0.5))) == 21
     # Candidates that were not kept are not missed.
     assert len(list(replay_frames(race, Renderer(race, 160, 100), fps=5.0, candidates=True))) == 6

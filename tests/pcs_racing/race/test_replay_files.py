@@ -24,8 +24,7 @@ def test_a_race_comes_back_rounded(tmp_path, suffix):
         within = 0.0005 if name in fine else 0.005
         assert np.abs(getattr(back, name) - getattr(replay, name)).max() <= within + 1e-9, name
     assert np.array_equal(np.isinf(back.costs), np.isinf(replay.costs))
-    again = save_replay(back, tmp_path / f"again{suffix}")
-    assert again.read_bytes() == path.read_bytes()
+    assert save_replay(back, tmp_path / f"again{suffix}").read_bytes() == path.read_bytes()
 
 
 def test_optional_parts_may_be_absent_and_a_race_of_40_s_is_small(tmp_path):

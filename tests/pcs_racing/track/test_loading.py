@@ -158,8 +158,7 @@ def test_missing_lines_are_made_from_the_picture(folder, oval, caplog):
     assert [record.getMessage() for record in caplog.records] == [
         "track Big Oval: it has no race line and it has no centre line; it was made from the picture"
     ]
-    distance = np.abs(oval.to_frenet(made.centerline[:, :2])[:, 1])
-    assert distance.max() < 0.1
+    assert np.abs(oval.to_frenet(made.centerline[:, :2])[:, 1]).max() < 0.1
     assert made.wall_distance(made.line[:, :2]).min() > 0.29
     assert made.length < oval.length
 
@@ -202,7 +201,6 @@ def test_real_circuits_can_be_raced_on(real_maps, name):
     assert track.wall_distance(track.line[:, :2]).min() >= 0.28
     assert np.abs(track.line[:, KAPPA]).max() < 1.3
     assert (track.line[:, [RIGHT, LEFT]] > 0.28).all()
-    on_track = track.wall_distance(track.centerline[:, :2])
-    assert on_track.min() > 0.4
+    assert track.wall_distance(track.centerline[:, :2]).min() > 0.4
     jumps = np.abs(np.diff(track.to_frenet(track.centerline[:, :2])[:, 0]))
     assert np.minimum(jumps, track.length - jumps).max() < 1.5

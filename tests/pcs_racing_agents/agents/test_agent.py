@@ -7,7 +7,7 @@ from refusal import refused
 from pcs_racing import get_planner
 from pcs_racing_agents.agents import Agent, Driver, as_competitor, make, observing
 from pcs_racing_agents.agents.agent import competitor_hash, draw, hash_rows
-from pcs_racing_agents.agents.blind import always, random_moves
+from pcs_racing_agents.agents.open_loop import always, random_moves
 from pcs_racing_agents.agents.zoo import build
 
 
@@ -50,8 +50,7 @@ def test_draws_follow_the_chances_and_rounding_never_draws_what_is_impossible():
     # Chances that add up to a bit less or more than 1.
     rows = np.random.default_rng(1).normal(size=(5000, 2)).astype(np.float32)
     for chances in ([0.0, 1.0 - 1e-16, 0.0], [0.3, 0.3, 0.4 - 1e-12], [0.0, 1e-300, 0.0], [0.1] * 10):
-        drawn = draw(np.tile(chances, (5000, 1)), rows, 3)
-        assert (np.array(chances)[drawn] > 0.0).all()
+        assert (np.array(chances)[draw(np.tile(chances, (5000, 1)), rows, 3)] > 0.0).all()
 
 
 def test_agents_and_drivers_travel_to_other_processes(setting, seen):

@@ -10,8 +10,8 @@ from zoo_games import untrained
 
 from pcs_racing import InputError, UnknownNameError
 from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.agents.blind import random_moves
 from pcs_racing_agents.agents.from_network import DECISIONS, adaptive, from_network, get_decision
+from pcs_racing_agents.agents.open_loop import random_moves
 from pcs_racing_agents.agents.zoo import build
 
 
@@ -36,7 +36,7 @@ def test_a_network_may_not_know_stay_which_is_worth_nothing_to_it(setting, seen)
     assert (agent.probabilities(seen[0])[:, 4] == 0.0).all()
     np.testing.assert_array_equal(agent.predict(seen[0])[0], short.choose(seen[0]))
     short = untrained(setting, "gain", stay=False)
-    agent = adaptive(setting, network=short, blind="never-switch", margin=0.0)
+    agent = adaptive(setting, network=short, open_loop="never-switch", margin=0.0)
     values = short.unclipped(seen[0])
     expected = np.where(values.max(axis=1) > 0.0, values.argmax(axis=1), 4)
     np.testing.assert_array_equal(agent.predict(seen[0])[0], expected)
@@ -50,17 +50,17 @@ def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more_and_keeps_a_r
     gain = values.max(axis=1) - values[:, 3]
     leaves = {}
     for margin in (0.0, float(np.median(gain)), 1e9):
-        agent = adaptive(setting, network=network, blind=habit, margin=margin)
+        agent = adaptive(setting, network=network, open_loop=habit, margin=margin)
         expected = np.where(gain > margin, values.argmax(axis=1), 3)
         np.testing.assert_array_equal(agent.predict(rows)[0], expected)
         leaves[margin] = np.mean(expected != 3)
     assert sorted(leaves.values(), reverse=True) == list(leaves.values())
     assert list(leaves.values())[-1] == 0.0
-    trained = adaptive(setting, network=replace(network, training={"margin": 1e9}), blind="never-switch")
+    trained = adaptive(setting, network=replace(network, training={"margin": 1e9}), open_loop="never-switch")
     assert (trained.predict(rows)[0] == 4).all()
     assert trained.facts["keeps to"] == "never-switch"
-    refused("margin of agent 'adaptive' is -1", adaptive, setting, network=network, blind=habit, margin=-1)
-    agent = adaptive(setting, network=network, blind=random_moves(setting), margin=1e9)
+    refused("margin of agent 'adaptive' is -1", adaptive, setting, network=network, open_loop=habit, margin=-1)
+    agent = adaptive(setting, network=network, open_loop=random_moves(setting), margin=1e9)
     np.testing.assert_allclose(agent.probabilities(seen[0]), [[0.25, 0.25, 0.25, 0.25, 0.0]] * 40)
 
 

@@ -38,8 +38,7 @@ def test_every_name_and_every_object_is_an_opponent_of_all_environments(name):
         assert env.outcome()["opponent"].replace(" ", "") == name
         drives = len(env.opponents[0].policies) > 0
         assert (info["opponent_move"] == -1) is drives
-    game = HeadToHeadEnv(opponent=name, **SHORT)
-    assert list(game.reset(seed=1)[0]) == ["car_0"]
+    assert list(HeadToHeadEnv(opponent=name, **SHORT).reset(seed=1)[0]) == ["car_0"]
     drive = gym.make("pcs_racing/Drive-v1", opponent=name)
     drive.reset(seed=1)
     *_, info = drive.step(np.array([0.0, -0.5], np.float32))

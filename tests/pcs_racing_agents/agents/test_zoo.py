@@ -6,8 +6,8 @@ from zoo_games import untrained
 import pcs_racing_agents
 from pcs_racing import UnknownNameError, make_game
 from pcs_racing_agents.agents import Agent, Decider, Driver, make, make_setting, names, parse_agent, register_agent, zoo
-from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.describe import describe
+from pcs_racing_agents.agents.open_loop import always, random_moves
 from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, options
 from pcs_racing_agents.networks import NetworkSet
 
@@ -18,7 +18,7 @@ def learned(name: str, setting) -> dict:
         "best-schedule": {"moves": ["stay"] * 4},
         "best-fixed": {"target": 3},
         "best-lead-plan": {"targets": {"behind": 3, "ahead": 5}},
-        "adaptive": {"network": untrained(setting, "gain"), "blind": "never-switch"},
+        "adaptive": {"network": untrained(setting, "gain"), "open_loop": "never-switch"},
     }
     if name in SHIPPED and entries()[name].needs == "network" and name != "adaptive":
         return {"network": untrained(setting)}
@@ -59,8 +59,7 @@ def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_an
     assert agent.setting.offered == 5  # the contest offers "stay" to everybody
     assert "never-switch" in pcs_racing_agents.names()
     assert len(make("lane-switcher").policies) == 20
-    explored = make("random-policy")
-    assert len(explored.policies) == len(agent.setting.archive.explored_parameters)
+    assert len(make("random-policy").policies) == len(agent.setting.archive.explored_parameters)
     assert len(make("random-policy", first=80).policies) == 80
     refused("first is 0; it must be a whole number from 1 to", make, "random-policy", first=0)
     with pytest.raises(AttributeError, match="has no attribute 'mak'"):
@@ -80,7 +79,7 @@ def test_agents_as_text_and_bad_names_and_options(setting):
     (only,) = parse_agent("lane-switcher:4", setting).policies
     assert only.name == "lane-switcher:4"
     setting = make_setting("contest", "contest")
-    adaptive = parse_agent("adaptive:network=contest-contest-gain,blind=never-switch,margin=0.5", setting)
+    adaptive = parse_agent("adaptive:network=contest-contest-gain,open_loop=never-switch,margin=0.5", setting)
     assert (adaptive.facts["keeps to"], adaptive.facts["margin"]) == ("never-switch", "0.5")
     for text in ("best-fixed:3", "best-fixed:target=3,target=4", "best-fixed:name=x", "best-fixed:target=[1"):
         refused("agent 'best-fixed", parse_agent, text, setting)
@@ -120,8 +119,7 @@ def test_agents_of_other_people(setting, empty_registry, monkeypatch):
     assert entries()["first-move"].summary == "Make the first move for ever."
     assert "first-move" in names(setting.archive, setting.config)
     assert options("first-move") == {"bold": False}
-    created = build("first-move", setting)
-    assert created.name == "first-move"
+    assert build("first-move", setting).name == "first-move"
     assert isinstance(build("first-move", setting, bold=True), Agent)
     refused("agent 'first-move' already", register_agent, "first-move", random_moves)
     for name in ("", "a b", "nash", "always-x", "a:b"):
@@ -136,7 +134,7 @@ def test_agents_of_other_people(setting, empty_registry, monkeypatch):
 def test_a_shipped_agent_is_a_file_and_a_line(setting, monkeypatch, tmp_path):
     """With its line in SHIPPED it is listed, made, asked and described, by the command as well."""
     (tmp_path / "bold_agent.py").write_text(
-        "from pcs_racing_agents.agents.blind import always\n"
+        "from pcs_racing_agents.agents.open_loop import always\n"
         "from pcs_racing_agents.agents.zoo import Entry\n"
         "def bold(setting, *, name='bold', seed=0, move='aggressiveness +'):\n"
         "    return always(setting, move, name=name, seed=seed)\n"

@@ -121,7 +121,7 @@ def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, s
     network = network_of(setting, worth="win")
     rival = build("never-switch", setting)
     bold, shy = (
-        explained(contest, build("adaptive", setting, network=network, blind="never-switch", margin=margin), rival)
+        explained(contest, build("adaptive", setting, network=network, open_loop="never-switch", margin=margin), rival)
         for margin in (0.0, 1000.0)
     )
     assert shy.default.name == "never-switch"
@@ -137,7 +137,7 @@ def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, s
         assert f"worth {gain:.3f} of a win more than stay, what never-switch would do" in why(bold, step)
 
 
-def test_blind_agents_drivers_and_whoever_answers_predict(contest, setting):
+def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, setting):
     race = explained(contest, build("always-aggressiveness+", setting), build("lane-switcher", setting))
     assert "never looks at the opponent" in story(race)
     assert "why:" not in story(race)

@@ -15,7 +15,7 @@ from pcs_racing_agents.study.family_gains import COLUMNS, families, family_gains
 def races():
     return toy_races(
         tracks=("Oval", "Hut"), opponents=("never-switch", "best-schedule", "ppo", "somebody"),
-        strengths={"blind": 0.0, "clever": 0.2}, egos=5, variants=5,
+        strengths={"open-loop": 0.0, "clever": 0.2}, egos=5, variants=5,
     )  # fmt: skip
 
 
@@ -27,7 +27,7 @@ def test_every_opponent_has_a_line_and_all_drivers_of_a_use_have_one():
 
 
 def test_the_table_and_the_file_say_the_same_and_nobody_is_compared_with_himself(races, tmp_path):
-    gains = family_gains(races, "clever", "blind", ["never-switch"])
+    gains = family_gains(races, "clever", "open-loop", ["never-switch"])
     assert [gain.use for gain in gains] == ["training", "test", "test", "test"]
     assert {gain.races for gain in gains} == {gains[0].races}
     assert gains[0].tracks == ("Oval", "Hut")
@@ -40,15 +40,15 @@ def test_the_table_and_the_file_say_the_same_and_nobody_is_compared_with_himself
 
 
 def test_the_gain_is_the_mean_difference_of_the_scores_of_the_same_races(races):
-    archive, *_ = family_gains(races, "clever", "blind")
+    archive, *_ = family_gains(races, "clever", "open-loop")
     scores = {
         ego: races.take([i for i, row in enumerate(races) if (row.ego, row.opponent) == (ego, "never-switch")]).score
-        for ego in ("clever", "blind")
+        for ego in ("clever", "open-loop")
     }
-    mean = scores["clever"].mean() - scores["blind"].mean()
+    mean = scores["clever"].mean() - scores["open-loop"].mean()
     assert archive.gain == pytest.approx(mean)
     assert archive.low < mean < archive.high
     clever = [i for i, row in enumerate(races) if row.ego == "clever"]
-    others = [i for i, row in enumerate(races) if row.ego == "blind"][:-1]
+    others = [i for i, row in enumerate(races) if row.ego == "open-loop"][:-1]
     with pytest.raises(InputError, match="never-switch"):
-        family_gains(concatenate_races([races.take(clever), races.take(others[1:])]), "clever", "blind")
+        family_gains(concatenate_races([races.take(clever), races.take(others[1:])]), "clever", "open-loop")

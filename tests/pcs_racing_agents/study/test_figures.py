@@ -17,7 +17,7 @@ from pcs_racing_agents.tournament.table import payoffs_picture, ratings_picture
 @pytest.fixture(scope="module")
 def table():
     cells = toy_races(egos=5, variants=4, opponents=("never-switch", "somebody"))
-    return make_table(cells, best="our-best", blind="best-fixed", seen={"Tarnfjord"})
+    return make_table(cells, best="our-best", open_loop="best-fixed", seen={"Tarnfjord"})
 
 
 def curves(seed=0):

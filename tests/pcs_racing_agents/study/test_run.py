@@ -20,8 +20,8 @@ from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
-from pcs_racing_agents.study.config import BEST_BLIND
-from pcs_racing_agents.study.reporting import best_blind
+from pcs_racing_agents.study.config import BEST_OPEN_LOOP
+from pcs_racing_agents.study.reporting import best_open_loop
 from pcs_racing_agents.study.run import seconds_counted, stage_seconds, stages_to_run
 from pcs_racing_agents.study.study import Study
 
@@ -42,7 +42,7 @@ TINY = load_study_config(
     "quick", moves=2, step_seconds=2.0, circuits=("Pipkin",), tracks=("Pipkin",), pairs=3, targets=("advantage",),
     robust=settings_file("robust", f"rounds: 1\nlearner: {LEARNER}\n"), self_play=SELF_PLAY, sampled_cfr=SELF_PLAY,
     psro=settings_file("psro", f"rounds: 2\nraces: 4\nlearner: {LEARNER}\n"), fitting_games=2, fixed_targets=2,
-    opponents=("never-switch", "lane-switcher"), arms=("never-switch", *BEST_BLIND, "cfr-argmax", "quick"),
+    opponents=("never-switch", "lane-switcher"), arms=("never-switch", *BEST_OPEN_LOOP, "cfr-argmax", "quick"),
     egos=2, variants=2, lines=1, further_lines=1, further_opponents=("random-moves",),
     further_arms=("ppo", "robust", "psro", "self-play"), replies=("cfr-argmax", "self-play"), reply=LEARNER,
     reply_races=40, ppo=str(HERE / "ppo_tiny.yaml"), rating_races=2,
@@ -95,7 +95,7 @@ def test_the_report_tells_losses_gains_and_moves(finished, page):
         assert f"{name}: moves by step, lead and aggressiveness of the opponent" in page
         assert (finished.folder / "report" / f"situations-{name}.csv").is_file()
     assert not (finished.folder / "report" / "situations-best-fixed.csv").exists()
-    compared = best_blind(finished)
+    compared = best_open_loop(finished)
     table = rows_of(finished.folder / "table.csv")
     assert {row["base"] for row in table if row["kind"] == "adaptivity gain"} == {compared}
     assert f"quick - {compared}" in (finished.folder / "table.txt").read_text(encoding="utf-8")
@@ -131,7 +131,7 @@ def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
         run_study(TINY, other, only=NAMES[: NAMES.index("races")], executor=executor, quiet=True)
         for file in sorted(other.rglob("*.npz"))[::3]:
             file.unlink()  # as if the run had been killed before they were there
-        for stage in ("trees", "networks", "blind", "responses", "robust", "psro", "self-play", "ppo"):
+        for stage in ("trees", "networks", "open-loop", "responses", "robust", "psro", "self-play", "ppo"):
             (other / stage / "done.yaml").unlink()
         run_study(TINY, other, executor=executor, quiet=True)
     one, two = without_times(finished.folder), without_times(other)
@@ -193,16 +193,16 @@ def test_stages_come_in_order_and_time_before_a_stop_is_counted(tmp_path):
             assert spent() < 50.0
 
 
-@pytest.mark.parametrize("better", BEST_BLIND)
-def test_the_gain_is_over_the_blind_agent_that_won_more_training_races(finished, tmp_path, better):
+@pytest.mark.parametrize("better", BEST_OPEN_LOOP)
+def test_the_gain_is_over_the_open_loop_agents_that_won_more_training_races(finished, tmp_path, better):
     other = Study(TINY, tmp_path)
-    (tmp_path / "blind").mkdir()
-    for name in BEST_BLIND:
-        fit = load_fit(finished.folder / "blind" / f"{name}.yaml")
+    (tmp_path / "open-loop").mkdir()
+    for name in BEST_OPEN_LOOP:
+        fit = load_fit(finished.folder / "open-loop" / f"{name}.yaml")
         reached = 0.7 if name == better else 0.6
-        save_fit(replace(fit, training={**fit.training, "reached": reached}), tmp_path / "blind" / f"{name}.yaml")
-    assert best_blind(other) == better
-    assert best_blind(replace(other, config=replace(TINY, arms=("never-switch", "quick"), replies=()))) is None
+        save_fit(replace(fit, training={**fit.training, "reached": reached}), tmp_path / "open-loop" / f"{name}.yaml")
+    assert best_open_loop(other) == better
+    assert best_open_loop(replace(other, config=replace(TINY, arms=("never-switch", "quick"), replies=()))) is None
 
 
 def test_impossible_studies_are_refused():
@@ -226,10 +226,10 @@ def test_impossible_studies_are_refused():
             load_study_config("quick", **changes)
 
 
-def test_shipped_studies_load_and_have_the_blind_agents_in_their_main_table():
+def test_shipped_studies_load_and_have_the_open_loop_agents_in_their_main_table():
     for name in ["quick", "paper", "contest", "contest-table", "contest-wide"]:
         config = load_study_config(name)
-        assert {config.best, *BEST_BLIND} <= set(config.arms)
+        assert {config.best, *BEST_OPEN_LOOP} <= set(config.arms)
 
 
 @pytest.mark.parametrize(

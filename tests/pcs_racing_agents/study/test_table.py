@@ -23,7 +23,7 @@ def races():
 
 @pytest.fixture(scope="module")
 def table(races):
-    return make_table(races, best="our-best", blind="best-fixed", seen={"Tarnfjord"})
+    return make_table(races, best="our-best", open_loop="best-fixed", seen={"Tarnfjord"})
 
 
 def test_the_papers_rows_stand_beside_theirs_and_p_values_are_adjusted(table):
@@ -55,8 +55,8 @@ def test_a_row_says_what_the_statistics_say(races, table):
     assert (arm.crash, arm.own_crash) == (ours.crashed.mean(), ours.fault[:, 0].mean())
     assert arm.sd == pytest.approx(ours.score.reshape(12, -1).mean(axis=1).std(ddof=1))
     assert arm.low < arm.score < arm.high
-    best, blind = (of(races, "Brackwater", "random-policy", arm) for arm in ("our-best", "best-fixed"))
-    assert row.gain.result.difference == pytest.approx(best.score.mean() - blind.score.mean())
+    best, open_loop = (of(races, "Brackwater", "random-policy", arm) for arm in ("our-best", "best-fixed"))
+    assert row.gain.result.difference == pytest.approx(best.score.mean() - open_loop.score.mean())
 
 
 def test_the_papers_statistic_counts_who_is_ahead_whatever_happened(races):
@@ -76,7 +76,7 @@ def test_the_order_of_the_races_and_a_file_between_do_not_matter(races, tmp_path
     ours = np.flatnonzero(races.agents.codes[:, 0] == races.agents.words.index("our-best"))
     order = np.arange(len(races))
     order[ours] = np.concatenate([np.random.default_rng(1).permutation(piece) for piece in np.split(ours, 6)])
-    options = {"best": "our-best", "blind": "best-fixed", "seen": {"Tarnfjord"}}
+    options = {"best": "our-best", "open_loop": "best-fixed", "seen": {"Tarnfjord"}}
     assert make_table(races.take(order), **options) == make_table(races, **options)
     some = races.take(np.arange(0, len(races), 5))  # of each start line both sides or none
     rounded = replace(some, start_s=some.start_s + 1e-7)
@@ -115,15 +115,15 @@ def test_what_does_not_fit_is_named(races):
         refused(message, make_table, change(races), base="never-switch")
 
 
-def test_rows_may_lack_an_arm_and_a_blind_best_agent_a_gain(races):
+def test_rows_may_lack_an_arm_and_an_open_loop_best_agent_a_gain(races):
     some = races.take([k for k, r in enumerate(races) if r[1:4] != ("our-best", "random-policy", "Tarnfjord")])
-    table = make_table(some, best="our-best", blind="best-fixed")
+    table = make_table(some, best="our-best", open_loop="best-fixed")
     assert [arm.arm for arm in table.rows[1].arms] == ["never-switch", "best-fixed", "cfr-argmax"]
     assert table.rows[1].gain is None
     assert table.rows[2].gain is not None
     assert texts.table_text(table)
-    table = make_table(races, best="best-fixed", blind="best-fixed")
-    assert table.blind is None
+    table = make_table(races, best="best-fixed", open_loop="best-fixed")
+    assert table.open_loop is None
     assert all(row.gain is None for row in table.rows)
     assert "Adaptivity" not in texts.table_text(table)
 
@@ -147,7 +147,7 @@ def test_text_markdown_and_csv_hold_every_number(table, tmp_path, races):
     assert rows[3]["kind"] == "adaptivity gain"
     assert float(rows[0]["difference"]) == pytest.approx(table.rows[0].differences[0].result.difference, abs=1e-5)
     assert (rows[0]["paper_non_gt"], rows[11]["paper_gt"]) == ("0.515", "")
-    again = make_table(races, best="our-best", blind="best-fixed", seen={"Tarnfjord"})
+    again = make_table(races, best="our-best", open_loop="best-fixed", seen={"Tarnfjord"})
     assert texts.write_table(again, tmp_path / "again.csv").read_bytes() == path.read_bytes()
 
 

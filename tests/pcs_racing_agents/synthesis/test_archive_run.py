@@ -22,8 +22,8 @@ pytest.importorskip("moocore")
 
 TINY = ArchiveConfig(
     name="tiny", tracks=("Pipkin", "Tarnfjord"), duration=4.0, final_duration=8.0, segment_seconds=2.0,
-    generations=3, population=6, scouts=12, opponents=2, starts=1, crash_limit=0.4, candidates=16,
-    choice_opponents=2, choice_starts=1, final_opponents=3, final_starts=1, fewest=2, seed=6,
+    generations=3, population=6, initial_sample=12, opponents=2, starts=1, crash_limit=0.4, candidates=16,
+    choice_opponents=2, choice_starts=1, final_opponents=3, final_starts=1, min_policies=2, seed=6,
 )  # fmt: skip
 
 
@@ -161,7 +161,7 @@ def test_policies_below_the_least_coordinates_stay_out_and_too_few_are_told(tmp_
     assert archive.coordinates[:, 0].min() > made[0].coordinates[:, 0].min() + 0.2
     assert (archive.explored.coordinates[:, 0] < 0.0).any()
     with caplog.at_level(logging.WARNING):
-        archive = make_archive(with_(fewest=60), tmp_path / "few")
+        archive = make_archive(with_(min_policies=60), tmp_path / "few")
     assert f"the archive holds {len(archive)} policies; 60 were wanted" in caplog.text
     assert archive.settings["enough_policies"] is False
 
@@ -172,7 +172,7 @@ def test_impossible_settings_are_refused():
         ({"duration": 5.0}, "duration is 5 s"),
         ({"least": (1.0,)}, "least is"),
         ({"least": (1.0, "x")}, "least is"),
-        ({"fewest": 90}, "fewest is 90"),
+        ({"min_policies": 90}, "min_policies is 90"),
         ({"fixed": ("speed",)}, "has no parameter 'speed'"),
         ({"fixed": LATTICE.parameter_names}, "fixed names all parameters"),
         ({"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),

@@ -19,9 +19,9 @@ pytest.importorskip("moocore")
 
 TINY = ArchiveConfig(
     name="tiny", preset="contest", tracks=("Pipkin",), duration=4.0, final_duration=4.0, segment_seconds=2.0,
-    generations=1, population=4, scouts=16, opponents=1, starts=1, crash_limit=1.0, choose="headroom",
+    generations=1, population=4, initial_sample=16, opponents=1, starts=1, crash_limit=1.0, selection="headroom",
     candidates=8, groups=2, payoff_races=16, judging_races=32, judging_tracks=("Tarnfjord",), final_opponents=1,
-    final_starts=1, fewest=3, most=4, seed=5,
+    final_starts=1, min_policies=3, max_policies=4, seed=5,
 )  # fmt: skip
 
 
@@ -42,7 +42,7 @@ def test_it_is_an_ordinary_archive_whose_manifest_says_how_it_was_chosen(made):
     assert archive.own_crash.shape == (4,)
     assert all((archive.explored.parameters == theta).all(axis=1).any() for theta in archive.parameters)
     settings = made[0].settings
-    assert settings["choose"] == "headroom"
+    assert settings["selection"] == "headroom"
     assert settings["choice_candidates"] == 8
     assert set(settings["track_hashes"].replace(",", "").split()) >= {"Pipkin", "Tarnfjord"}
     for name in ("headroom", "headroom_elsewhere"):
@@ -85,15 +85,15 @@ def test_candidates_are_the_best_of_each_interval_and_too_few_are_told(tmp_path)
     refused(
         "8 candidates differ in speed",
         make_archive,
-        load_archive_config(TINY, scouts=8, generations=0, most=10, candidates=10),
+        load_archive_config(TINY, initial_sample=8, generations=0, max_policies=10, candidates=10),
         tmp_path,
     )
 
 
 def test_impossible_settings_are_refused():
     for changes, value in [
-        ({"most": 2, "fewest": 2, "groups": 1}, "2"), ({"candidates": 3}, "3"), ({"groups": 5}, "5"),
+        ({"max_policies": 2, "min_policies": 2, "groups": 1}, "2"), ({"candidates": 3}, "3"), ({"groups": 5}, "5"),
         ({"payoff_races": 22}, "22"), ({"judging_races": 50}, "50"),
-        ({"judging_tracks": ("Pipkin",)}, "Pipkin"), ({"choose": "luck"}, "luck"),
+        ({"judging_tracks": ("Pipkin",)}, "Pipkin"), ({"selection": "luck"}, "luck"),
     ]:  # fmt: skip
         refused(value, load_archive_config, TINY, **changes)

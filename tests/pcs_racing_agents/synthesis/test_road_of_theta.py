@@ -21,8 +21,8 @@ THETA = LATTICE.bounds[:, 0] + MARK * (LATTICE.bounds[:, 1] - LATTICE.bounds[:, 
 PACKAGES = (REPOSITORY / "pcs_racing", REPOSITORY / "pcs_racing_agents")
 
 SETTINGS = (
-    "{duration: 2.0, final_duration: 2.0, segment_seconds: 2.0, scouts: 12, opponents: 1, starts: 1, candidates: 4,"
-    " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, fewest: 2,"
+    "{duration: 2, final_duration: 2, segment_seconds: 2, initial_sample: 12, opponents: 1, starts: 1, candidates: 4,"
+    " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, min_policies: 2,"
     " population: 4, generations: 1, tracks: [Pipkin]}"
 )
 

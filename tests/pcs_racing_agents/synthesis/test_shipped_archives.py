@@ -22,7 +22,7 @@ def test_it_was_made_with_the_settings_and_circuits_that_ship(name):
     assert archive.parameter_names == config.varied
     for key, value in stated_settings(config).items():
         # The first is only a wish; an archive made before there were rivals had none.
-        if key != "fewest" and (key in archive.settings or key not in ("rivals", "least_score")):
+        if key != "min_policies" and (key in archive.settings or key not in ("rivals", "min_score")):
             assert archive.settings[key] == value, key
     config = load_archive_config(name)
     assert len(config.tracks) >= 3
@@ -37,7 +37,7 @@ def test_the_default_archive_lies_along_the_front_and_that_of_the_contest_holds_
     archive = load_archive(name)
     config = load_archive_config(name)
     check_archive(archive)
-    assert len(archive) >= config.fewest
+    assert len(archive) >= config.min_policies
     assert len(archive) >= 40
     points = archive.normalised
     away = np.linalg.norm(points[:, None] - points[None], axis=-1)[~np.eye(len(points), dtype=bool)]

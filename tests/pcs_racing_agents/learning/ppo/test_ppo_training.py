@@ -117,8 +117,7 @@ def test_seeds_differ_the_best_is_kept_and_an_executor_changes_no_weight(setting
 
 def test_training_ends_at_a_plateau_and_leaves_random_generators_alone(settings, tmp_path):
     level = replace(settings["drive"], learning_rate=1e-8, final_learning_rate=0.0, patience=2, steps=10**6)
-    result = train_ppo(level, tmp_path / "plateau")
-    assert result.curves[0].steps == (0, 320, 640)
+    assert train_ppo(level, tmp_path / "plateau").curves[0].steps == (0, 320, 640)
     import torch
 
     np.random.seed(5)  # noqa: NPY002
