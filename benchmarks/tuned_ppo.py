@@ -28,7 +28,7 @@ from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing.envs.infos import Result
 from pcs_racing.envs.match import MatchVectorEnv
 from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.agents.open_loop import walk_to
+from pcs_racing_agents.agents.blind import walk_to
 from pcs_racing_agents.agents.zoo import make
 from pcs_racing_agents.learning.ppo.tuned import TunedPPO, tuned_environments, tuned_ppo
 from pcs_racing_agents.results.csv_files import write_csv

@@ -103,14 +103,14 @@ class AdaptiveStrategy:
     """A strategy that follows an open-loop agent, unless a network predicts a gain above a margin."""
 
     network: RegretNetwork  #: Values of the moves, in the units of its target.
-    open_loop: Agent  #: The agent to follow; it does not use its observations.
+    blind: Agent  #: The agent to follow; it does not use its observations.
     #: Least difference between the values of the best move and of the open-loop agent's, 0 or above. A move that the
     #: network does not value ("stay", where it has not learned it) counts 0, as in a network of advantages.
     margin: float
 
     def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
-        default = self.open_loop.probabilities(observation)
+        default = self.blind.probabilities(observation)
         # A move that the network does not value is no better than the mean of all: as an advantage, 0.
         values = np.zeros(default.shape)
         predicted = self.network.unclipped(observation)

@@ -1,11 +1,11 @@
 """The names of the agents of this package, apart from their code, which takes a second to import."""
 
 SHIPPED = {
-    "never-switch": "pcs_racing_agents.agents.open_loop:NEVER_SWITCH",
-    "random-moves": "pcs_racing_agents.agents.open_loop:RANDOM_MOVES",
-    "best-schedule": "pcs_racing_agents.agents.open_loop:BEST_SCHEDULE",
-    "best-fixed": "pcs_racing_agents.agents.open_loop:BEST_FIXED",
-    "best-lead-plan": "pcs_racing_agents.agents.open_loop:BEST_LEAD_PLAN",
+    "never-switch": "pcs_racing_agents.agents.blind:NEVER_SWITCH",
+    "random-moves": "pcs_racing_agents.agents.blind:RANDOM_MOVES",
+    "best-schedule": "pcs_racing_agents.agents.blind:BEST_SCHEDULE",
+    "best-fixed": "pcs_racing_agents.agents.blind:BEST_FIXED",
+    "best-lead-plan": "pcs_racing_agents.agents.blind:BEST_LEAD_PLAN",
     "cfr-argmax": "pcs_racing_agents.agents.from_network:CFR_ARGMAX",
     "cfr-regret-matching": "pcs_racing_agents.agents.from_network:CFR_REGRET_MATCHING",
     "nash": "pcs_racing_agents.agents.from_network:NASH",

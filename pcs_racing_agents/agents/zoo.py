@@ -33,7 +33,7 @@ ENTRY_POINTS = "pcs_racing.agents"
 """Entry point group in which a distribution names its agents: ``name = "package.module:function"``."""
 
 ALWAYS = "always-"
-_ALWAYS = "pcs_racing_agents.agents.open_loop:always"
+_ALWAYS = "pcs_racing_agents.agents.blind:always"
 
 
 @dataclass(frozen=True, eq=False)

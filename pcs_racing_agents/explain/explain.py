@@ -17,9 +17,9 @@ from pcs_racing.planners.planner import Policy
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor
+from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, WalkStrategy
 from pcs_racing_agents.agents.from_network import AdaptiveStrategy
 from pcs_racing_agents.agents.observing import earlier, opponent, own
-from pcs_racing_agents.agents.open_loop import ConstantStrategy, OpenLoopStrategy, WalkStrategy
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.runner import record_game
@@ -127,7 +127,7 @@ def explain_game(
         replay=mark_moves(recording.replay, played, arena.move_names, config.ends),
         played=played,
         unit=None if network is None else value_unit(network, str(config.utility)),
-        default=DefaultStrategy(strategy.open_loop.name, strategy.margin)
+        default=DefaultStrategy(strategy.blind.name, strategy.margin)
         if isinstance(strategy, AdaptiveStrategy)
         else None,
         open_loop=is_open_loop(competitor),
@@ -145,7 +145,7 @@ def _steps(
         observation = earlier(played.observations[:, car], axes, k)
         default_move = None
         if isinstance(strategy, AdaptiveStrategy):
-            default_move = int(strategy.open_loop.predict(observation[0])[0])
+            default_move = int(strategy.blind.predict(observation[0])[0])
         steps.append(
             ExplainedDecision(
                 time=arena.config.ends[k],

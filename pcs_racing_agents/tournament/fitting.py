@@ -19,8 +19,8 @@ from pcs_racing.game.competitor import competitor_name
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
+from pcs_racing_agents.agents.blind import LEAD_PLAN, best_fixed, best_lead_plan, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
-from pcs_racing_agents.agents.open_loop import LEAD_PLAN, best_fixed, best_lead_plan, best_schedule
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games

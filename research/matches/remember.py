@@ -17,7 +17,7 @@ from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.observation import AFTER_AXES, decode_match
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.open_loop import walk_to
+from pcs_racing_agents.agents.blind import walk_to
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from research.matches.behaviours import Behaviours, features, load_behaviours

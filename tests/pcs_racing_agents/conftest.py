@@ -8,7 +8,7 @@ from zoo_games import CONFIG, toy_archive, untrained
 
 from pcs_racing import PolicyArchive, RaceGame, load_race_config, load_track, make_game, save_archive
 from pcs_racing_agents.agents import Agent, Setting, make_setting
-from pcs_racing_agents.agents.open_loop import always, never_switch
+from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job

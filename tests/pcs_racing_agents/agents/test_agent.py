@@ -7,7 +7,7 @@ from refusal import refused
 from pcs_racing import get_planner
 from pcs_racing_agents.agents import Agent, Driver, as_competitor, make, observing
 from pcs_racing_agents.agents.agent import competitor_hash, draw, hash_rows
-from pcs_racing_agents.agents.open_loop import always, random_moves
+from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.zoo import build
 
 

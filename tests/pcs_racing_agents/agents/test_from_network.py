@@ -10,8 +10,8 @@ from zoo_games import untrained
 
 from pcs_racing import InputError, UnknownNameError
 from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.blind import random_moves
 from pcs_racing_agents.agents.from_network import DECISIONS, adaptive, from_network, get_decision
-from pcs_racing_agents.agents.open_loop import random_moves
 from pcs_racing_agents.agents.zoo import build
 
 

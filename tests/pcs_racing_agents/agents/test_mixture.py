@@ -4,9 +4,9 @@ from zoo_games import untrained
 
 from pcs_racing import UnknownNameError
 from pcs_racing_agents.agents import Agent, make_setting
+from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.from_network import from_network
 from pcs_racing_agents.agents.mixture import make_mixture
-from pcs_racing_agents.agents.open_loop import always, never_switch, random_moves
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.networks import NetworkSet, save_network_set
 

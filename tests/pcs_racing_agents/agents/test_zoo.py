@@ -6,8 +6,8 @@ from zoo_games import untrained
 import pcs_racing_agents
 from pcs_racing import UnknownNameError, make_game
 from pcs_racing_agents.agents import Agent, Decider, Driver, make, make_setting, names, parse_agent, register_agent, zoo
+from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.describe import describe
-from pcs_racing_agents.agents.open_loop import always, random_moves
 from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, options
 from pcs_racing_agents.networks import NetworkSet
 
@@ -134,7 +134,7 @@ def test_agents_of_other_people(setting, empty_registry, monkeypatch):
 def test_a_shipped_agent_is_a_file_and_a_line(setting, monkeypatch, tmp_path):
     """With its line in SHIPPED it is listed, made, asked and described, by the command as well."""
     (tmp_path / "bold_agent.py").write_text(
-        "from pcs_racing_agents.agents.open_loop import always\n"
+        "from pcs_racing_agents.agents.blind import always\n"
         "from pcs_racing_agents.agents.zoo import Entry\n"
         "def bold(setting, *, name='bold', seed=0, move='aggressiveness +'):\n"
         "    return always(setting, move, name=name, seed=seed)\n"

@@ -158,7 +158,7 @@ def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_pa
         ({"hidden": {"score": 0.1}}, "must be a mapping of sha256"),
         ({"rating": 1e308}, "rating is"),
         ({"cost_us": -1.0}, "cost_us is"),
-        ({"page": "x"}, "must be a mapping of protocol"),
+        ({"page": "x"}, "damaged card"),
     ],
 )
 def test_no_value_of_a_strangers_card_is_believed(change, message, tmp_path):

@@ -9,7 +9,7 @@ from refusal import refused
 from pcs_racing import InputError, RaceGame
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing_agents.agents import make_setting
-from pcs_racing_agents.agents.open_loop import always, best_fixed, never_switch, random_moves
+from pcs_racing_agents.agents.blind import always, best_fixed, never_switch, random_moves
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament import play_games, record_game
 

@@ -9,8 +9,8 @@ from refusal import refused
 
 from pcs_racing import make_game
 from pcs_racing.game.config import load_game_config
+from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.drivers import planner_driver
-from pcs_racing_agents.agents.open_loop import always, never_switch
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.executors import make_executor

@@ -8,8 +8,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.identity import GameIdentity
+from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.drivers import planner_driver
-from pcs_racing_agents.agents.open_loop import always, never_switch, random_moves
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.responses import ResponseSettings, branch_games, learn_response, merge_networks

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusal import refused
 
-from pcs_racing_agents.agents.open_loop import best_fixed, best_lead_plan, best_schedule, never_switch, path_moves
+from pcs_racing_agents.agents.blind import best_fixed, best_lead_plan, best_schedule, never_switch, path_moves
 
 
 def test_a_schedule_follows_the_steps_and_never_switching_is_staying(setting, game, seen):
