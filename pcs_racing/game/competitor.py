@@ -129,7 +129,7 @@ def check_competitor(game: RaceGame, competitor: Any) -> None:
     A competitor with a method ``check_fits(game)`` is asked; of a model, ``observation_space`` and ``action_space`` are
     compared.
     """
-    if isinstance(competitor, type | np.ndarray) or not (  # an array has a method `choose`, too
+    if isinstance(competitor, type | np.ndarray | np.generic) or not (  # arrays have a method `choose`, too
         isinstance(competitor, RandomMoves | Predictor | Decider | PolicySet | Policy | Chooser) or callable(competitor)
     ):
         raise InputError(

@@ -142,7 +142,7 @@ def test_a_contact_need_not_end_an_episode(oval, contact):
         (DriveEnv, {"opponents": ["lattice", ["lattice", "lattice:pace=0.3"]]}, InputError, "each is one driver"),
         (DriveEnv, {"opponents": ["lattice", "random-moves"]}, InputError, "none makes moves"),
         (DriveEnv, {"opponents": DRIVERS, "vehicle": [{}, {}]}, ConfigError, "lists 2 cars; give one for all, or 4"),
-        (DriveEnv, {"opponent": np.zeros(2)}, InputError, "is not a competitor"),
+        (DriveEnv, {"opponent": np.float32(2.0)}, InputError, "is not a competitor"),
         (DriveHeadToHeadEnv, {"opponents": "lattice"}, InputError, "opponents is 'lattice'"),
         (DriveHeadToHeadEnv, {"cars": 9}, InputError, "cars is 9"),
         (DriveHeadToHeadEnv, {"cars": 2, "opponents": DRIVERS[:2]}, InputError, "leave a car to an agent"),
