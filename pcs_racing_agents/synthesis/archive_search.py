@@ -64,7 +64,7 @@ class PolicyRaces:
     #: Parameters, shape (n, P), and results of all policies of the search, in the order of the races.
     raced: list[tuple[Floats, Evaluation]] = field(default_factory=list)
     history: list[ArchiveProgress] = field(default_factory=list)
-    _names: deque[str] = field(default_factory=lambda: deque(["initial sample"]))  # of the next evaluations
+    _names: deque[str] = field(default_factory=lambda: deque(["initial-sample"]))  # of the next evaluations
 
     def __call__(self, parameters: Floats) -> Evaluated:
         """Race policies in the scenarios of the search; own crashes above the limit violate it."""

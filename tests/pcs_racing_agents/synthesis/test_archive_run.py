@@ -157,7 +157,7 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
 
 
 def test_policies_below_the_least_coordinates_stay_out_and_too_few_are_told(tmp_path, made, caplog):
-    archive = make_archive(with_(least=(0.0, 0.0), seed=7), tmp_path / "least")
+    archive = make_archive(with_(min_coordinates=(0.0, 0.0), seed=7), tmp_path / "least")
     assert archive.coordinates[:, 0].min() > made[0].coordinates[:, 0].min() + 0.2
     assert (archive.explored.coordinates[:, 0] < 0.0).any()
     with caplog.at_level(logging.WARNING):
@@ -170,8 +170,8 @@ def test_impossible_settings_are_refused():
     for changes, message in [
         ({"generations": -1}, "generations is -1"),
         ({"duration": 5.0}, "duration is 5 s"),
-        ({"least": (1.0,)}, "least is"),
-        ({"least": (1.0, "x")}, "least is"),
+        ({"min_coordinates": (1.0,)}, "min_coordinates is"),
+        ({"min_coordinates": (1.0, "x")}, "min_coordinates is"),
         ({"min_policies": 90}, "min_policies is 90"),
         ({"fixed": ("speed",)}, "has no parameter 'speed'"),
         ({"fixed": LATTICE.parameter_names}, "fixed names all parameters"),
