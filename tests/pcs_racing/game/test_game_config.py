@@ -46,7 +46,7 @@ def test_players_may_move_before_the_start():
     for wrong, text in (
         ((2.0, 0.0), "0.1 to 600 s"),
         ((0.05,), "whole tenths"),
-        (2.0, "list of 0 or more"),
+        (2.0, "list 0 or more"),
         ((1.0,) * 4, "may have 3 lengths"),
     ):
         refused(f"first_steps.*{text}", GameConfig, moves=3, first_steps=wrong, error=ConfigError)
