@@ -28,7 +28,7 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import exponential, tangent
 from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.track import frenet as _frenet
 
@@ -249,11 +249,6 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 VARIANTS = {"blocks": {"blocking": 1.0, "rivalry": 1.0}, "lets-by": {"blocking": 0.0, "rivalry": 0.0}}
 ALPHA_RACER = Planner(
-    name="alpha-racer",
-    parameters=PARAMETERS,
-    plan=plan,
-    memory_size=MEMORY,
-    scratch_size=SCRATCH,
-    variants=named_variants(PARAMETERS, VARIANTS),
+    name="alpha-racer", parameters=PARAMETERS, plan=plan, memory_size=MEMORY, scratch_size=SCRATCH, variants=VARIANTS
 )
 """The near-potential game of two cars."""

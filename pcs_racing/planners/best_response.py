@@ -26,7 +26,7 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.track import frenet as _frenet
 
@@ -249,6 +249,6 @@ BEST_RESPONSE = Planner(
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=named_variants(PARAMETERS, VARIANTS),
+    variants=VARIANTS,
 )
 """Iterated best response of two cars."""

@@ -21,7 +21,7 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.track import frenet as _frenet
 
@@ -159,11 +159,6 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 VARIANTS = {"blocks": {"blocking": 3.0}, "sequential": {"cooperation": 0.0}}
 BIMATRIX = Planner(
-    name="bimatrix-game",
-    parameters=PARAMETERS,
-    plan=plan,
-    memory_size=MEMORY,
-    scratch_size=SCRATCH,
-    variants=named_variants(PARAMETERS, VARIANTS),
+    name="bimatrix-game", parameters=PARAMETERS, plan=plan, memory_size=MEMORY, scratch_size=SCRATCH, variants=VARIANTS
 )
 """The bimatrix game of two cars."""

@@ -17,7 +17,7 @@ import numpy as np
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arctangent
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, scan, steer_for
 
 PARAMETERS = (
@@ -76,10 +76,6 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 VARIANTS = {"calm": {"top_speed": 5.0, "lateral": 4.0}, "fast": {"full_distance": 7.0, "lateral": 6.0}}
 DISPARITY_EXTENDER = Planner(
-    name="disparity-extender",
-    parameters=PARAMETERS,
-    plan=plan,
-    scratch_size=SCRATCH,
-    variants=named_variants(PARAMETERS, VARIANTS),
+    name="disparity-extender", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH, variants=VARIANTS
 )
 """Drives straight for the farthest point."""

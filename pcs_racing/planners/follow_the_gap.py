@@ -19,7 +19,7 @@ import numpy as np
 
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arctangent
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, scan, steer_for
 
 PARAMETERS = (
@@ -105,10 +105,6 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 VARIANTS = {"calm": {"straight_speed": 3.5, "bend_speed": 2.5, "corner_speed": 1.5}, "nearest": {"longest": 4.0}}
 FOLLOW_THE_GAP = Planner(
-    name="follow-the-gap",
-    parameters=PARAMETERS,
-    plan=plan,
-    scratch_size=SCRATCH,
-    variants=named_variants(PARAMETERS, VARIANTS),
+    name="follow-the-gap", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH, variants=VARIANTS
 )
 """The course's version of follow the gap."""

@@ -22,7 +22,7 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
@@ -242,6 +242,6 @@ FRENET_SAMPLING = Planner(
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=named_variants(PARAMETERS, VARIANTS),
+    variants=VARIANTS,
 )
 """Sampled polynomials in Frenet coordinates."""

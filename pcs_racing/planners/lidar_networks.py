@@ -39,7 +39,7 @@ from pcs_racing.car.lidar import Beams
 from pcs_racing.planners import residual as _residual
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.line_following import lane_step, speed_scale
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.scanning import FIELD_OF_VIEW, MAX_RANGE, WORK, scan_beams
 from pcs_racing.planners.trained import DRIVER_FORMAT
 from pcs_racing.planners.view import PATH_POINTS
@@ -219,7 +219,7 @@ def load_lidar_driver(source: str | Path) -> Planner:
         plan=_residual.residual_plan(flat.tobytes()) if residual else _plan(network, flat.tobytes()),
         memory_size=MEMORY[network],
         scratch_size=_residual.SCRATCH if residual else WORK + SEEN + SCRATCH,
-        variants=named_variants(known, _residual.VARIANTS if residual else VARIANTS),
+        variants=_residual.VARIANTS if residual else VARIANTS,
     )
 
 

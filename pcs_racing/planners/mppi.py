@@ -24,7 +24,7 @@ from pcs_racing.base.elementary import exponential
 from pcs_racing.base.seeds import GOLDEN, scramble, scramble_one
 from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
@@ -231,11 +231,6 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 VARIANTS = {"sharp": {"temperature": 2.0}, "close": {"opponent_width": 0.45, "opponent_length": 1.0}}
 MPPI = Planner(
-    name="mppi",
-    parameters=PARAMETERS,
-    plan=plan,
-    memory_size=MEMORY,
-    scratch_size=SCRATCH,
-    variants=named_variants(PARAMETERS, VARIANTS),
+    name="mppi", parameters=PARAMETERS, plan=plan, memory_size=MEMORY, scratch_size=SCRATCH, variants=VARIANTS
 )
 """Model predictive path integral control."""

@@ -49,16 +49,6 @@ class Parameter:
             raise InputError(f"parameter {self.name!r} has default {self.default}, outside [{self.low}, {self.high}]")
 
 
-def named_variants(
-    parameters: Sequence[Parameter], changes: Mapping[str, Mapping[str, float]]
-) -> dict[str, tuple[float, ...]]:
-    """Parameter vectors for a planner's ``variants``, from the values in which each differs from the defaults."""
-    return {
-        name: tuple(values.get(parameter.name, parameter.default) for parameter in parameters)
-        for name, values in changes.items()
-    }
-
-
 @dataclass(frozen=True)
 class Planner:
     """A family of policies: compiled driving code and the parameters that tell its members apart.
@@ -85,8 +75,8 @@ class Planner:
     candidates : callable or None
         ``candidates(track, theta, view, memory) -> (points (C, P, 2), costs (C,))`` for pictures; rejected candidates
         cost infinity.
-    variants : Mapping of str to array
-        Named parameter vectors beside "default".
+    variants : Mapping of str to Mapping or tuple of float
+        Named parameter vectors beside "default", or the values in which each differs from the defaults.
     sight : float
         Distance in m, counted along the track the shorter way round, beyond which ``plan`` and ``control`` do the same
         whatever the opponent does there. Infinite unless the planner promises it. Game trees then need not drive every
@@ -108,7 +98,7 @@ class Planner:
     scratch_size: int = 0
     drive: Callable[..., tuple[float, float]] | None = None
     candidates: Callable[..., tuple[NDArray[np.float64], NDArray[np.float64]]] | None = None
-    variants: Mapping[str, tuple[float, ...]] = field(default_factory=dict, hash=False)
+    variants: Mapping[str, Any] = field(default_factory=dict, hash=False)
     sight: float = float("inf")
 
     def __post_init__(self) -> None:
@@ -120,6 +110,15 @@ class Planner:
                 raise InputError(f"planner {self.name!r} has {what} {size}; it must be 0 or above")
         if not self.sight >= 0.0:
             raise InputError(f"planner {self.name!r} has sight {self.sight}; it must be 0 or above")
+        vectors = {name: self._vector(values) for name, values in self.variants.items()}
+        object.__setattr__(self, "variants", vectors)
+
+    def _vector(self, values: Mapping[str, float] | Sequence[float]) -> tuple[float, ...]:
+        """Return a parameter vector, of which values may be given by name over the defaults."""
+        if not isinstance(values, Mapping):
+            return tuple(values)
+        self.indices(list(values))
+        return tuple(values.get(parameter.name, parameter.default) for parameter in self.parameters)
 
     @property
     def memory_total(self) -> int:
@@ -201,14 +200,7 @@ class Planner:
                 raise UnknownNameError(f"planner {self.name!r} has no variant {parameters!r}; {known}")
             return Policy(self, np.array(self.variants[parameters]), name or f"{self.name}:{parameters}")
         if isinstance(parameters, Mapping):
-            theta = self.default
-            for key, value in parameters.items():
-                if key not in self.parameter_names:
-                    raise UnknownNameError(
-                        f"planner {self.name!r} has no parameter {key!r}; it has {', '.join(self.parameter_names)}"
-                    )
-                theta[self.parameter_names.index(key)] = value
-            parameters = theta
+            parameters = self._vector(parameters)
         return Policy(self, np.asarray(parameters, dtype=np.float64), name or self.name)
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arctangent2, tangent
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.scanning import BEAMS, COS, SCAN_SIZE, SIN, beam_at, scan, steer_for
 
 PARAMETERS = (
@@ -71,10 +71,6 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 VARIANTS = {"calm": {"top_speed": 5.0, "lateral": 4.0}, "bold": {"braking": 4.0, "lateral": 6.0}}
 POTENTIAL_FIELD = Planner(
-    name="potential-field",
-    parameters=PARAMETERS,
-    plan=plan,
-    scratch_size=SCAN_SIZE,
-    variants=named_variants(PARAMETERS, VARIANTS),
+    name="potential-field", parameters=PARAMETERS, plan=plan, scratch_size=SCAN_SIZE, variants=VARIANTS
 )
 """Drives along the field of the ranges."""

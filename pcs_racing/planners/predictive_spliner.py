@@ -22,7 +22,7 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import exponential
 from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.track import frenet as _frenet
@@ -213,6 +213,6 @@ PREDICTIVE_SPLINER = Planner(
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=named_variants(PARAMETERS, VARIANTS),
+    variants=VARIANTS,
 )
 """The predictive spliner: learns where the opponent drives, and passes where both will meet."""

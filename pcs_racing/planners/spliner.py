@@ -19,7 +19,7 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.track import frenet as _frenet
@@ -149,11 +149,6 @@ VARIANTS = {
     "wide": {"evasion_dist": 0.8},
 }
 SPLINER = Planner(
-    name="spliner",
-    parameters=PARAMETERS,
-    plan=plan,
-    memory_size=1,
-    scratch_size=SCRATCH,
-    variants=named_variants(PARAMETERS, VARIANTS),
+    name="spliner", parameters=PARAMETERS, plan=plan, memory_size=1, scratch_size=SCRATCH, variants=VARIANTS
 )
 """The spliner: evasion by a spline, or trailing."""

@@ -19,7 +19,7 @@ from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import arctangent
 from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner, named_variants
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import calm_speed
 from pcs_racing.planners.view import PATH_POINTS
@@ -84,6 +84,6 @@ STANLEY = Planner(
     control=control,
     memory_size=MEMORY,
     scratch_size=_line.LANE_SIZE,
-    variants=named_variants(PARAMETERS, VARIANTS),
+    variants=VARIANTS,
 )
 """The Stanley controller on the race line."""
