@@ -11,8 +11,6 @@ import try_clients
 
 PAGE = (REPOSITORY / "docs" / "reports" / "clients.md").read_text(encoding="utf-8")
 SCRIPTS = try_clients.scripts(None)
-
-
 TABLE = PAGE[PAGE.index(try_clients.HEAD) :].partition("\n\n")[0].splitlines()[2:]
 """The rows of the table that the tool printed."""
 

@@ -169,7 +169,7 @@ def test_environment_pages_have_all_headings_and_copied_pages_their_links(site, 
     for name in site.ENVIRONMENTS:
         page = site.environment_page(name)
         for heading in ("Description", "Action Space", "Observation Space", "Rewards", "Starting State", "Episode End",
-                        "Arguments", "Vectorized environment", "Version History"):  # fmt: skip
+                        "Arguments", "Vectorized environment"):  # fmt: skip
             assert f"\n## {heading}\n" in page, f"{name}: {heading}"
         assert "``" not in page.replace("```", "")
         assert ":class:" not in page

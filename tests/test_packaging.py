@@ -140,16 +140,12 @@ def test_whoever_needs_an_extra_is_told_which(who, told):
 
 
 # Which library an example misses first, and what to install.
+LEARNING = "cleanrl_loop cleanrl_self_play self_play_ppo drive_self_play imitate_from_lidar residual_ppo"
 EXAMPLES = {
-    "cleanrl_loop": ("torch", '".[learning]"'),
-    "cleanrl_self_play": ("torch", '".[learning]"'),
+    **dict.fromkeys(LEARNING.split(), ("torch", '".[learning]"')),
     "clients/openspiel_tree": ("pyspiel", '".[games]"'),
     "maskable_ppo": ("torch", '".[learning]" sb3-contrib'),
     "ppo_against_cfr": ("stable_baselines3", '".[learning]"'),
-    "self_play_ppo": ("torch", '".[learning]"'),
-    "drive_self_play": ("torch", '".[learning]"'),
-    "imitate_from_lidar": ("torch", '".[learning]"'),
-    "residual_ppo": ("torch", '".[learning]"'),
     "train_ppo": ("torch", '".[learning,plots]"'),
 }
 

@@ -104,12 +104,6 @@ class DriveEnv(ScalarEnv):
     ``gym.make_vec("pcs_racing/Drive-v1", num_envs=256)`` gives :class:`pcs_racing.envs.drive.DriveVectorEnv`:
     one compiled call for all races, and the same numbers as this class gives with the same seeds.
 
-    ## Version History
-
-    * v1: opponents of the lattice leave room and do not brake for a car behind; start lines at places found by driving;
-      the same bits on every x86-64 machine.
-    * v0: first version.
-
     Examples
     --------
     >>> env = DriveEnv(opponent=None, beams=108)
@@ -222,10 +216,6 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
 
     :class:`DriveHeadToHeadVectorEnv` drives any number of races in one compiled call, with the same numbers for the
     same seeds. ``make_sb3_vec_env("drive-self-play", 64)`` is the same for Stable-Baselines3.
-
-    ## Version History
-
-    - v0: first version.
 
     Examples
     --------

@@ -106,12 +106,6 @@ class DuelEnv(OverGames, ScalarEnv):
     ``gym.make_vec("pcs_racing/Duel-v1", num_envs=256)`` gives :class:`pcs_racing.envs.duel.DuelVectorEnv`: one
     compiled call for all games, and the same numbers as this class gives with the same seeds.
 
-    ## Version History
-
-    * v1: fifty start lines at places found by driving, which no table uses; drivers leave room and do not brake for a
-      car behind; the same bits on every x86-64 machine.
-    * v0: first version.
-
     Examples
     --------
     >>> env = DuelEnv(opponent=[(1, "random-moves"), (2, "never-switch")])
@@ -212,12 +206,6 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv):
 
     `pcs_racing.game.rules.RaceGame` plays any number of games at once, with the same rules: this environment is a batch
     of one. `gymnasium.make_vec("pcs_racing/Duel-v1", num_envs=256)` is the single-agent view of such a batch.
-
-    ## Version History
-
-    - v1: fifty start lines at places found by driving, which no table uses; drivers leave room and do not brake for a
-      car behind; the same bits on every x86-64 machine.
-    - v0: first version.
     """
 
     metadata: dict[str, Any] = {**ParallelBatchEnv.metadata, "name": "head_to_head_v1"}  # noqa: RUF012

@@ -94,10 +94,6 @@ class MatchEnv(OverMatches, DuelEnv):
     ``gym.make_vec("pcs_racing/Match-v0", num_envs=256)`` gives :class:`pcs_racing.envs.match.MatchVectorEnv`: the races
     of all matches in one compiled call, and the same numbers as this class gives with the same seeds.
 
-    ## Version History
-
-    * v0: first version.
-
     Examples
     --------
     >>> env = MatchEnv(opponent="never-switch")
@@ -188,10 +184,6 @@ class HeadToHeadMatchEnv(OverMatches, HeadToHeadEnv):
     `pcs_racing.game.match.MatchGame` plays any number of matches at once, with the same rules: this environment is a
     batch of one. `gymnasium.make_vec("pcs_racing/Match-v0", num_envs=256)` is the single-agent view of such a batch;
     in `pcs_racing.envs.match.SelfPlayMatchVectorEnv` one policy plays both cars.
-
-    ## Version History
-
-    - v0: first version.
     """
 
     metadata: dict[str, Any] = {**HeadToHeadEnv.metadata, "name": "head_to_head_match_v0"}  # noqa: RUF012

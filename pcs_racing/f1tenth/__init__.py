@@ -18,6 +18,7 @@ _PLACES = {
     "SteerActionEnum",
     "simulator": "Simulator RaceCar",
     "lines": "Track TrackSpec Raceline CubicSpline2D nearest_point_on_trajectory",
+    "models": "ScanSimulator2D pid pid_accl pid_steer vehicle_dynamics_ks vehicle_dynamics_st",
     "rendering": "EnvRenderer RenderSpec TrackRenderer get_vertices",
 }
 NAMES = {name: module for module, names in _PLACES.items() for name in names.split()}

@@ -73,7 +73,7 @@ class World(NamedTuple):
 
 
 @inner_kernel
-def _write_rates(state, rate, acceleration, p, car, model, out):  # type: ignore[no-untyped-def]
+def write_rates(state, rate, acceleration, p, car, model, out):  # type: ignore[no-untyped-def]
     """Write the time derivative of a car's state."""
     delta, v, psi = state[DELTA], state[V], state[PSI]
     least = p[SV_MIN] if delta > p[S_MIN] else 0.0
@@ -95,36 +95,50 @@ def _write_rates(state, rate, acceleration, p, car, model, out):  # type: ignore
 
 
 @inner_kernel
-def _drive(state, steer, longitudinal, p, setup, work):  # type: ignore[no-untyped-def]
-    """Advance one car in place by the gym's controllers and one step of its integrator."""
-    error = steer - state[DELTA]
-    v = state[V]
-    rate = steer
-    if not setup.steering_rate:
-        rate = np.sign(error) * p[SV_MAX] if abs(error) > 1e-4 else 0.0
-        if not setup.faithful:  # arrives, without chatter and not beyond the limit
-            error = min(max(steer, p[S_MIN]), p[S_MAX]) - state[DELTA]
-            rate = min(max(error / setup.dt, p[SV_MIN]), p[SV_MAX])
-    a = longitudinal
-    if not setup.acceleration:
-        difference = longitudinal - v
-        a = (10.0 if v > 0.0 else 2.0) * p[A_MAX] / (p[V_MAX] if difference > 0.0 else -p[V_MIN]) * difference
+def handling(p):  # type: ignore[no-untyped-def]
+    """How a car with these parameters drives; its steering is limited elsewhere: the limits may differ by side."""
     slip_gain = p[MU] / (p[LF] + p[LR])
-    # The steering is limited here, for its limits may differ from side to side.
-    car = Handling(
+    return Handling(
         np.inf, np.inf, p[V_MIN], p[V_MAX], p[A_MAX], p[V_SWITCH], p[LF], p[LR],
         p[C_SF] * GRAVITY * p[LR], p[C_SF] * p[H], p[C_SR] * GRAVITY * p[LF], p[C_SR] * p[H],
         slip_gain * p[M] / p[INERTIA], slip_gain,
     )  # fmt: skip
+
+
+@kernel
+def pid_steer(steer, current_steer, max_sv):  # type: ignore[no-untyped-def]
+    """Steering rate towards a steering angle, rad/s."""
+    error = steer - current_steer
+    return np.sign(error) * max_sv if abs(error) > 1e-4 else 0.0
+
+
+@kernel
+def pid_accl(speed, current_speed, max_a, max_v, min_v):  # type: ignore[no-untyped-def]
+    """Acceleration towards a speed, m/s^2."""
+    difference = speed - current_speed
+    return (10.0 if current_speed > 0.0 else 2.0) * max_a / (max_v if difference > 0.0 else -min_v) * difference
+
+
+@inner_kernel
+def _drive(state, steer, longitudinal, p, setup, work):  # type: ignore[no-untyped-def]
+    """Advance one car in place by the gym's controllers and one step of its integrator."""
+    rate = steer
+    if not setup.steering_rate:
+        rate = pid_steer(steer, state[DELTA], p[SV_MAX])
+        if not setup.faithful:  # arrives, without chatter and not beyond the limit
+            error = min(max(steer, p[S_MIN]), p[S_MAX]) - state[DELTA]
+            rate = min(max(error / setup.dt, p[SV_MIN]), p[SV_MAX])
+    a = longitudinal if setup.acceleration else pid_accl(longitudinal, state[V], p[A_MAX], p[V_MAX], p[V_MIN])
+    car = handling(p)
     k, total, probe = work[0], work[1], work[2]
-    _write_rates(state, rate, a, p, car, setup.model, k)
+    write_rates(state, rate, a, p, car, setup.model, k)
     last = 0 if setup.integrator == EULER else 3
     for j in range(STATE_SIZE):
         total[j] = k[j] / (6.0 if last else 1.0)
     for stage in range(1, last + 1):
         for j in range(STATE_SIZE):
             probe[j] = state[j] + setup.dt * (0.5 if stage < last else 1.0) * k[j]
-        _write_rates(probe, rate, a, p, car, setup.model, k)
+        write_rates(probe, rate, a, p, car, setup.model, k)
         for j in range(STATE_SIZE):
             total[j] += k[j] / (3.0 if stage < last else 6.0)
     for j in range(STATE_SIZE):
@@ -156,13 +170,13 @@ def _march(grid, x, y, sine, cosine, reach):  # type: ignore[no-untyped-def]
             return min(total, reach)
 
 
-@inner_kernel
-def _scan(world, x, y, psi, work, out):  # type: ignore[no-untyped-def]
+@kernel
+def scan_map(grid, track, on_circuit, beams, x, y, psi, work, out):  # type: ignore[no-untyped-def]
     """Write the exact ranges to the walls, m, shape (beams,)."""
-    beams, grid, reach = world.beams, world.grid, world.beams.max_range
-    if world.setup.on_circuit and not inside_wall(world.track, x, y):
-        s, _ = locate(world.track, x, y)
-        scan_into(world.track, beams, x, y, psi, s, False, 0.0, 0.0, 0.0, 0.1, 0.1, work, out)
+    reach = beams.max_range
+    if on_circuit and not inside_wall(track, x, y):
+        s, _ = locate(track, x, y)
+        scan_into(track, beams, x, y, psi, s, False, 0.0, 0.0, 0.0, 0.1, 0.1, work, out)
         return
     sine, cosine = sine_cosine(psi)
     rows, columns = grid.free.shape
@@ -241,7 +255,7 @@ def _measure(world, cars, i, noise, inverse, work, scan):  # type: ignore[no-unt
     body = _body(cars, world.params, i)
     sine, cosine = sine_cosine(body.psi)
     x, y = body.x + setup.lidar_dist * cosine, body.y + setup.lidar_dist * sine
-    _scan(world, x, y, body.psi, work, scan)
+    scan_map(world.grid, world.track, setup.on_circuit, world.beams, x, y, body.psi, work, scan)
     if setup.faithful:
         hit = _stops(world, x, y, body.psi, car[V], noise, scan)
         # The gym looks for other cars from the centre of gravity, and with the heading that a wall has left.

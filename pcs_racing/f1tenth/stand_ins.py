@@ -17,7 +17,7 @@ import numpy as np
 
 from pcs_racing import f1tenth
 from pcs_racing.base.errors import InputError
-from pcs_racing.f1tenth import env, old_numpy, rendering
+from pcs_racing.f1tenth import env, models, old_gym, old_numpy, rendering
 from pcs_racing.f1tenth.maps import find_yaml
 from pcs_racing.f1tenth.observations import FEATURES
 
@@ -29,41 +29,6 @@ class NotServedError(InputError, ImportError):
         hint = " (EnvConfig and its like belong to the gym's development line: use a dictionary as config)"
         hint = hint if "f1tenth_gym" in module else ""
         super().__init__(f"{module} has no {name!r} here: pcs_racing.f1tenth serves what racing programs use{hint}")
-
-
-class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """A wrapper as in gym: it shows the attributes of what it wraps, hands on any values, and may change three."""
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(self.env, name)
-
-    def observation(self, observation: Any) -> Any:
-        """Return the changed observation, wherever it stands in front of other values."""
-        return observation
-
-    def action(self, action: Any) -> Any:
-        """Return the changed action."""
-        return action
-
-    def reward(self, reward: Any) -> Any:
-        """Return the changed reward."""
-        return reward
-
-    def reset(self, *args: Any, **named: Any) -> Any:
-        """Reset what is wrapped, with any arguments."""
-        answer = self.env.reset(*args, **named)
-        return (self.observation(answer[0]), *answer[1:]) if isinstance(answer, tuple) else self.observation(answer)
-
-    def step(self, action: Any) -> Any:
-        """Step what is wrapped."""
-        obs, reward, *rest = self.env.step(self.action(action))
-        return (self.observation(obs), self.reward(reward), *rest)
-
-    def render(self, *args: Any, **named: Any) -> Any:
-        """Render what is wrapped, with any arguments."""
-        return self.env.render(*args, **named)
 
 
 _A = "f110_env base_classes dynamic_models collision_models laser_models rendering"
@@ -89,12 +54,15 @@ def _contents() -> dict[str, dict[str, Any]]:
     track = {"find_track_dir": lambda name: find_yaml(name).parent, "FEATURES": FEATURES}
     shared = "Env Space make register spaces vector logger"
     gym = {name: getattr(gymnasium, name) for name in shared.split()} | {"__version__": "0.21.0"}
-    gym |= dict.fromkeys(("Wrapper", "ObservationWrapper", "RewardWrapper", "ActionWrapper"), Wrapper)
+    gym |= dict.fromkeys(("Wrapper", "ObservationWrapper", "RewardWrapper", "ActionWrapper"), old_gym.Wrapper)
+    gym["TimeLimit"] = old_gym.TimeLimit
     own = ("gym.spaces", "gym.error", "gym.utils", "gym.utils.seeding", "gym.envs.registration")
-    a, b = known | {"F110Env": env.GenerationA}, known | track | {"F110Env": env.GenerationB}
+    a = known | {"F110Env": env.GenerationA, "vehicle_dynamics_st": models.old_dynamics_st}
+    b = known | track | {"F110Env": env.GenerationB}
     return {
         **dict.fromkeys(("gym", "gym.core", "gym.wrappers", "gym.envs"), gym),
         **{name: vars(import_module(name.replace("gym", "gymnasium", 1))) for name in own},
+        "gym.logger": vars(gymnasium.logger) | dict.fromkeys(("set_level", "setLevel"), _ignored),
         **dict.fromkeys(("f110_gym", "f110_gym.envs", *(f"f110_gym.envs.{name}" for name in _A.split())), a),
         **dict.fromkeys(("f1tenth_gym", "f1tenth_gym.envs", *(f"f1tenth_gym.envs.{name}" for name in _B.split())), b),
         "pyglet": {"options": {}, "version": "1.4"},
@@ -140,6 +108,7 @@ def install() -> None:
     sys.modules["gym"].__version__ = "0.21.0"  # type: ignore[attr-defined]
     sys.meta_path.insert(0, _Refuser())
     old_numpy.install()
+    old_gym.install()
 
 
 def _missing(module: str) -> Any:

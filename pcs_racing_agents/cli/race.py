@@ -85,7 +85,7 @@ def run(
 
         print(f"video: {(write_gif if film.suffix == '.gif' else write_video)(recorded, film)}")
     if bag is not None:
-        from pcs_racing.race.ros_messages import write_bag
+        from pcs_racing_agents.view.ros_messages import write_bag
 
         print(f"mcap: {write_bag(recorded, circuit, bag)}")
 

@@ -202,7 +202,7 @@ HEADINGS = ["Action Space", "Observation Space", "Rewards", "Starting State", "E
 def test_the_class_documents_itself(kind):
     text = inspect.getdoc(kind)
     headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
-    assert headings == ["Description", *HEADINGS, "Vectorized environment", "Version History"]
+    assert headings == ["Description", *HEADINGS, "Vectorized environment"]
     named = [*inspect.signature(kind).parameters, *(GameConfig.__dataclass_fields__ if kind is HeadToHeadEnv else ())]
     text += inspect.getdoc(DriveEnv) if kind is DriveHeadToHeadEnv else ""  # whose arguments it takes
     assert [name for name in named if name not in text and name != "settings"] == []

@@ -7,32 +7,22 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game import characteristics as measures
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import races as racing
-from pcs_racing.race.state import (
-    BLOCKING,
-    ITTC,
-    ITTC_SAMPLES,
-    PROFILE,
-    PROFILE_BEHIND,
-    STEERING,
-    SUMS,
-    TIME,
-    TIME_BEHIND,
-)
+from pcs_racing.race import state as kept
 from pcs_racing.testing import check_characteristic
 
 
 @pytest.fixture
 def piece() -> measures.Segment:
     """Two races of 8 s; the second ended after 2 s."""
-    sums = np.zeros((2, 2, len(SUMS)))
-    sums[..., TIME] = [[8.0, 8.0], [2.0, 2.0]]
-    sums[..., ITTC] = [[80.0, 160.0], [20.0, 0.0]]
-    sums[..., ITTC_SAMPLES] = [[160.0, 160.0], [40.0, 0.0]]
-    sums[..., STEERING] = [[4.0, 8.0], [1.0, 3.0]]
-    sums[..., BLOCKING] = [[2.0, 0.0], [0.0, 1.0]]
-    sums[..., PROFILE] = [[7.2, 6.0], [1.0, 2.0]]
-    sums[..., TIME_BEHIND] = [[2.0, 6.0], [0.5, 1.5]]
-    sums[..., PROFILE_BEHIND] = [[1.8, 4.8], [0.5, 1.2]]
+    sums = np.zeros((2, 2, len(kept.SUMS)))
+    sums[..., kept.TIME] = [[8.0, 8.0], [2.0, 2.0]]
+    sums[..., kept.ITTC] = [[80.0, 160.0], [20.0, 0.0]]
+    sums[..., kept.ITTC_SAMPLES] = [[160.0, 160.0], [40.0, 0.0]]
+    sums[..., kept.STEERING] = [[4.0, 8.0], [1.0, 3.0]]
+    sums[..., kept.BLOCKING] = [[2.0, 0.0], [0.0, 1.0]]
+    sums[..., kept.PROFILE] = [[7.2, 6.0], [1.0, 2.0]]
+    sums[..., kept.TIME_BEHIND] = [[2.0, 6.0], [0.5, 1.5]]
+    sums[..., kept.PROFILE_BEHIND] = [[1.8, 4.8], [0.5, 1.2]]
     return measures.Segment(np.array([[40.0, 36.0], [8.0, 10.0]]), sums, np.array([8.0, 2.0]), 8.0)
 
 
@@ -90,7 +80,7 @@ def test_a_pooled_characteristic_is_measured_on_the_race_so_far(piece):
     [
         (lambda segment: segment.progress[:, 0], r"returns shape \(5,\)"),
         (lambda segment: segment.progress.astype(int), "type int64"),
-        (lambda segment: segment.sums[..., STEERING] / segment.time[:, None], "of 0.0 s"),
+        (lambda segment: segment.sums[..., kept.STEERING] / segment.time[:, None], "of 0.0 s"),
         (lambda segment: segment.progress - segment.progress.mean(), "depends on the other races"),
         (lambda segment: segment.progress * [1.0, 2.0], "do not change places"),
         (lambda segment: segment.progress.__imul__(2.0), "writes to the segment"),

@@ -8,22 +8,12 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
 from pcs_racing import InputError, RaceConfig, Starts, get_planner, load_track, parse_policy, run_races
+from pcs_racing.planners import line_following as line
 from pcs_racing.planners.alpha_racer import ALPHA_RACER, KEPT, SAMPLES, best_of_potential
 from pcs_racing.planners.bimatrix import MOVES, solve
 from pcs_racing.planners.disparity_extender import extend_disparities
 from pcs_racing.planners.follow_the_gap import longest_gap, smooth
 from pcs_racing.planners.frenet_sampling import quintic
-from pcs_racing.planners.line_following import (
-    ANCHOR_STEP,
-    LANE_POINTS,
-    LANE_SIZE,
-    ease_onto,
-    keep_lane,
-    kept_lane,
-    lane_step,
-    lay_lane,
-    trailing_speed,
-)
 from pcs_racing.planners.mppi import NOISE
 from pcs_racing.planners.potential_field import POTENTIAL_FIELD, field_command
 from pcs_racing.planners.predictive_spliner import _D, _SEEN, AHEAD, BINS, MEMORY, remember, smooth_ahead
@@ -106,12 +96,12 @@ def test_its_variants_are_between_its_bounds_and_what_is_not_is_refused(name):
 
 def test_a_path_eases_from_the_car_onto_its_lane(oval, view_at):
     view = view_at(oval, 3.0, 0.5)
-    lane = np.zeros(LANE_SIZE)
-    lane[:LANE_POINTS] = 0.3
+    lane = np.zeros(line.LANE_SIZE)
+    lane[: line.LANE_POINTS] = 0.3
     path = np.full((PATH_POINTS, 4), np.nan)
-    ease_onto(oval.arrays, view, 1.0, 3.0, lane, path)
+    line.ease_onto(oval.arrays, view, 1.0, 3.0, lane, path)
     sd = oval.to_frenet(path[:, :2])
-    np.testing.assert_allclose(sd[:, 0], 3.0 + lane_step(view) * np.arange(PATH_POINTS), atol=1e-6)
+    np.testing.assert_allclose(sd[:, 0], 3.0 + line.lane_step(view) * np.arange(PATH_POINTS), atol=1e-6)
     assert 0.3 < sd[0, 1] <= 0.5
     assert sd[-1, 1] == pytest.approx(0.3, abs=0.02)
     assert (path[:, 2] == 3.0).all()
@@ -124,26 +114,28 @@ def test_a_path_eases_from_the_car_onto_its_lane(oval, view_at):
 def test_a_lane_is_moved_off_a_wall_that_the_race_line_touches(view_at):
     track = load_track("Saltmere")
     near = int(np.argmin(track.line[:, 8]))  # free width to the left
-    view = view_at(track, near * track.arrays.ds - ANCHOR_STEP)
-    lane = np.zeros(LANE_SIZE)
-    ease_onto(track.arrays, view, 1.0, 5.0, lane, np.zeros((PATH_POINTS, 4)))
-    assert -0.2 < lane[:LANE_POINTS].min() < -0.05
+    view = view_at(track, near * track.arrays.ds - line.ANCHOR_STEP)
+    lane = np.zeros(line.LANE_SIZE)
+    line.ease_onto(track.arrays, view, 1.0, 5.0, lane, np.zeros((PATH_POINTS, 4)))
+    assert -0.2 < lane[: line.LANE_POINTS].min() < -0.05
 
 
 def test_a_lane_through_places_is_remembered(oval, view_at):
     view = view_at(oval, 3.0)
-    along, lane, memory = np.linspace(0.5, 6.0, 12), np.zeros(LANE_SIZE), np.zeros(LANE_SIZE)
-    lay_lane(view, 0.1, along, 0.1 + 0.05 * along, lane)
-    np.testing.assert_allclose(lane[:LANE_POINTS], 0.1 + 0.05 * lane_step(view) * np.arange(LANE_POINTS), atol=1e-9)
-    assert kept_lane(oval.arrays, memory, 3.5) == (0.0, 0.0)
-    keep_lane(view, lane, memory)
-    assert kept_lane(oval.arrays, memory, view[OWN_S] + 1.0) == pytest.approx((0.15, 0.05))
+    along, lane, memory = np.linspace(0.5, 6.0, 12), np.zeros(line.LANE_SIZE), np.zeros(line.LANE_SIZE)
+    line.lay_lane(view, 0.1, along, 0.1 + 0.05 * along, lane)
+    np.testing.assert_allclose(
+        lane[: line.LANE_POINTS], 0.1 + 0.05 * line.lane_step(view) * np.arange(line.LANE_POINTS), atol=1e-9
+    )
+    assert line.kept_lane(oval.arrays, memory, 3.5) == (0.0, 0.0)
+    line.keep_lane(view, lane, memory)
+    assert line.kept_lane(oval.arrays, memory, view[OWN_S] + 1.0) == pytest.approx((0.15, 0.05))
 
 
 def test_trailing_keeps_the_gap(oval, view_at):
     theta = SPLINER.policy({"trailing_gap": 1.5, "trailing_p": 0.5, "trailing_d": 0.2}).parameters
     speeds = [
-        trailing_speed(theta, view_at(oval, 3.0, gap=gap, opp_speed=3.0, speed=v), gap)
+        line.trailing_speed(theta, view_at(oval, 3.0, gap=gap, opp_speed=3.0, speed=v), gap)
         for gap, v in ((1.5, 3.0), (3.5, 3.0), (1.5, 4.0))
     ]
     assert speeds == pytest.approx([3.0, 4.0, 2.8])

@@ -7,52 +7,44 @@ from random_layers import random_layers
 from refusal import refused
 
 from pcs_racing import UnknownNameError, get_planner
-from pcs_racing.planners import lidar_networks, residual
-from pcs_racing.planners.lidar_networks import (
-    BEAMS,
-    LAYERS,
-    SEEN,
-    flat_weights,
-    load_lidar_driver,
-    read_lidar_driver,
-    save_lidar_driver,
-)
+from pcs_racing.planners import lidar_networks as networks
+from pcs_racing.planners import residual
 from pcs_racing.planners.potential_field import POTENTIAL_FIELD
 from pcs_racing.planners.scanning import WORK
 from pcs_racing.planners.view import OWN_PSI, OWN_X, OWN_Y, PATH_POINTS, VIEW_SIZE, WHEELBASE
 
 
 def pairs(network: str) -> list:
-    found = [random_layers(*sizes, seed=i) for i, sizes in enumerate(LAYERS[network])]
+    found = [random_layers(*sizes, seed=i) for i, sizes in enumerate(networks.LAYERS[network])]
     return [(layer.weights[0], layer.biases[0]) for layer in found]
 
 
 @pytest.fixture
 def folder(tmp_path):
-    return save_lidar_driver(tmp_path / "mine", "gru", pairs("gru"), name="mine", training={"rounds": 7})
+    return networks.save_lidar_driver(tmp_path / "mine", "gru", pairs("gru"), name="mine", training={"rounds": 7})
 
 
-@pytest.mark.parametrize("network", sorted(LAYERS))
+@pytest.mark.parametrize("network", sorted(networks.LAYERS))
 def test_what_is_written_is_read(tmp_path, network):
-    folder = save_lidar_driver(tmp_path / "mine", network, pairs(network), name="mine", training={})
-    name, kind, flat = read_lidar_driver(folder)
+    folder = networks.save_lidar_driver(tmp_path / "mine", network, pairs(network), name="mine", training={})
+    name, kind, flat = networks.read_lidar_driver(folder)
     assert (name, kind) == ("mine", network)
-    np.testing.assert_array_equal(flat, flat_weights(pairs(network)))
-    planner = load_lidar_driver(folder)
-    assert planner.plan is load_lidar_driver(folder).plan  # compiled once
+    np.testing.assert_array_equal(flat, networks.flat_weights(pairs(network)))
+    planner = networks.load_lidar_driver(folder)
+    assert planner.plan is networks.load_lidar_driver(folder).plan  # compiled once
     assert planner.parameter_names[1] == "speed_share"
 
 
 def test_the_convolutional_network_is_its_formula():
-    layers, seen = pairs("cnn"), np.random.default_rng(1).normal(size=SEEN)
-    work = np.zeros(lidar_networks.SCRATCH)
-    lidar_networks.answer_cnn(flat_weights(layers), seen, np.zeros(0), work)
-    x = seen[:BEAMS]
+    layers, seen = pairs("cnn"), np.random.default_rng(1).normal(size=networks.SEEN)
+    work = np.zeros(networks.SCRATCH)
+    networks.answer_cnn(networks.flat_weights(layers), seen, np.zeros(0), work)
+    x = seen[: networks.BEAMS]
     for (weight, bias), step in zip(layers, (3, 16, 24), strict=False):
         windows = np.lib.stride_tricks.sliding_window_view(x, weight.shape[1])[::step]
         x = np.maximum(windows @ weight.T + bias, 0.0).ravel()
     (hidden, hidden_bias), (last, last_bias) = layers[3:]
-    expected = last @ np.maximum(hidden @ np.concatenate([x, seen[BEAMS:]]) + hidden_bias, 0.0) + last_bias
+    expected = last @ np.maximum(hidden @ np.concatenate([x, seen[networks.BEAMS :]]) + hidden_bias, 0.0) + last_bias
     np.testing.assert_allclose(work[:4], expected, rtol=1e-5, atol=1e-6)
 
 
@@ -60,7 +52,7 @@ def test_a_network_corrects_the_potential_field(oval, view_at):
     layers, view = pairs("residual"), view_at(oval, 3.0, speed=4.0, gap=2.0, opp_d=0.3)
     scratch, out = np.zeros(residual.SCRATCH), np.zeros(residual.SEEN)
     field, none, full = np.zeros((3, PATH_POINTS, 4))
-    plan = residual.residual_plan(flat_weights(layers).tobytes())
+    plan = residual.residual_plan(networks.flat_weights(layers).tobytes())
     for share, path in ((0.0, none), (1.0, full)):
         plan(oval.arrays, np.array([share, 1.0]), view, out, scratch, path)
     POTENTIAL_FIELD.plan(oval.arrays, POTENTIAL_FIELD.default, view, out, scratch, field)
@@ -73,20 +65,20 @@ def test_a_network_corrects_the_potential_field(oval, view_at):
 
 
 def test_a_car_is_seen_on_its_side_from_right_to_left_and_the_pace_as_a_speed_scale(oval, view_at):
-    seen, middles = np.zeros(SEEN), []
+    seen, middles = np.zeros(networks.SEEN), []
     for opp_d in (-0.3, 0.3):
         view = view_at(oval, 3.0, speed=4.0, gap=2.0, opp_d=opp_d)
-        lidar_networks.observe(oval.arrays, view, 0.5, np.zeros(WORK), seen)
-        ranges = lidar_networks.MAX_RANGE * (0.5 * (seen[:BEAMS] + 1.0)) ** 2
+        networks.observe(oval.arrays, view, 0.5, np.zeros(WORK), seen)
+        ranges = networks.MAX_RANGE * (0.5 * (seen[: networks.BEAMS] + 1.0)) ** 2
         middles.append(np.flatnonzero(ranges[50:85] < 2.2).mean() + 50)
         low, high = view[[VIEW_SIZE - 2, VIEW_SIZE - 1]]
-        assert seen[BEAMS:] == pytest.approx([0.5, 0.0, 0.0, 4.0 * (0.5 * (low + high) - 1.0)])
-    assert middles[0] < BEAMS // 2 < middles[1]
+        assert seen[networks.BEAMS :] == pytest.approx([0.5, 0.0, 0.0, 4.0 * (0.5 * (low + high) - 1.0)])
+    assert middles[0] < networks.BEAMS // 2 < middles[1]
 
 
 def test_outputs_are_laid_as_a_path_in_the_frame_of_the_car(oval, view_at):
     view, path = view_at(oval, 3.0, speed=4.0), np.zeros((PATH_POINTS, 4))
-    lidar_networks.lay_path(view, np.array([0.5, 1.0, 0.0, 1.0]), 0.5, path)
+    networks.lay_path(view, np.array([0.5, 1.0, 0.0, 1.0]), 0.5, path)
     heading = np.array([np.cos(view[OWN_PSI]), np.sin(view[OWN_PSI])])
     moved = path[:, :2] - view[[OWN_X, OWN_Y]]
     x, y = moved @ heading, moved @ [-heading[1], heading[0]]
@@ -109,21 +101,21 @@ def test_outputs_are_laid_as_a_path_in_the_frame_of_the_car(oval, view_at):
 def test_manifests_that_do_not_fit_are_refused(folder, changes, message):
     file = folder / "manifest.yaml"
     file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **changes}))
-    refused(message, load_lidar_driver, folder)
+    refused(message, networks.load_lidar_driver, folder)
 
 
 def test_weights_that_do_not_fit_are_refused(tmp_path):
     layers = pairs("gru")
     for weight in (np.full_like(layers[2][0], np.nan), np.full_like(layers[2][0], 101.0), layers[2][0][:, :-1]):
         wrong = [*layers[:2], (weight, layers[2][1])]
-        refused("has float32 weights", save_lidar_driver, tmp_path / "x", "gru", wrong, name="x", training={})
+        refused("has float32 weights", networks.save_lidar_driver, tmp_path / "x", "gru", wrong, name="x", training={})
     assert not (tmp_path / "x").exists()
-    refused("unknown lidar driver 'nobody'", load_lidar_driver, "nobody", error=UnknownNameError)
+    refused("unknown lidar driver 'nobody'", networks.load_lidar_driver, "nobody", error=UnknownNameError)
 
 
 def test_the_shipped_ones_are_read_when_they_are_first_asked_for():
-    assert get_planner("lidar-cnn") is lidar_networks.LIDAR_CNN
-    assert get_planner("lidar-gru") is lidar_networks.LIDAR_GRU
-    assert get_planner("residual") is lidar_networks.RESIDUAL
+    assert get_planner("lidar-cnn") is networks.LIDAR_CNN
+    assert get_planner("lidar-gru") is networks.LIDAR_GRU
+    assert get_planner("residual") is networks.RESIDUAL
     with pytest.raises(AttributeError, match="no attribute 'OTHER'"):
-        lidar_networks.OTHER  # noqa: B018
+        networks.OTHER  # noqa: B018

@@ -325,17 +325,10 @@ def test_a_race_begins_without_what_other_commands_need():
     assert not {name for name in loaded if name.startswith(("pcs_racing_agents.study", "pcs_racing_agents.learning"))}
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "race --ego latice",
-        "tournament --agents a b",
-        "rcae",
-        "race --track Pipkn",
-        "race --race cup",
-        "play --opponent x",
-    ],
-)
+UNKNOWN = "race --ego latice|tournament --agents a b|rcae|race --track Pipkn|race --race cup|play --opponent x"
+
+
+@pytest.mark.parametrize("words", UNKNOWN.split("|"))
 def test_an_unknown_name_is_told_before_compiled_code_is_imported(words):
     assert "numba" not in modules_after(f"assert main({words.split()}) == 2")
 

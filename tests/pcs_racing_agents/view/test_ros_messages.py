@@ -7,7 +7,7 @@ from refusal import refused
 from pcs_racing import Lidar, load_track, parse_policy, record_race
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.frames import write_video
-from pcs_racing.race.ros_messages import definition, race_messages, write_bag
+from pcs_racing_agents.view.ros_messages import definition, race_messages, write_bag
 
 
 @pytest.fixture(scope="module")

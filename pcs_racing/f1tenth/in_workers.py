@@ -1,0 +1,5 @@
+"""Imported where a program's worker processes are forked: they find the same modules as the program."""
+
+from pcs_racing.f1tenth.stand_ins import install
+
+install()
