@@ -10,8 +10,11 @@ SYNTHESIS = (
     " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, min_policies: 2}"
 )
 TREES = ["--archive", "default", "--track", "Pipkin", "--moves", "2", "--step", "2"]
-
-
+STUDY = """
+{moves: 2, step_seconds: 2.0, circuits: [Pipkin], pairs: 3, training: quick, targets: [advantage], fitting_games: 2,
+ fixed_targets: 2, tracks: [Pipkin], opponents: [never-switch], egos: 2, variants: 2, lines: 1, best: best-fixed,
+ arms: [never-switch, best-fixed, best-schedule, best-lead-plan], rated: [never-switch, best-fixed], rating_races: 2}
+"""
 PPO = """
 level: drive
 tracks: [Pipkin]
@@ -54,12 +57,12 @@ def commands(folder: Path) -> dict[str, list[str]]:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Return what a command left, by path: all but times, which are in locks, TensorBoard's curves and PPO's chunks."""
+    """Return what a command left, by path: all but times, in locks, curves, PPO's chunks and notes of stages."""
     found = {str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()}
     return {
         name: _without_times(file)
         for name, file in found.items()
-        if file.name != ".lock" and "tensorboard" not in Path(name).parts
+        if file.name not in (".lock", "done.yaml", "report.html") and "tensorboard" not in Path(name).parts
     }
 
 

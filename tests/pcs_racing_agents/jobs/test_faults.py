@@ -11,7 +11,7 @@ from subprocess import PIPE, Popen
 
 import numpy as np
 import pytest
-from long_jobs import TREES, commands, files
+from long_jobs import STUDY, TREES, commands, files
 from warm_start import call_python, kill, start_python
 
 from pcs_racing_agents.cli.main import main
@@ -19,7 +19,7 @@ from pcs_racing_agents.cli.main import main
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs SIGKILL, flock and a limit on the size of files")
 
 TORCH = pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed")
-LONG = ["synthesize", "tree", pytest.param("train", marks=TORCH), "tournament"]
+LONG = ["synthesize", "tree", pytest.param("train", marks=TORCH), "tournament", pytest.param("study", marks=TORCH)]
 KILLS = 2  # of a folder
 SEEDS = range(int(os.environ.get("PCS_RACING_KILLED_FOLDERS", "1")))  # of each command
 
@@ -47,7 +47,8 @@ sys.exit(code)
 def long_commands(tmp_path_factory) -> dict[str, list[str]]:
     """Every long command; the training is of a network on some trees."""
     folder = tmp_path_factory.mktemp("settings")
-    found = commands(folder)
+    (folder / "study.yaml").write_text(STUDY)
+    found = commands(folder) | {"study": ["study", str(folder / "study.yaml")]}
     assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
     found["train"] = ["train", str(folder / "trees"), "--config", "quick", "--epochs", "12", "--name", "small"]
     found["train"] += ["--no-tensorboard"]  # nobody compares its curves, which hold times
