@@ -10,27 +10,7 @@ SYNTHESIS = (
     " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, min_policies: 2}"
 )
 TREES = ["--archive", "default", "--track", "Pipkin", "--moves", "2", "--step", "2"]
-STUDY = """
-{moves: 2, step_seconds: 2.0, circuits: [Pipkin], pairs: 3, training: quick, targets: [advantage], fitting_games: 2,
- fixed_targets: 2, tracks: [Pipkin], opponents: [never-switch], egos: 2, variants: 2, lines: 1, best: best-fixed,
- arms: [never-switch, best-fixed, best-schedule, best-lead-plan], rated: [never-switch, best-fixed], rating_races: 2}
-"""
-PPO = """
-level: drive
-tracks: [Pipkin]
-races: [paper]
-opponents: {"lattice:pace=0": 1, pure-pursuit: 1}
-duration: 1.0
-steps: 1600
-envs: 8
-rollout: 20
-batch_size: 32
-epochs: 2
-hidden: [8]
-value_hidden: [8]
-evaluate_every: 800
-evaluation_races: 4
-"""
+SETTINGS = Path(__file__).parent / "settings"
 
 
 def commands(folder: Path) -> dict[str, list[str]]:
@@ -39,11 +19,10 @@ def commands(folder: Path) -> dict[str, list[str]]:
     Parameters
     ----------
     folder : Path
-        For the settings of the synthesis and of PPO.
+        For the settings of the synthesis.
     """
-    settings, ppo = folder / "small.yaml", folder / "ppo.yaml"
+    settings = folder / "small.yaml"
     settings.write_text(SYNTHESIS)
-    ppo.write_text(PPO)
     search = ["--config", str(settings), "--track", "Pipkin", "--generations", "6", "--population", "6"]
     return {
         "synthesize": ["synthesize", *search, "--name", "small"],
@@ -52,7 +31,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
             "tournament", "--track", "Pipkin", "--agents", "random-moves", "never-switch", "lane-switcher",
             "--races", "4", "--duration", "16",
         ],
-        "ppo": ["ppo", "--config", str(ppo), "--seeds", "0", "1", "2", "--no-picture"],
+        "ppo": ["ppo", "--config", str(SETTINGS / "ppo.yaml"), "--seeds", "0", "1", "2", "--no-picture"],
     }  # fmt: skip
 
 

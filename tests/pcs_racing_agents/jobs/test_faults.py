@@ -11,7 +11,7 @@ from subprocess import PIPE, Popen
 
 import numpy as np
 import pytest
-from long_jobs import STUDY, TREES, commands, files
+from long_jobs import SETTINGS, TREES, commands, files
 from warm_start import call_python, kill, start_python
 
 from pcs_racing_agents.cli.main import main
@@ -47,8 +47,7 @@ sys.exit(code)
 def long_commands(tmp_path_factory) -> dict[str, list[str]]:
     """Every long command; the training is of a network on some trees."""
     folder = tmp_path_factory.mktemp("settings")
-    (folder / "study.yaml").write_text(STUDY)
-    found = commands(folder) | {"study": ["study", str(folder / "study.yaml")]}
+    found = commands(folder) | {"study": ["study", str(SETTINGS / "study.yaml")]}
     assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
     found["train"] = ["train", str(folder / "trees"), "--config", "quick", "--epochs", "12", "--name", "small"]
     found["train"] += ["--no-tensorboard"]  # nobody compares its curves, which hold times
