@@ -109,16 +109,16 @@ def _notes(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def _digests(config: StudyConfig, folder: Path, stage: str) -> dict[str, str]:
-    """Return digests of what a stage has left for later ones, by path; jobs guard their own files."""
+    """Return digests of what a stage has left for later ones, by path; jobs guard their chunks."""
     sampled = ("sampled-cfr", "regret") if config.sampled_cfr is not None else ()
     names = {"networks": config.targets, "responses": config.responses, "self-play": (stage, *sampled)}
     left = [f"networks/{name}/**/*" for name in names.get(stage, (stage,))]
-    left += [f"{stage}/*", f"{stage.replace('-', '_')}.csv"]
+    left += [f"{stage}/*", f"{stage}/*/job.yaml", f"{stage.replace('-', '_')}.csv"]
     found = {file.relative_to(folder): file for pattern in left for file in sorted(folder.glob(pattern))}
     return {
         name.as_posix(): hashlib.sha256(file.read_bytes()).hexdigest()
         for name, file in found.items()
-        if file.is_file() and not file.name.startswith(".") and file.name not in (DONE, SECONDS, "job.yaml")
+        if file.is_file() and not file.name.startswith(".") and file.name not in (DONE, SECONDS)
     }
 
 

@@ -138,7 +138,8 @@ def test_changed_files_of_finished_stages_are_named_and_made_again(finished, tmp
     folder = shutil.copytree(finished.folder, tmp_path / "copy")
     half = folder / "networks" / ".quick.0123abcd"
     half.mkdir()  # by a run that was killed
-    for name in ("open-loop/best-fixed.yaml", "networks/advantage/weights.safetensors", "ratings.csv"):
+    changed = ["open-loop/best-fixed.yaml", "networks/advantage/weights.safetensors", "trees/Pipkin/job.yaml"]
+    for name in [*changed, "best_replies.csv"]:
         (folder / name).write_bytes(b"other")
         with pytest.raises(InputError, match=re.escape(f"{folder / name} is not what stage")) as refused:
             run_study(TINY, folder, quiet=True)
