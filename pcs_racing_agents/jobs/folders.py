@@ -6,6 +6,7 @@ Beside the manifest lies its digest: one that was damaged is told from one of ot
 import hashlib
 import os
 import re
+import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import asdict, is_dataclass
@@ -87,7 +88,7 @@ def clear_half_written(folder: Path) -> None:
     """Delete what killed runs had begun to write here or in ``chunks`` (see :mod:`pcs_racing.base.files`)."""
     for file in [*folder.glob(".*"), *folder.glob("chunks/.*")]:
         if _HALF_WRITTEN.fullmatch(file.name):
-            file.unlink(missing_ok=True)
+            shutil.rmtree(file) if file.is_dir() else file.unlink(missing_ok=True)
 
 
 def read_job(file: Path) -> Any:

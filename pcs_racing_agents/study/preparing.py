@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.artifacts import MANIFEST
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents.fits import save_fit
@@ -15,7 +16,7 @@ from pcs_racing_agents.jobs.jobs import open_job, run_groups
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
-from pcs_racing_agents.networks.network_files import load_network, save_network
+from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network, save_network
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.synthesis.diverse import select_diverse
@@ -80,7 +81,8 @@ def train_networks(study: Study) -> None:
     from pcs_racing_agents.networks.training import write_epochs
 
     config = study.config
-    missing = [name for name in config.targets if not (study.network(name) / "learning_curves.csv").is_file()]
+    whole = {MANIFEST, NETWORK_FORMAT.data_file, "learning_curves.csv"}
+    missing = [name for name in config.targets if not whole <= {file.name for file in study.network(name).glob("*")}]
     stored = stored_trees(study)
     if not stored or not missing:
         return

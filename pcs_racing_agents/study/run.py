@@ -1,15 +1,17 @@
 """Running a study: its stages in order, each in its own folder; finished stages are skipped.
 
-A finished stage leaves a file ``done.yaml``; a stopped stage resumes its job. The results are functions of the study's
-configuration alone. The time of a stage includes earlier runs of it that were stopped.
+A finished stage leaves a file ``done.yaml``, with digests of what it wrote for later ones; a stopped stage resumes its
+job. The results are functions of the study's configuration alone. The time of a stage includes earlier runs of it that
+were stopped.
 """
 
+import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -18,15 +20,15 @@ from pcs_racing.base.errors import InputError, UnknownNameError, require
 from pcs_racing.base.files import parse_yaml, write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.jobs.folders import claim_folder
+from pcs_racing_agents.jobs.folders import claim_folder, clear_half_written
 from pcs_racing_agents.learning.ppo.learner import check_packages
 from pcs_racing_agents.study import playing, preparing, reporting
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.synthesis.config import load_archive_config
 
-DONE = "done.yaml"
-"""File in the folder of a finished stage."""
+DONE, SECONDS = "done.yaml", "seconds.txt"
+"""Files in the folder of a finished stage, and of one that was stopped."""
 
 
 def _report(study: Study) -> None:
@@ -88,16 +90,36 @@ STAGES = (
 
 def stage_seconds(study: Study) -> dict[str, float]:
     """Return the time of each finished stage, s, including earlier runs that were stopped."""
-    seconds = {}
+    return {name: float(note["seconds"]) for name, note in _notes(study.folder).items()}
+
+
+def _notes(folder: Path) -> dict[str, dict[str, Any]]:
+    """Return what finished stages have noted, by name."""
+    notes = {}
     for stage in STAGES:
-        file = study.folder / stage.name / DONE
+        file = folder / stage.name / DONE
         if file.is_file():
             note = parse_yaml(file, file.read_bytes())
-            value = note.get("seconds") if isinstance(note, dict) else None
-            if not is_number(value) or not 0.0 <= value < 1e9:
-                raise InputError(f"{file} is damaged: seconds are {value!r:.80}; delete it, and the stage runs again")
-            seconds[stage.name] = float(value)
-    return seconds
+            seconds, files = (note.get(key) if isinstance(note, dict) else None for key in ("seconds", "files"))
+            if not is_number(seconds) or not 0.0 <= seconds < 1e9 or not isinstance(files, dict):
+                wrong = f"seconds are {seconds!r:.80}, files {files!r:.80}"
+                raise InputError(f"{file} is damaged: {wrong}; delete it, and the stage runs again")
+            notes[stage.name] = note
+    return notes
+
+
+def _digests(config: StudyConfig, folder: Path, stage: str) -> dict[str, str]:
+    """Return digests of what a stage has left for later ones, by path; jobs guard their chunks."""
+    sampled = ("sampled-cfr", "regret") if config.sampled_cfr is not None else ()
+    names = {"networks": config.targets, "responses": config.responses, "self-play": (stage, *sampled)}
+    left = [f"networks/{name}/**/*" for name in names.get(stage, (stage,))]
+    left += [f"{stage}/*", f"{stage}/*/job.yaml", f"{stage.replace('-', '_')}.csv"]
+    found = {file.relative_to(folder): file for pattern in left for file in sorted(folder.glob(pattern))}
+    return {
+        name.as_posix(): hashlib.sha256(file.read_bytes()).hexdigest()
+        for name, file in found.items()
+        if file.is_file() and not file.name.startswith(".") and file.name not in (DONE, SECONDS)
+    }
 
 
 @contextmanager
@@ -143,6 +165,8 @@ def run_study(
     remaining = stages_to_run(config, folder, only)
     study = Study(config, Path(folder), executor, quiet)
     with claim_folder(study.folder, "study", plain_settings(config)):
+        for inner in study.folder.rglob("*/"):
+            clear_half_written(inner)
         for stage in remaining:
             _run_stage(study, stage)
     return study
@@ -164,6 +188,15 @@ def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] |
     ]
     for stage in remaining:
         stage.check_libraries(config)
+    # Damaged or changed, they would give other results without a word.
+    for name, note in _notes(Path(folder)).items():
+        present = _digests(config, Path(folder), name)
+        for file in note["files"]:
+            if present.get(file) != note["files"][file]:
+                raise InputError(
+                    f"{Path(folder) / str(file)} is not what stage {name!r} left, by {Path(folder) / name / DONE}; "
+                    "delete both, and the stage runs again"
+                )
     # A circuit that is only raced in the last stage must not be found missing after hours of the others.
     for name in config.every_track:
         load_track(name)
@@ -183,7 +216,8 @@ def _run_stage(study: Study, stage: Stage) -> None:
     folder = study.folder / stage.name
     folder.mkdir(exist_ok=True)
     # The note is written last: a stage that was stopped at any moment is not done, and runs again.
-    with seconds_counted(folder / "seconds.txt") as spent:
+    with seconds_counted(folder / SECONDS) as spent:
         stage.run(study)
-        text = yaml.safe_dump({"stage": stage.name, "seconds": round(spent(), 1)})
+        files = {} if stage.always else _digests(study.config, study.folder, stage.name)
+        text = yaml.safe_dump({"stage": stage.name, "seconds": round(spent(), 1), "files": files})
         write_atomically(folder / DONE, lambda out: out.write(text.encode("utf-8")))

@@ -10,24 +10,7 @@ SYNTHESIS = (
     " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, min_policies: 2}"
 )
 TREES = ["--archive", "default", "--track", "Pipkin", "--moves", "2", "--step", "2"]
-
-
-PPO = """
-level: drive
-tracks: [Pipkin]
-races: [paper]
-opponents: {"lattice:pace=0": 1, pure-pursuit: 1}
-duration: 1.0
-steps: 1600
-envs: 8
-rollout: 20
-batch_size: 32
-epochs: 2
-hidden: [8]
-value_hidden: [8]
-evaluate_every: 800
-evaluation_races: 4
-"""
+SETTINGS = Path(__file__).parent / "settings"
 
 
 def commands(folder: Path) -> dict[str, list[str]]:
@@ -36,11 +19,10 @@ def commands(folder: Path) -> dict[str, list[str]]:
     Parameters
     ----------
     folder : Path
-        For the settings of the synthesis and of PPO.
+        For the settings of the synthesis.
     """
-    settings, ppo = folder / "small.yaml", folder / "ppo.yaml"
+    settings = folder / "small.yaml"
     settings.write_text(SYNTHESIS)
-    ppo.write_text(PPO)
     search = ["--config", str(settings), "--track", "Pipkin", "--generations", "6", "--population", "6"]
     return {
         "synthesize": ["synthesize", *search, "--name", "small"],
@@ -49,17 +31,17 @@ def commands(folder: Path) -> dict[str, list[str]]:
             "tournament", "--track", "Pipkin", "--agents", "random-moves", "never-switch", "lane-switcher",
             "--races", "4", "--duration", "16",
         ],
-        "ppo": ["ppo", "--config", str(ppo), "--seeds", "0", "1", "2", "--no-picture"],
+        "ppo": ["ppo", "--config", str(SETTINGS / "ppo.yaml"), "--seeds", "0", "1", "2", "--no-picture"],
     }  # fmt: skip
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Return what a command left, by path: all but times, which are in locks, TensorBoard's curves and PPO's chunks."""
+    """Return what a command left, by path: all but times, in locks, curves, PPO's chunks and notes of stages."""
     found = {str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()}
     return {
         name: _without_times(file)
         for name, file in found.items()
-        if file.name != ".lock" and "tensorboard" not in Path(name).parts
+        if file.name not in (".lock", "done.yaml", "report.html") and "tensorboard" not in Path(name).parts
     }
 
 

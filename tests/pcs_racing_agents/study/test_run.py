@@ -2,6 +2,7 @@
 
 import csv
 import re
+import shutil
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from long_jobs import files
 from repository import load_tool
 
 from pcs_racing import load_archive, save_archive
@@ -118,13 +120,6 @@ def test_the_agents_learned_by_playing_the_game_that_is_studied(finished):
     np.testing.assert_array_equal(ppo.predict(seen)[0], network.choose(seen))
 
 
-def without_times(folder: Path) -> dict[str, bytes]:
-    """Return all files but those that tell how long something took, PPO's checkpoints among them."""
-    files = {str(file.relative_to(folder)): file for file in folder.rglob("*") if file.is_file()}
-    left_out = r"(done\.yaml|report\.html|\.lock)$|^ppo/training/chunks"
-    return {name: file.read_bytes() for name, file in files.items() if not re.search(left_out, name)}
-
-
 def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
     other = tmp_path / "other"
     with make_executor("threads", 2) as executor:
@@ -134,9 +129,25 @@ def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
         for stage in ("trees", "networks", "open-loop", "responses", "robust", "psro", "self-play", "ppo"):
             (other / stage / "done.yaml").unlink()
         run_study(TINY, other, executor=executor, quiet=True)
-    one, two = without_times(finished.folder), without_times(other)
+    one, two = files(finished.folder), files(other)
     assert {"results.csv", "table.csv", "best_replies.csv", "ratings.csv", "networks/ppo/curve.csv"} < set(one)
     assert [name for name in sorted({*one, *two}) if one.get(name) != two.get(name)] == []
+
+
+def test_changed_files_of_finished_stages_are_named_and_made_again(finished, tmp_path):
+    folder = shutil.copytree(finished.folder, tmp_path / "copy")
+    half = folder / "networks" / ".quick.0123abcd"
+    half.mkdir()  # by a run that was killed
+    changed = ["open-loop/best-fixed.yaml", "networks/advantage/weights.safetensors", "trees/Pipkin/job.yaml"]
+    for name in [*changed, "best_replies.csv"]:
+        (folder / name).write_bytes(b"other")
+        with pytest.raises(InputError, match=re.escape(f"{folder / name} is not what stage")) as refused:
+            run_study(TINY, folder, quiet=True)
+        for file in (name, re.search(r"[\w-]+/done.yaml", str(refused.value))[0]):
+            (folder / file).unlink()
+    run_study(TINY, folder, quiet=True)
+    assert files(folder) == files(finished.folder)
+    assert not half.exists()
 
 
 def test_an_archive_that_was_made_is_the_one_that_ppo_learns_with(tmp_path):
