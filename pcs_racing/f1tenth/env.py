@@ -82,6 +82,7 @@ class F110Env(gymnasium.Env[Any, Any]):
     renderer: Any = None
     render_callbacks: list[Callback]
     current_obs: Any = None  # of the class, where programs of generation A reach for it
+    observation_space: Any = None  # of generation A, as in gym
 
     def __new__(cls, *args: Any, **named: Any) -> Self:
         """Choose the generation by the arguments."""

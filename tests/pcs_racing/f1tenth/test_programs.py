@@ -43,6 +43,7 @@ while not done and laps < 0.5:
     laps += step_reward
     env.render(mode='human')
 assert len(drawn) == 1 and len(obs['scans'][1]) == 1080 and F110Env.current_obs is obs
+assert env.observation_space is None
 assert Slow(env).sim.agents[0].state[3] > 0.3
 print('driven', round(laps, 2), np.float(1.0), math.atan2(np.array([0.0]), 1.0))
 """
