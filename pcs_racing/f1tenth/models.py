@@ -63,7 +63,7 @@ class ScanSimulator2D:
 
     def set_map(self, map_path: Any, map_ext: str | None = None) -> bool:
         """Measure on this map from now on."""
-        self._map = load_map(map_path, map_ext)
+        self._map = map_path if isinstance(map_path, GymMap) else load_map(map_path, map_ext)
         return True
 
     def scan(

@@ -14,6 +14,7 @@ from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.lidar_kernel import WORK_SHAPE
 from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.maps import GymMap
+from pcs_racing.f1tenth.models import ScanSimulator2D
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
 
@@ -66,6 +67,13 @@ class RaceCar:
     @state.setter
     def state(self, value: ArrayLike) -> None:
         self.state[:] = check_array("state", value, self.state.shape, least=-1e6, most=1e6)
+
+    @property
+    def scan_simulator(self) -> ScanSimulator2D:
+        """A lidar of its own on the same map."""
+        lidar = ScanSimulator2D(BEAMS, FIELD_OF_VIEW, max_range=RANGE)
+        lidar.set_map(self._simulator.map)
+        return lidar
 
     @property
     def in_collision(self) -> bool:
@@ -123,7 +131,7 @@ class Simulator:
 
     def set_map(self, loaded: GymMap) -> None:
         """Drive on another map from now on."""
-        self.track = loaded.circuit or self._some_track
+        self.map, self.track = loaded, loaded.circuit or self._some_track
         self.setup = self.setup._replace(on_circuit=loaded.circuit is not None)
         self._grid = loaded.grid if self.setup.faithful else loaded.grid._replace(open_outside=False)
         self._build()

@@ -115,7 +115,7 @@ if __name__ == '__main__':
         assert np.abs(env.sim.agents[0].state - euler(before, pull, rate, params)).max() < 1e-12
         steps += 1
     lidar = ScanSimulator2D(108, 4.7)
-    assert lidar.set_map(MAP + '.yaml', '.png')
+    assert lidar.set_map(MAP + '.yaml', '.png') and env.sim.agents[0].scan_simulator.scan(POSES[0], None).max() < 30.0
     assert (steps, info['TimeLimit.truncated']) == (20, True) and obs.shape == lidar.scan(POSES[0], None).shape
     workers = SubprocVecEnv([make, make])
     model = PPO('MlpPolicy', workers, n_steps=32, n_epochs=1, device='cpu').learn(64)
