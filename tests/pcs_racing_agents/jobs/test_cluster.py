@@ -113,6 +113,8 @@ def test_workers_are_busy_all_of_them(cluster, tmp_path):
         Client.current().wait_for_workers(3, timeout=PATIENCE)
         assert tasks_in_flight(executor) == 6
         found = job.run("who", who, range(30), executor=executor)
+        drawn = [executor.submit(os.urandom, 8) for _ in range(2)]
+        assert drawn[0].result() != drawn[1].result()  # equal calls are two calls
     assert len({int(result["pid"]) for result in found}) == 3
 
 
