@@ -175,7 +175,10 @@ def test_the_pictures_show_what_was_seen_and_done(race):
         own = [patch.get_facecolor() == rgba(CARS[race.car]) for patch in axes.patches]
         assert own == [move == step.move for move in range(len(race.moves))]
         assert not axes.texts
+        assert axes.get_title("left").endswith(f": {step.time:g} s")
         assert [set(line.get_xdata()) for line in axes.lines] == [{0.0}]
+    upright = {line.get_xdata()[0] for line in lead.lines if len({*line.get_xdata()}) == 1}
+    assert upright == {step.time for step in race.steps}
     assert {race.moves[step.move] for step in race.steps} <= {text.get_text() for text in lead.texts}
     assert len(track.lines) >= 2
 
