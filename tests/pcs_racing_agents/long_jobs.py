@@ -5,25 +5,14 @@ from pathlib import Path
 from pcs_racing_agents.jobs.chunks import read_chunk
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 
-SYNTHESIS = (
-    "{duration: 4, final_duration: 4, segment_seconds: 2, initial_sample: 12, opponents: 1, starts: 1, candidates: 12,"
-    " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, min_policies: 2}"
-)
 TREES = ["--archive", "default", "--track", "Pipkin", "--moves", "2", "--step", "2"]
 SETTINGS = Path(__file__).parent / "settings"
 
 
-def commands(folder: Path) -> dict[str, list[str]]:
-    """Return a small call of every long command that runs on executors, without where it writes.
-
-    Parameters
-    ----------
-    folder : Path
-        For the settings of the synthesis.
-    """
-    settings = folder / "small.yaml"
-    settings.write_text(SYNTHESIS)
-    search = ["--config", str(settings), "--track", "Pipkin", "--generations", "6", "--population", "6"]
+def commands() -> dict[str, list[str]]:
+    """Return a small call of every long command that runs on executors, without where it writes."""
+    search = ["--config", str(SETTINGS / "synthesis.yaml"), "--track", "Pipkin"]
+    search += ["--generations", "6", "--population", "6"]
     return {
         "synthesize": ["synthesize", *search, "--name", "small"],
         "tree": ["tree", *TREES, "--pairs", "12"],

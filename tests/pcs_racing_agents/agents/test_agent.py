@@ -108,6 +108,7 @@ def test_bad_agents_drivers_and_observations_are_refused(setting):
     refused("'d' has no policy", Driver, "d", ())
     lattice, pursuit = get_planner("lattice").policy(), get_planner("pure-pursuit").policy()
     refused("one planner", Driver, "d", (lattice, pursuit))
+    assert Driver("d", [lattice]).policies == (lattice,)  # no list that somebody may change
     for observation, message in [
         (np.zeros(30), r"got an observation of shape \(1, 30\)"),
         (np.zeros((2, 3, 31)), r"shape \(2, 3, 31\)"),

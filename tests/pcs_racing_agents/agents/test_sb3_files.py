@@ -19,7 +19,7 @@ ROWS = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 46)).astype(np.float32)
 
 
 @pytest.mark.parametrize("activation", [torch.nn.Tanh, torch.nn.ReLU])
-def test_moves_are_those_of_the_model(tmp_path, activation):
+def test_moves_are_those_of_the_model(tmp_path, activation, monkeypatch):
     class Spaces(gym.Env):
         observation_space = gym.spaces.Box(-5.0, 5.0, (46,), np.float32)
         action_space = gym.spaces.Discrete(7)
@@ -47,6 +47,9 @@ def test_moves_are_those_of_the_model(tmp_path, activation):
     refused("no weights or biases: 'action_net.bias'", actor_of, "short", short, None)
     (tmp_path / "other.zip").write_bytes(b"not a zip")
     refused(r"other\.zip", load_sb3_policy, tmp_path / "other.zip")
+    monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
+    with pytest.raises(ModuleNotFoundError, match="torch is needed"):
+        load_sb3_policy(tmp_path / "mine.zip")
 
 
 @pytest.mark.parametrize(("kind", "more"), [("PPO", {}), ("SAC", {"buffer_size": 9}), ("TD3", {"buffer_size": 9})])

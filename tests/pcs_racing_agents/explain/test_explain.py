@@ -84,6 +84,10 @@ def test_the_story_tells_every_step_and_a_race_that_ends_at_once(race):
     assert text.count("saw:") == text.count("did:") == text.count("then:") == text.count("why:") == len(race.steps) > 0
     for step in race.steps:
         assert f"did: {race.moves[step.move]}, " in text
+    after = race.lead[round(race.ends[1] / race.replay.frame_dt)]
+    for change, words in [(1.3, "gained 1.3 m"), (-1.3, "lost 1.3 m"), (0.04, "no change")]:
+        moved = replace(race, steps=(race.steps[0]._replace(lead=after - change), *race.steps[1:]))
+        assert story(moved).split("then: ")[1].startswith(words)
     empty = replace(race, steps=())
     assert story(empty).endswith("over before the first move.")
     assert picture_bytes(explanation_picture(empty)).startswith(b"<?xml")
@@ -171,7 +175,10 @@ def test_the_pictures_show_what_was_seen_and_done(race):
         own = [patch.get_facecolor() == rgba(CARS[race.car]) for patch in axes.patches]
         assert own == [move == step.move for move in range(len(race.moves))]
         assert not axes.texts
+        assert axes.get_title("left").endswith(f": {step.time:g} s")
         assert [set(line.get_xdata()) for line in axes.lines] == [{0.0}]
+    upright = {line.get_xdata()[0] for line in lead.lines if len({*line.get_xdata()}) == 1}
+    assert upright == {step.time for step in race.steps}
     assert {race.moves[step.move] for step in race.steps} <= {text.get_text() for text in lead.texts}
     assert len(track.lines) >= 2
 

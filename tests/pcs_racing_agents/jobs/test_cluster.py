@@ -92,7 +92,7 @@ def long_commands(tmp_path_factory) -> dict[str, list[str]]:
     folder = tmp_path_factory.mktemp("settings")
     assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
     few = ["--epochs", "3", "--hidden", "8", "--name", "small", "--no-tensorboard", "--no-picture"]
-    return {**commands(folder), "train": ["train", str(folder / "trees"), *few]}
+    return {**commands(), "train": ["train", str(folder / "trees"), *few]}
 
 
 @pytest.mark.parametrize("what", ["synthesize", "tree", "tournament", "train"])
@@ -113,6 +113,8 @@ def test_workers_are_busy_all_of_them(cluster, tmp_path):
         Client.current().wait_for_workers(3, timeout=PATIENCE)
         assert tasks_in_flight(executor) == 6
         found = job.run("who", who, range(30), executor=executor)
+        drawn = [executor.submit(os.urandom, 8) for _ in range(2)]
+        assert drawn[0].result() != drawn[1].result()  # equal calls are two calls
     assert len({int(result["pid"]) for result in found}) == 3
 
 

@@ -47,7 +47,7 @@ sys.exit(code)
 def long_commands(tmp_path_factory) -> dict[str, list[str]]:
     """Every long command; the training is of a network on some trees."""
     folder = tmp_path_factory.mktemp("settings")
-    found = commands(folder) | {"study": ["study", str(SETTINGS / "study.yaml")]}
+    found = commands() | {"study": ["study", str(SETTINGS / "study.yaml")]}
     assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
     found["train"] = ["train", str(folder / "trees"), "--config", "quick", "--epochs", "12", "--name", "small"]
     found["train"] += ["--no-tensorboard"]  # nobody compares its curves, which hold times

@@ -61,6 +61,7 @@ def test_empty_lines_are_left_out_and_counted(tmp_path):
     refused(r"line 4 \(race 1\), .*fault is 'me'", read_results, path)
     path.write_text("\n".join([head, first, "a,1.5"]))
     refused(r"line 3 .*2 values, .*21", read_results, path)
+    refused(r"the table, line 2 \(race 0\), .*fault is 'me'", race_table, [RaceRow("paper", "a", "b", fault="me")])
 
 
 def test_details_may_be_missing_and_seeds_larger_than_any_number_of_the_machine(tmp_path, rows):

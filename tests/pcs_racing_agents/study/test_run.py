@@ -23,6 +23,7 @@ from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
 from pcs_racing_agents.study.config import BEST_OPEN_LOOP
+from pcs_racing_agents.study.playing import RATING_SEED
 from pcs_racing_agents.study.reporting import best_open_loop
 from pcs_racing_agents.study.run import seconds_counted, stage_seconds, stages_to_run
 from pcs_racing_agents.study.study import Study
@@ -48,7 +49,7 @@ TINY = load_study_config(
     egos=2, variants=2, lines=1, further_lines=1, further_opponents=("random-moves",),
     further_arms=("ppo", "robust", "psro", "self-play"), replies=("cfr-argmax", "self-play"), reply=LEARNER,
     reply_races=40, ppo=str(HERE / "ppo_tiny.yaml"), rating_races=2,
-    rated=("never-switch", "cfr-argmax", "ppo", "lane-switcher"),
+    rated=("never-switch", "cfr-argmax", "ppo", "lane-switcher"), seed=3,
 )  # fmt: skip
 
 NAMES = [stage.name for stage in STAGES]
@@ -93,6 +94,7 @@ def test_the_report_tells_losses_gains_and_moves(finished, page):
     families = {row["family"]: row["use"] for row in rows_of(finished.folder / "families.csv")}
     assert families == {"never-switch": "training", "random-moves": "training", "lane-switcher": "test"}
     assert "Gain by opponent" in page
+    assert f"all against all</th><td>{TINY.seed + RATING_SEED}</td>" in page
     for name in ("cfr-argmax", "quick"):
         assert f"{name}: moves by step, lead and aggressiveness of the opponent" in page
         assert (finished.folder / "report" / f"situations-{name}.csv").is_file()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from long_jobs import SYNTHESIS, files
+from long_jobs import SETTINGS, files
 from refusal import refused
 
 from pcs_racing import InputError, load_archive
@@ -183,17 +183,15 @@ def test_impossible_settings_are_refused():
 
 
 def test_the_command(tmp_path, capsys):
-    arguments = ["synthesize", "--track", "Pipkin", "--generations", "0", "--population", "4", "--out"]
-    arguments.append(str(tmp_path / "a"))
-    settings = tmp_path / "small.yaml"
-    settings.write_text(SYNTHESIS)
-    assert main([*arguments, "--config", str(settings), "--name", "small", "--executor", "serial"]) == 0
+    arguments = ["synthesize", "--config", str(SETTINGS / "synthesis.yaml"), "--track", "Pipkin", "--generations", "0"]
+    arguments += ["--population", "4", "--out", str(tmp_path / "a")]
+    assert main([*arguments, "--name", "small", "--executor", "serial"]) == 0
     out, err = capsys.readouterr()
     assert "<PolicyArchive 'small'" in out
     assert f"archive: {tmp_path / 'a'}" in out
     assert "measurement: generation 0/0, hypervolume " in err
     assert load_archive(tmp_path / "a").name == "small"
-    assert main([*arguments, "--config", str(settings), "--name", "other"]) == 2
+    assert main([*arguments, "--name", "other"]) == 2
     assert "its name is 'small', not 'other'" in capsys.readouterr().err
     assert main(["synthesize", "--config", "nothing", "--out", str(tmp_path / "b")]) == 2
     assert "archive settings 'nothing' are unknown; use contest, default or the path" in capsys.readouterr().err

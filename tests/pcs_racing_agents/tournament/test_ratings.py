@@ -136,7 +136,7 @@ def test_bad_input():
         (lambda: rate(["a", "b"], ["b"], [1, 1]), "first names 2"),
         (lambda: rate([], [], []), "there are no races"),
         (lambda: rate(["a"], ["b"], [1], unpaid=[True]), "none of 1 races"),
-        (lambda: rate(["a", "c"], ["b", "d"], [1, 0]), "c never met a"),
+        (lambda: rate(["a", "b"], ["c", "d"], [1, 0]), "b never met a"),
         (lambda: rate(["a"], ["b"], [1], prior_sd=0.0), "prior_sd is 0"),
         (lambda: rate(["a"], ["b"], [1], prior_sd=1e7), "prior_sd is 10000000"),
         (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0)), "the same unit"),
