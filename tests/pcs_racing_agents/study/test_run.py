@@ -1,6 +1,5 @@
 """A whole study, from trees to the report, in a game of two moves of two seconds."""
 
-import csv
 import re
 import shutil
 import tempfile
@@ -21,6 +20,7 @@ from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network, load_network_set
+from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
 from pcs_racing_agents.study.config import BEST_OPEN_LOOP
 from pcs_racing_agents.study.playing import RATING_SEED
@@ -61,11 +61,6 @@ def finished(tmp_path_factory):
     return run_study(TINY, folder, quiet=True)
 
 
-def rows_of(file: Path) -> list[dict[str, str]]:
-    with open(file, newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
-
-
 @pytest.fixture(scope="module")
 def page(finished) -> str:
     return (finished.folder / "report.html").read_text(encoding="utf-8")
@@ -73,7 +68,7 @@ def page(finished) -> str:
 
 def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished, page):
     main, further = 2 * 6 * 8, 3 * 10 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
-    assert len(rows_of(finished.folder / "results.csv")) == main + further
+    assert len(read_csv(finished.folder / "results.csv").rows()) == main + further
     assert "best-fixed" in (finished.folder / "table.txt").read_text(encoding="utf-8")
     assert "<iframe" in page
     assert "https://" not in page.replace("http://www.w3.org", "")
@@ -87,11 +82,11 @@ def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished, p
 
 
 def test_the_report_tells_losses_gains_and_moves(finished, page):
-    losses = rows_of(finished.folder / "best_replies.csv")
+    losses = read_csv(finished.folder / "best_replies.csv").rows()
     assert [row["agent"] for row in losses] == ["cfr-argmax", "self-play"]
     assert {(row["track"], row["races"]) for row in losses} == {("Pipkin", "40")}
     assert f"<td>{float(losses[0]['loss']):+.3f}</td>" in page
-    families = {row["family"]: row["use"] for row in rows_of(finished.folder / "families.csv")}
+    families = {row["family"]: row["use"] for row in read_csv(finished.folder / "families.csv").rows()}
     assert families == {"never-switch": "training", "random-moves": "training", "lane-switcher": "test"}
     assert "Gain by opponent" in page
     assert f"all against all</th><td>{TINY.seed + RATING_SEED}</td>" in page
@@ -100,7 +95,7 @@ def test_the_report_tells_losses_gains_and_moves(finished, page):
         assert (finished.folder / "report" / f"situations-{name}.csv").is_file()
     assert not (finished.folder / "report" / "situations-best-fixed.csv").exists()
     compared = best_open_loop(finished)
-    table = rows_of(finished.folder / "table.csv")
+    table = read_csv(finished.folder / "table.csv").rows()
     assert {row["base"] for row in table if row["kind"] == "adaptivity gain"} == {compared}
     assert f"quick - {compared}" in (finished.folder / "table.txt").read_text(encoding="utf-8")
 
