@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from long_jobs import files
+from long_jobs import SETTINGS, files
 from repository import load_tool
 
 from pcs_racing import load_archive, save_archive
@@ -27,8 +27,6 @@ from pcs_racing_agents.study.playing import RATING_SEED
 from pcs_racing_agents.study.reporting import best_open_loop
 from pcs_racing_agents.study.run import seconds_counted, stage_seconds, stages_to_run
 from pcs_racing_agents.study.study import Study
-
-HERE = Path(__file__).parent
 
 
 def settings_file(name: str, text: str) -> str:
@@ -48,7 +46,7 @@ TINY = load_study_config(
     opponents=("never-switch", "lane-switcher"), arms=("never-switch", *BEST_OPEN_LOOP, "cfr-argmax", "quick"),
     egos=2, variants=2, lines=1, further_lines=1, further_opponents=("random-moves",),
     further_arms=("ppo", "robust", "psro", "self-play"), replies=("cfr-argmax", "self-play"), reply=LEARNER,
-    reply_races=40, ppo=str(HERE / "ppo_tiny.yaml"), rating_races=2,
+    reply_races=40, ppo=str(SETTINGS / "ppo_duel.yaml"), rating_races=2,
     rated=("never-switch", "cfr-argmax", "ppo", "lane-switcher"), seed=3,
 )  # fmt: skip
 
@@ -61,15 +59,11 @@ def finished(tmp_path_factory):
     return run_study(TINY, folder, quiet=True)
 
 
-@pytest.fixture(scope="module")
-def page(finished) -> str:
-    return (finished.folder / "report.html").read_text(encoding="utf-8")
-
-
-def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished, page):
+def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished):
     main, further = 2 * 6 * 8, 3 * 10 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
     assert len(read_csv(finished.folder / "results.csv").rows()) == main + further
     assert "best-fixed" in (finished.folder / "table.txt").read_text(encoding="utf-8")
+    page = (finished.folder / "report.html").read_text(encoding="utf-8")
     assert "<iframe" in page
     assert "https://" not in page.replace("http://www.w3.org", "")
     assert list(stage_seconds(finished)) == NAMES
@@ -81,7 +75,8 @@ def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished, p
     assert {file: file.stat().st_mtime_ns for file in finished.folder.rglob("*.npz")} == chunks
 
 
-def test_the_report_tells_losses_gains_and_moves(finished, page):
+def test_the_report_tells_losses_gains_and_moves(finished):
+    page = (finished.folder / "report.html").read_text(encoding="utf-8")
     losses = read_csv(finished.folder / "best_replies.csv").rows()
     assert [row["agent"] for row in losses] == ["cfr-argmax", "self-play"]
     assert {(row["track"], row["races"]) for row in losses} == {("Pipkin", "40")}
@@ -254,5 +249,5 @@ def test_a_missing_library_is_told_before_any_work(monkeypatch, tmp_path, change
 def test_a_library_is_asked_for_only_by_stages_that_are_still_to_run(monkeypatch, finished):
     monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
     assert [stage.name for stage in stages_to_run(TINY, finished.folder)] == ["report"]
-    left = stages_to_run(TINY, finished.folder / "new", ["trees", "archive"])
-    assert [stage.name for stage in left] == ["archive", "trees"]
+    left = stages_to_run(replace(TINY, synthesis="default"), finished.folder / "new", ["races", "trees"])
+    assert [stage.name for stage in left] == ["trees", "races"]
