@@ -6,6 +6,7 @@ from refusal import refused
 from zoo_games import untrained
 
 from pcs_racing import GameConfig, InputError, RaceGame, UnknownNameError, get_planner
+from pcs_racing.game.observation import LEAD_SCALE
 from pcs_racing.game.state import put_games, take_games
 from pcs_racing.race.config import CONTEST
 from pcs_racing_agents.agents import Decider, make_setting, parse_agent
@@ -177,6 +178,12 @@ def test_of_races_won_alike_the_clearer_one_and_never_a_move_that_is_not_offered
     for row in np.flatnonzero(~winning.done(state)):
         assert won[row, selected[row]] == won[row].max()
         assert lead[row, selected[row]] >= lead[row, won[row] == won[row].max()].max() - 1e-5
+    state = some_games(winning)  # with moves left, the lead stands for the chance to win
+    early = receding_horizon(make_setting(archive, winning.config), leaf="now").root_games(winning, state, 0)[0]
+    after = winning.step(guess_games(winning, winning, state, 0, state.race.seed), np.full((6, 2), STAY))
+    lead, running = after.race.lead / LEAD_SCALE, ~winning.done(after)
+    assert lead[running].min() < 0.0
+    np.testing.assert_allclose(early[running, STAY, 0], np.clip(lead, -1.0, 1.0)[running], atol=1e-6)
     # Played where the rules do not offer it, it makes the moves that there are.
     strict = replace(game, config=replace(game.config, stay=False))
     agent = receding_horizon(make_setting(archive, strict.config))

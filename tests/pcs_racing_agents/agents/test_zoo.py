@@ -121,6 +121,8 @@ def test_agents_of_other_people(setting, empty_registry, monkeypatch):
     assert options("first-move") == {"bold": False}
     assert build("first-move", setting).name == "first-move"
     assert isinstance(build("first-move", setting, bold=True), Agent)
+    register_agent("any-options", lambda setting, **given: third_party(setting, **given))
+    assert isinstance(build("any-options", setting, bold=True), Agent)
     refused("agent 'first-move' already", register_agent, "first-move", random_moves)
     for name in ("", "a b", "nash", "always-x", "a:b"):
         refused("agent", register_agent, name, third_party)

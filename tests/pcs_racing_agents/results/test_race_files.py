@@ -18,18 +18,12 @@ paper,"b, c",a,Oval,1,12.5000,1,7,0.0000,none,car,both,2,0,3.1000,0,3,,3,,
 """
 
 
-def rows_of(count: int = 12) -> list[dict[str, str]]:
+@pytest.fixture
+def rows() -> list[dict[str, str]]:
     """Lines of a file, to be spoilt."""
-    made = [
-        RaceRow("paper", "a", "b", "Oval", k, 1.5 * k, k % 2, 3, 0.1 * k, "ego", duration=40.0) for k in range(count)
-    ]
+    made = [RaceRow("paper", "a", "b", "Oval", k, 1.5 * k, k % 2, 3, 0.1 * k, "ego", duration=40.0) for k in range(12)]
     lists = ("", "3; 5", "", "stay")
     return [dict(zip(RaceRow._fields, (*map(str, row[:17]), *lists), strict=True)) for row in made]
-
-
-@pytest.fixture
-def rows():
-    return rows_of()
 
 
 def as_file(rows, path):

@@ -1,6 +1,5 @@
 """A whole study, from trees to the report, in a game of two moves of two seconds."""
 
-import csv
 import re
 import shutil
 import tempfile
@@ -10,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from long_jobs import files
+from long_jobs import SETTINGS, files
 from repository import load_tool
 
 from pcs_racing import load_archive, save_archive
@@ -21,14 +20,13 @@ from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network, load_network_set
+from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
 from pcs_racing_agents.study.config import BEST_OPEN_LOOP
 from pcs_racing_agents.study.playing import RATING_SEED
 from pcs_racing_agents.study.reporting import best_open_loop
 from pcs_racing_agents.study.run import seconds_counted, stage_seconds, stages_to_run
 from pcs_racing_agents.study.study import Study
-
-HERE = Path(__file__).parent
 
 
 def settings_file(name: str, text: str) -> str:
@@ -48,7 +46,7 @@ TINY = load_study_config(
     opponents=("never-switch", "lane-switcher"), arms=("never-switch", *BEST_OPEN_LOOP, "cfr-argmax", "quick"),
     egos=2, variants=2, lines=1, further_lines=1, further_opponents=("random-moves",),
     further_arms=("ppo", "robust", "psro", "self-play"), replies=("cfr-argmax", "self-play"), reply=LEARNER,
-    reply_races=40, ppo=str(HERE / "ppo_tiny.yaml"), rating_races=2,
+    reply_races=40, ppo=str(SETTINGS / "ppo_duel.yaml"), rating_races=2,
     rated=("never-switch", "cfr-argmax", "ppo", "lane-switcher"), seed=3,
 )  # fmt: skip
 
@@ -61,20 +59,11 @@ def finished(tmp_path_factory):
     return run_study(TINY, folder, quiet=True)
 
 
-def rows_of(file: Path) -> list[dict[str, str]]:
-    with open(file, newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
-
-
-@pytest.fixture(scope="module")
-def page(finished) -> str:
-    return (finished.folder / "report.html").read_text(encoding="utf-8")
-
-
-def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished, page):
+def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished):
     main, further = 2 * 6 * 8, 3 * 10 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
-    assert len(rows_of(finished.folder / "results.csv")) == main + further
+    assert len(read_csv(finished.folder / "results.csv").rows()) == main + further
     assert "best-fixed" in (finished.folder / "table.txt").read_text(encoding="utf-8")
+    page = (finished.folder / "report.html").read_text(encoding="utf-8")
     assert "<iframe" in page
     assert "https://" not in page.replace("http://www.w3.org", "")
     assert list(stage_seconds(finished)) == NAMES
@@ -86,12 +75,13 @@ def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished, p
     assert {file: file.stat().st_mtime_ns for file in finished.folder.rglob("*.npz")} == chunks
 
 
-def test_the_report_tells_losses_gains_and_moves(finished, page):
-    losses = rows_of(finished.folder / "best_replies.csv")
+def test_the_report_tells_losses_gains_and_moves(finished):
+    page = (finished.folder / "report.html").read_text(encoding="utf-8")
+    losses = read_csv(finished.folder / "best_replies.csv").rows()
     assert [row["agent"] for row in losses] == ["cfr-argmax", "self-play"]
     assert {(row["track"], row["races"]) for row in losses} == {("Pipkin", "40")}
     assert f"<td>{float(losses[0]['loss']):+.3f}</td>" in page
-    families = {row["family"]: row["use"] for row in rows_of(finished.folder / "families.csv")}
+    families = {row["family"]: row["use"] for row in read_csv(finished.folder / "families.csv").rows()}
     assert families == {"never-switch": "training", "random-moves": "training", "lane-switcher": "test"}
     assert "Gain by opponent" in page
     assert f"all against all</th><td>{TINY.seed + RATING_SEED}</td>" in page
@@ -100,7 +90,7 @@ def test_the_report_tells_losses_gains_and_moves(finished, page):
         assert (finished.folder / "report" / f"situations-{name}.csv").is_file()
     assert not (finished.folder / "report" / "situations-best-fixed.csv").exists()
     compared = best_open_loop(finished)
-    table = rows_of(finished.folder / "table.csv")
+    table = read_csv(finished.folder / "table.csv").rows()
     assert {row["base"] for row in table if row["kind"] == "adaptivity gain"} == {compared}
     assert f"quick - {compared}" in (finished.folder / "table.txt").read_text(encoding="utf-8")
 
@@ -259,5 +249,5 @@ def test_a_missing_library_is_told_before_any_work(monkeypatch, tmp_path, change
 def test_a_library_is_asked_for_only_by_stages_that_are_still_to_run(monkeypatch, finished):
     monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
     assert [stage.name for stage in stages_to_run(TINY, finished.folder)] == ["report"]
-    left = stages_to_run(TINY, finished.folder / "new", ["trees", "archive"])
-    assert [stage.name for stage in left] == ["archive", "trees"]
+    left = stages_to_run(replace(TINY, synthesis="default"), finished.folder / "new", ["races", "trees"])
+    assert [stage.name for stage in left] == ["trees", "races"]

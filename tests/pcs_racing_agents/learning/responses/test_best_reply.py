@@ -21,6 +21,11 @@ from pcs_racing_agents.learning.responses.best_reply import excess_estimate
 SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epochs=30, patience=8)
 
 
+def test_networks_of_other_seeds_and_members_begin_with_other_seeds():
+    settings = [load_response_settings(SMALL, seed=seed) for seed in (0, 1, 2)]
+    assert len({one.train_settings(member).seed for one in settings for member in range(32)}) == 96
+
+
 @pytest.fixture(scope="module")
 def setting(archive):
     return make_setting(archive, load_game_config("paper", moves=2, step_seconds=2.5))
