@@ -124,9 +124,8 @@ def test_a_lane_through_places_is_remembered(oval, view_at):
     view = view_at(oval, 3.0)
     along, lane, memory = np.linspace(0.5, 6.0, 12), np.zeros(line.LANE_SIZE), np.zeros(line.LANE_SIZE)
     line.lay_lane(view, 0.1, along, 0.1 + 0.05 * along, lane)
-    np.testing.assert_allclose(
-        lane[: line.LANE_POINTS], 0.1 + 0.05 * line.lane_step(view) * np.arange(line.LANE_POINTS), atol=1e-9
-    )
+    laid = 0.1 + 0.05 * line.lane_step(view) * np.arange(line.LANE_POINTS)
+    np.testing.assert_allclose(lane[: line.LANE_POINTS], laid, atol=1e-9)
     assert line.kept_lane(oval.arrays, memory, 3.5) == (0.0, 0.0)
     line.keep_lane(view, lane, memory)
     assert line.kept_lane(oval.arrays, memory, view[OWN_S] + 1.0) == pytest.approx((0.15, 0.05))
