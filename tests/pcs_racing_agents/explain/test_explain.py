@@ -82,12 +82,11 @@ def test_the_story_tells_every_step_and_a_race_that_ends_at_once(race):
     text = story(race)
     assert text.startswith("cfr-argmax (car 0) against random-moves on oval, contest rules: ")
     assert text.count("saw:") == text.count("did:") == text.count("then:") == text.count("why:") == len(race.steps) > 0
-    for step in race.steps:
-        assert f"did: {race.moves[step.move]}, " in text
+    assert all(f"did: {race.moves[step.move]}, " in text for step in race.steps)
     after = race.lead[round(race.ends[1] / race.replay.frame_dt)]
     for change, words in [(1.3, "gained 1.3 m"), (-1.3, "lost 1.3 m"), (0.04, "no change")]:
-        moved = replace(race, steps=(race.steps[0]._replace(lead=after - change), *race.steps[1:]))
-        assert story(moved).split("then: ")[1].startswith(words)
+        moved = race.steps[0]._replace(lead=after - change)
+        assert story(replace(race, steps=(moved,))).split("then: ")[1].startswith(words)
     empty = replace(race, steps=())
     assert story(empty).endswith("over before the first move.")
     assert picture_bytes(explanation_picture(empty)).startswith(b"<?xml")
@@ -129,6 +128,7 @@ def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, s
         for margin in (0.0, 1000.0)
     )
     assert shy.default.name == "never-switch"
+    assert "did: stay, kept policy" in story(shy)
     for step in shy.steps:
         assert step.move == step.default_move == shy.moves.index("stay")
         if np.argmax(step.values) != step.default_move:
@@ -169,8 +169,10 @@ def test_the_pictures_show_what_was_seen_and_done(race):
     marks = [text for text in space.texts if text.get_text().isdigit()]
     seen = {text.get_text(): text.xy for text in marks if text.get_bbox_patch().get_facecolor() == rgba(CARS[1])}
     for k, step in enumerate(race.steps):
-        right, up = in_units(race.archive, step.opponent)[[1, 0]]
-        assert seen[str(k + 1)] == pytest.approx((right, up))
+        assert seen[str(k + 1)] == pytest.approx(tuple(in_units(race.archive, step.opponent)[[1, 0]]))
+    far = [race.steps[0]._replace(opponent=race.middle - distance) for distance in (3.0, 0.0)]
+    limits = explanation_picture(replace(race, steps=far)).axes[0].get_xlim()
+    assert limits[0] < in_units(race.archive, far[0].opponent)[1] < limits[1]
     panels = [axes for axes in panels if axes.get_visible()]
     for axes, step in zip(panels, race.steps, strict=True):
         assert [patch.get_width() for patch in axes.patches] == pytest.approx(step.values.tolist())

@@ -22,8 +22,7 @@ SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epo
 
 
 def test_networks_of_other_seeds_and_members_begin_with_other_seeds():
-    settings = [load_response_settings(SMALL, seed=seed) for seed in (0, 1, 2)]
-    assert len({one.train_settings(member).seed for one in settings for member in range(32)}) == 96
+    assert len({one.train_settings(i).seed for one in (SMALL, replace(SMALL, seed=1)) for i in range(32)}) == 64
 
 
 @pytest.fixture(scope="module")
