@@ -3,6 +3,7 @@
 import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
+from functools import partial
 from multiprocessing import get_context
 
 import numpy as np
@@ -35,14 +36,9 @@ def compile_kernels() -> None:
     """
     # Spawned, not forked: numba's threads do not survive a fork.
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        for row in ((_tracks, _planners), (_races, _field), (_environments, _circuits), (_solvers,)):
+        for row in ((partial(load_track, TRACK), _planners), (_races, _field), (_drives, _circuits), (_gym, _solvers)):
             for task in [pool.submit(function) for function in row]:
                 task.result()
-
-
-def _tracks() -> None:
-    """What builds a track."""
-    load_track(TRACK)
 
 
 def _planners() -> None:
@@ -53,9 +49,8 @@ def _planners() -> None:
 
 def _field() -> None:
     """All other planners."""
-    for name in planner_names():
-        if name not in PLANNERS:
-            parse_policy(name).planner.pointers()
+    for name in sorted({*planner_names()} - {*PLANNERS}):
+        parse_policy(name).planner.pointers()
 
 
 def _races() -> None:
@@ -80,6 +75,13 @@ def _solvers() -> None:
     Lidar(load_track(TRACK), 8).scan(np.zeros((2, 3)))
 
 
+def _gym() -> None:
+    """The step of the F1TENTH gym."""
+    from pcs_racing.f1tenth.env import GenerationA
+
+    GenerationA(map=TRACK, num_agents=1).reset(np.zeros((1, 3)))
+
+
 def _circuits() -> None:
     """A circuit that is generated, and then a track built from its walls."""
     from pcs_racing.race.random_circuits import RandomCircuits, random_circuit
@@ -89,7 +91,7 @@ def _circuits() -> None:
         random_circuit(RandomCircuits(), 7)
 
 
-def _environments() -> None:
+def _drives() -> None:
     """Environments at the control level: with a lidar and an opponent, and alone."""
     from pcs_racing.envs.drive import DriveVectorEnv
 
