@@ -75,25 +75,23 @@ def run(
     entrants = [load_entrant(text, rules.setting, drive=drive, weights=weights, name=name) for text in agents]
     digests = [competitor_hash(agent) for agent in entrants]
     settings = {"protocol": rules.content_hash, "agents": digests}
-    with (
-        TemporaryDirectory() as folder,
-        workers.start() as executor,
-        open_job(out, "benchmark", settings) as job,
-    ):
+    with TemporaryDirectory() as folder, workers.start() as executor:
+        # Before the job: of a file that is refused nothing stays in the folder of a card.
         secret = None if hidden is None else load_hidden(rules, hidden, Path(folder))
-        results = play_protocol(rules, entrants, job=job, executor=executor, progress=show_progress("races"))
-        scores: dict[str, HiddenScore] = {}
-        if secret is not None:
-            # Without a job: nothing of what is hidden stays in the folder of a card.
-            driven = play_protocol(secret[1], entrants, executor=executor, progress=show_progress("hidden races"))
-            scores = {name: hidden_score(secret[0], races) for name, races in driven.items()}
-        for i, (agent, digest) in enumerate(zip(entrants, digests, strict=True)):
-            # Several agents share a job, whose groups of tasks need names that differ.
-            part = "" if alone else f"agent-{i}-"
-            reply = _best_reply(rules, agent, job, part, executor) if full else None
-            # Names of agents hold colons and equals signs, which some file systems do not allow.
-            own = out if alone else output_folder(out / re.sub(r"[^\w.+-]", "_", competitor_name(agent)))
-            _write(rules, agent, digest, results, reply, scores.get(competitor_name(agent)), own)
+        with open_job(out, "benchmark", settings) as job:
+            results = play_protocol(rules, entrants, job=job, executor=executor, progress=show_progress("races"))
+            scores: dict[str, HiddenScore] = {}
+            if secret is not None:
+                # Without a job: nothing of what is hidden stays in the folder of a card.
+                driven = play_protocol(secret[1], entrants, executor=executor, progress=show_progress("hidden races"))
+                scores = {name: hidden_score(secret[0], races) for name, races in driven.items()}
+            for i, (agent, digest) in enumerate(zip(entrants, digests, strict=True)):
+                # Several agents share a job, whose groups of tasks need names that differ.
+                part = "" if alone else f"agent-{i}-"
+                reply = _best_reply(rules, agent, job, part, executor) if full else None
+                # Names of agents hold colons and equals signs, which some file systems do not allow.
+                own = out if alone else output_folder(out / re.sub(r"[^\w.+-]", "_", competitor_name(agent)))
+                _write(rules, agent, digest, results, reply, scores.get(competitor_name(agent)), own)
 
 
 def _write(

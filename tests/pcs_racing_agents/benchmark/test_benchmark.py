@@ -237,7 +237,8 @@ def test_the_hidden_part_is_the_one_that_the_protocol_states(protocol_file, tmp_
     assert not [*(tmp_path / "card").rglob("*idden*")]  # what is published says nothing of the circuits
     secret.write_text(secret.read_text() + "\n")
     assert main([*command, str(stated)]) == 2  # another file
-    assert main([*command, protocol_file]) == 2  # no part is stated
+    assert main([*command, protocol_file, "--out", str(tmp_path / "none")]) == 2  # no part is stated
+    assert not (tmp_path / "none").exists()
 
 
 def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_path, capsys):
