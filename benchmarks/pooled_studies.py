@@ -6,8 +6,8 @@
 Each folder is that of a finished `pcs-racing study` with a seed of its own. A gain is the score of an agent minus that
 of the open-loop agent that won most training races *of its study*. The mean over studies has a 95 % interval by
 Student's t over archives, of which --archives names that of each study (by default each has its own): it covers what
-depends on archive, seed of training and races. Where an archive has several studies, the standard deviation between
-them, and between the means of archives, is printed, too.
+depends on archive, seed of training and races. Opponents that are drivers are taken together, too. Where an archive
+has several studies, the standard deviation between them, and between the means of archives, is printed, too.
 
 With --headroom, given once for each study after the folders, it also prints how much knowing the opponent's policy is
 worth on the same circuits, and what share of that the agents gain.
@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pcs_racing.planners.registry import planner_names
 from pcs_racing_agents.results.text_table import with_interval
 from pcs_racing_agents.tournament.statistics import clustered_mean
 
@@ -119,11 +120,17 @@ def main() -> None:
     print("| study | archive | best open-loop agent in training |\n|---|---|---|")
     for folder, archive, table in zip(folders, archives, tables, strict=True):
         print(f"| {folder.name} | {archive} | {table.open_loop} |")
+    kinds = {opponent: {opponent} for _, opponent in cells}
+    drivers = set(planner_names()) & set(kinds)
+    if len(drivers) > 1:
+        kinds = {opponent: {opponent} for opponent in kinds if opponent not in drivers} | {"drivers": drivers}
     groups: dict[str, list[Cell]] = {}
-    for opponent in dict.fromkeys(opponent for _, opponent in cells):
+    for kind, opponents in kinds.items():
         for seen, what in ((True, "learning circuits"), (False, "unseen circuits")):
-            some = [cell for cell in cells if cell[1] == opponent and tables[0].seen[cell] == seen]
-            groups |= {f"{what}, {opponent}": some} if some else {}
+            some = [cell for cell in cells if cell[1] in opponents and tables[0].seen[cell] == seen]
+            groups |= {f"{what}, {kind}": some} if some else {}
+        if {f"{what}, {kind}" for what in ("learning circuits", "unseen circuits")} <= set(groups):
+            groups[f"all circuits, {kind}"] = [cell for cell in cells if cell[1] in opponents]
     print(f"\n| agent | {' | '.join(groups)} |\n|---|{'---|' * len(groups)}")
     for arm in arms:
         print(f"| {arm} | {' | '.join(pooled(gains(tables, some, arm), archives) for some in groups.values())} |")
