@@ -96,6 +96,13 @@ def read_job(file: Path) -> Any:
     return plain_yaml(read_limited(file, _MAX_BYTES, "a manifest of a job"))
 
 
+def is_unchanged(folder: Path) -> bool:
+    """Return whether a job's manifest is still the one that its digest was written for; True if it has no digest."""
+    seal = folder / DIGEST
+    text = read_limited(folder / "job.yaml", _MAX_BYTES, "a manifest of a job")
+    return not seal.exists() or read_limited(seal, 100, "a digest") == hashlib.sha256(text).hexdigest().encode()
+
+
 def package_version() -> str:
     """Version of the installed package; ``"0"`` in a checkout that is not installed."""
     try:

@@ -17,7 +17,7 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.jobs.chunks import Arrays, chunk_file, read_chunk
-from pcs_racing_agents.jobs.folders import read_job
+from pcs_racing_agents.jobs.folders import is_unchanged, read_job
 from pcs_racing_agents.jobs.jobs import TaskGroup, open_job, run_groups
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.trees.build import build_tree, check_game
@@ -238,6 +238,8 @@ def _read_settings(file: Path) -> dict[str, Any]:
         manifest = None
     if not isinstance(manifest, dict) or manifest.get("kind") != KIND or not isinstance(manifest.get("settings"), dict):
         raise InputError(f"{file} is no manifest of {KIND}; choose a folder that 'pcs-racing tree' wrote")
+    if not is_unchanged(file.parent):
+        raise InputError(f"{file} is not the manifest that 'pcs-racing tree' wrote there: its digest differs")
     settings: dict[str, Any] = manifest["settings"]
     for key in ("archive", "track"):
         entry = settings.get(key)
