@@ -209,7 +209,7 @@ def archive(folders: list[Path]) -> Digests:
         final_opponents=2,
         final_starts=1,
         min_policies=3,
-        most=8,
+        max_policies=8,
         seed=1,
     )
     with tempfile.TemporaryDirectory() as folder:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcs_racing.planners.registry import planner_names
-from pcs_racing_agents.results.text_table import with_interval
+from pcs_racing_agents.results.tables import with_interval
 from pcs_racing_agents.tournament.statistics import clustered_mean
 
 Cell = tuple[str, str]  # circuit and opponent

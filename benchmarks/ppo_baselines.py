@@ -22,7 +22,7 @@ from pcs_racing_agents import make
 from pcs_racing_agents.agents import as_competitor
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, read_evaluations
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
-from pcs_racing_agents.results.text_table import with_interval
+from pcs_racing_agents.results.tables import with_interval
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare

@@ -31,8 +31,7 @@ from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.blind import walk_to
 from pcs_racing_agents.agents.zoo import make
 from pcs_racing_agents.learning.ppo.tuned import TunedPPO, tuned_environments, tuned_ppo
-from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import markdown, with_interval
+from pcs_racing_agents.results.tables import markdown, with_interval, write_csv
 from pcs_racing_agents.tournament.statistics import clustered_mean
 from research.matches.remember import remember
 

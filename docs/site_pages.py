@@ -153,7 +153,7 @@ def _numpydoc_section(heading: str, body: str, defaults: dict[str, str]) -> str:
 def pages_of_data() -> dict[str, str]:
     """Return the pages of circuits, gallery and zoo, and the leaderboard as a table and as a page with bars."""
     from pcs_racing_agents.benchmark.card import board_page, board_rows, read_cards
-    from pcs_racing_agents.results.text_table import markdown
+    from pcs_racing_agents.results.tables import markdown
 
     if str(REPOSITORY / "tools") not in sys.path:
         sys.path.append(str(REPOSITORY / "tools"))

@@ -17,7 +17,7 @@ import numpy as np
 
 from pcs_racing import load_track, make_game
 from pcs_racing.base.errors import UnknownNameError
-from pcs_racing.race.replay_files import save_replay
+from pcs_racing.race.replay import save_replay
 from pcs_racing_agents import make
 from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.learning.ppo.settings import DuelSettings

@@ -39,8 +39,8 @@ from pcs_racing.race.races import run_races as run_races
 from pcs_racing.race.races import start_races as start_races
 from pcs_racing.race.recording import record_race as record_race
 from pcs_racing.race.replay import Replay as Replay
-from pcs_racing.race.replay_files import read_replay as read_replay
-from pcs_racing.race.replay_files import save_replay as save_replay
+from pcs_racing.race.replay import read_replay as read_replay
+from pcs_racing.race.replay import save_replay as save_replay
 from pcs_racing.race.start_grid import Starts as Starts
 from pcs_racing.race.state import RaceState as RaceState
 from pcs_racing.track.loading import load_track as load_track

@@ -15,8 +15,7 @@ from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import Circuits, Rules, output_folder
-from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import aligned, with_interval
+from pcs_racing_agents.results.tables import aligned, with_interval, write_csv
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.play import game_rules
 from pcs_racing_agents.tournament.statistics import clustered_mean

@@ -34,8 +34,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.sb3_files import load_sb3_policy
 from pcs_racing_agents.benchmark.card import read_cards
-from pcs_racing_agents.view.person_drive import make_person_drive
-from pcs_racing_agents.view.person_race import PersonRaces
+from pcs_racing_agents.view.person_race import PersonRaces, make_person_drive
 from pcs_racing_agents.view.race_replays import RaceRepeater
 from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_server import Answer, RaceService, make_server

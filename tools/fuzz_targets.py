@@ -34,7 +34,7 @@ from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.planners.lidar_networks import LIDAR_FORMAT, read_lidar_driver
 from pcs_racing.planners.trained import DRIVER_FORMAT, read_driver
 from pcs_racing.race.recording import record_race
-from pcs_racing.race.replay_files import save_replay
+from pcs_racing.race.replay import save_replay
 from pcs_racing.track.map_files import (
     CENTERLINE_COLUMNS,
     RACELINE_COLUMNS,
@@ -60,8 +60,8 @@ from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.results.race_files import read_results
-from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.report_inputs import read_curves, read_losses
+from pcs_racing_agents.study.study import load_study_config
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.tournament.play import plan_tournament, tournament_settings

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from pcs_racing.base.errors import MapError
-from pcs_racing.track.mapping.folders import generate_map
+from pcs_racing.track.mapping.circuits import generate_map
 from pcs_racing.track.maps import read_map, write_map
 from pcs_racing.track.track import Track
 

@@ -13,8 +13,7 @@ from pathlib import Path
 
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.networks import load_network, load_network_set, save_network, save_network_set
-from pcs_racing_agents.study.config import load_study_config
-from pcs_racing_agents.study.study import SET_AGENTS, Study
+from pcs_racing_agents.study.study import SET_AGENTS, Study, load_study_config
 
 
 def ship(study: Study, checkout: Path) -> list[Path]:

@@ -42,41 +42,43 @@ def is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int) or math.isfinite(value)
 
 
-def within(least: float | None, most: float | None, above: float | None = None) -> str:
+def within(minimum: float | None, maximum: float | None, above: float | None = None) -> str:
     """Return the words for a range: ``from 0 to 1``, ``from 1``, ``above 0 up to 1``; empty where there is none."""
-    low = "" if least is None and above is None else f" from {least:.12g}" if above is None else f" above {above:.12g}"
-    high = "" if most is None else f" to {most:.12g}" if above is None and least is not None else f" up to {most:.12g}"
-    return low + high
+    if above is not None:
+        low, to = f" above {above:.12g}", " up to"
+    else:
+        low, to = ("", " up to") if minimum is None else (f" from {minimum:.12g}", " to")
+    return low if maximum is None else f"{low}{to} {maximum:.12g}"
 
 
 def check_whole(
-    name: str, value: Any, least: int | None = 0, most: int | None = None, error: Error = InputError
+    name: str, value: Any, minimum: int | None = 0, maximum: int | None = None, error: Error = InputError
 ) -> int:
     """Return a whole number within a range, both ends included, as an ``int``."""
-    if not is_whole(value) or (least is not None and value < least) or (most is not None and value > most):
-        raise error(f"{name} is {value!r}; it must be a whole number{within(least, most)}")
+    if not is_whole(value) or (minimum is not None and value < minimum) or (maximum is not None and value > maximum):
+        raise error(f"{name} is {value!r}; it must be a whole number{within(minimum, maximum)}")
     return int(value)
 
 
 def check_number(
     name: str,
     value: Any,
-    least: float | None = None,
-    most: float | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
     *,
     above: float | None = None,
     error: Error = InputError,
 ) -> float:
-    """Return a finite number within a range; ``least`` and ``most`` belong to it, ``above`` does not.
+    """Return a finite number within a range; ``minimum`` and ``maximum`` belong to it, ``above`` does not.
 
     A number of Python is returned as it is, one of numpy as a number of Python.
     """
     fine = is_number(value)
     # Compared only now: what is no number need not have an order.
-    fine = fine and (least is None or value >= least) and (most is None or value <= most)
+    fine = fine and (minimum is None or value >= minimum) and (maximum is None or value <= maximum)
     if not fine or (above is not None and not value > above):
-        kind = "finite number" if least is most is above is None else "number"
-        raise error(f"{name} is {value!r}; it must be a {kind}{within(least, most, above)}")
+        kind = "finite number" if minimum is maximum is above is None else "number"
+        raise error(f"{name} is {value!r}; it must be a {kind}{within(minimum, maximum, above)}")
     return value.item() if isinstance(value, np.generic) else value
 
 
@@ -115,11 +117,12 @@ def did_you_mean(name: Any, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def check_names(name: str, values: Any, least: int = 1, error: Error = InputError) -> tuple[str, ...]:
+def check_names(name: str, values: Any, minimum: int = 1, error: Error = InputError) -> tuple[str, ...]:
     """Return a list of different texts, none empty, as a tuple."""
     listed = isinstance(values, list | tuple) and all(isinstance(value, str) and value for value in values)
-    if not listed or len(values) < least:
-        raise error(f"{name} is {values!r}; it must be a list of {'names' if least < 2 else f'{least} names or more'}")
+    if not listed or len(values) < minimum:
+        wanted = "names" if minimum < 2 else f"{minimum} names or more"
+        raise error(f"{name} is {values!r}; it must be a list of {wanted}")
     if len(set(values)) < len(values):
         raise error(f"{name} are {', '.join(values)}; name each once")
     return tuple(values)
@@ -128,26 +131,27 @@ def check_names(name: str, values: Any, least: int = 1, error: Error = InputErro
 def check_wholes(
     name: str,
     values: Any,
-    least: int,
-    most: int,
+    minimum: int,
+    maximum: int,
     count: tuple[int, int] | None = None,
     *,
     different: bool = False,
     error: Error = InputError,
 ) -> tuple[int, ...]:
-    """Return a list of whole numbers within a range as a tuple; ``count`` is the fewest and the most of them."""
+    """Return a list of whole numbers within a range as a tuple; ``count`` is how many there may be, from and to."""
     low, high = count or (0, math.inf)
-    listed = isinstance(values, list | tuple) and all(is_whole(value) and least <= value <= most for value in values)
+    listed = isinstance(values, list | tuple)
+    listed = listed and all(is_whole(value) and minimum <= value <= maximum for value in values)
     if not listed or not low <= len(values) <= high or (different and len(set(values)) < len(values)):
         many = "" if count is None else f"{low} to {high} " if low else f"at most {high} "
         kind = "different " if different else ""
-        raise error(f"{name} is {values!r}; it must be a list of {many}{kind}whole numbers{within(least, most)}")
+        raise error(f"{name} is {values!r}; it must be a list of {many}{kind}whole numbers{within(minimum, maximum)}")
     return tuple(int(value) for value in values)
 
 
-def check_seed(seed: Any, name: str = "seed", most: int | None = None) -> int:
+def check_seed(seed: Any, name: str = "seed", maximum: int | None = None) -> int:
     """Return a seed, a whole number from 0, as an ``int``."""
-    return check_whole(name, seed, 0, most)
+    return check_whole(name, seed, 0, maximum)
 
 
 def check_array(
@@ -155,13 +159,13 @@ def check_array(
     value: ArrayLike,
     shape: Sequence[int | None],
     *,
-    least: float | None = None,
-    most: float | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
     error: Error = InputError,
 ) -> NDArray[np.float64]:
     """Return a new array of finite numbers.
 
-    In ``shape`` None stands for any length; ``least`` and ``most`` belong to the range.
+    In ``shape`` None stands for any length; ``minimum`` and ``maximum`` belong to the range.
     """
     try:
         if np.iscomplexobj(value):
@@ -173,9 +177,9 @@ def check_array(
     if not _fits(array, shape):
         wanted = ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "")
         raise error(f"{name} has shape {array.shape}; it must have ({wanted})")
-    wrong = ~np.isfinite(array) | _outside(array, least, most)
+    wrong = ~np.isfinite(array) | _outside(array, minimum, maximum)
     if wrong.any():
-        raise error(f"{name} holds {_first(array, wrong)}; it must be finite{within(least, most)}")
+        raise error(f"{name} holds {_first(array, wrong)}; it must be finite{within(minimum, maximum)}")
     return array
 
 
@@ -184,13 +188,13 @@ def _fits(array: NDArray[Any], shape: Sequence[int | None]) -> bool:
     return array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
 
 
-def _outside(array: NDArray[Any], least: float | None, most: float | None) -> NDArray[np.bool_]:
+def _outside(array: NDArray[Any], minimum: float | None, maximum: float | None) -> NDArray[np.bool_]:
     """Which numbers are beyond one of two limits."""
     outside = np.zeros(array.shape, np.bool_)
-    if least is not None:
-        outside |= array < least
-    if most is not None:
-        outside |= array > most
+    if minimum is not None:
+        outside |= array < minimum
+    if maximum is not None:
+        outside |= array > maximum
     return outside
 
 
@@ -210,12 +214,12 @@ def as_array(values: Any) -> NDArray[Any]:
 
 
 def check_whole_array(
-    name: str, value: ArrayLike, *shapes: tuple[int | None, ...], least: int | None = None, most: int | None = None
+    name: str, value: ArrayLike, *shapes: tuple[int | None, ...], minimum: int | None = None, maximum: int | None = None
 ) -> NDArray[np.int64]:
     """Return a new array of whole numbers; numbers with a fraction are refused, not cut off.
 
-    Any of the ``shapes`` will do, and any shape if none is named; None stands for any length. ``least`` and ``most``
-    belong to the range.
+    Any of the ``shapes`` will do, and any shape if none is named; None stands for any length. Both ends belong to the
+    range.
     """
     array = as_array(value)
     fits = not shapes or any(_fits(array, shape) for shape in shapes)
@@ -223,10 +227,10 @@ def check_whole_array(
         wanted = " or ".join(str(shape).replace("None", "any") for shape in shapes)
         found = f"has shape {array.shape} and type {array.dtype}" if array.ndim else f"is {value!r:.80}"
         raise InputError(f"{name} {found}; it must hold whole numbers" + (f" in shape {wanted}" if shapes else ""))
-    wrong = _outside(array, least, most)
+    wrong = _outside(array, minimum, maximum)
     if wrong.any():
         has = "holds" if array.ndim else "is"
-        raise InputError(f"{name} {has} {_first(array, wrong)}; it must be a whole number{within(least, most)}")
+        raise InputError(f"{name} {has} {_first(array, wrong)}; it must be a whole number{within(minimum, maximum)}")
     return array.astype(np.int64)
 
 

@@ -28,6 +28,7 @@ from pcs_racing.base.checks import (
     check_whole,
     check_wholes,
     did_you_mean,
+    is_number,
     is_whole,
     within,
 )
@@ -52,26 +53,43 @@ ANYTHING = Rule(lambda name, value: value)
 """What is checked where it is used, by one who knows more of it."""
 
 
-def whole(least: int, most: int) -> Rule:
-    """A whole number from ``least`` to ``most``."""
-    return Rule(partial(check_whole, least=least, most=most, error=ConfigError), within(least, most).strip(), int)
+def whole(minimum: int, maximum: int) -> Rule:
+    """A whole number from ``minimum`` to ``maximum``."""
+    words = within(minimum, maximum).strip()
+    return Rule(partial(check_whole, minimum=minimum, maximum=maximum, error=ConfigError), words, int)
 
 
-def number(least: float, most: float) -> Rule:
-    """A finite number from ``least`` to ``most``."""
-    return Rule(partial(check_number, least=least, most=most, error=ConfigError), within(least, most).strip(), float)
+def number(minimum: float, maximum: float) -> Rule:
+    """A finite number from ``minimum`` to ``maximum``."""
+    words = within(minimum, maximum).strip()
+    return Rule(partial(check_number, minimum=minimum, maximum=maximum, error=ConfigError), words, float)
 
 
-def tenths(least: float, most: float) -> Rule:
-    """A multiple of 0.1 from ``least`` to ``most``."""
+def tenths(minimum: float, maximum: float) -> Rule:
+    """A multiple of 0.1 from ``minimum`` to ``maximum``."""
 
     def check(name: str, value: Any) -> float:
-        checked = check_number(name, value, least, most, error=ConfigError)
+        checked = check_number(name, value, minimum, maximum, error=ConfigError)
         if abs(checked * 10.0 - round(checked * 10.0)) > 1e-9:
             raise ConfigError(f"{name} is {value!r}; it must be a multiple of 0.1")
         return checked
 
-    return Rule(check, f"{within(least, most).strip()}, a multiple of 0.1", float)
+    return Rule(check, f"{within(minimum, maximum).strip()}, a multiple of 0.1", float)
+
+
+def number_range(what: str, minimum: float, maximum: float, is_kind: Callable[[Any], bool] = is_number) -> Rule:
+    """Two numbers within limits, the second one not below the first; a single number stands for both."""
+
+    def check(name: str, value: Any) -> tuple[Any, Any]:
+        pair = [value, value] if is_kind(value) else value
+        fine = isinstance(pair, list | tuple) and len(pair) == 2 and all(map(is_kind, pair))
+        if not fine or not minimum <= pair[0] <= pair[1] <= maximum:
+            wanted = f"[low, high] with {minimum:g} <= low <= high <= {maximum:g}"
+            raise ConfigError(f"{name}{what} is {value!r}; it must be {wanted}")
+        kind = float if is_kind is is_number else int
+        return kind(pair[0]), kind(pair[1])
+
+    return Rule(check, f"[low, high] from {minimum:g} to {maximum:g}")
 
 
 def flag() -> Rule:
@@ -90,32 +108,32 @@ def choice(known: Iterable[str]) -> Rule:
     return Rule(partial(check_choice, choices=known, error=ConfigError), f"one of {', '.join(known)}")
 
 
-def names(fewest: int = 1) -> Rule:
-    """A list of at least ``fewest`` different names."""
-    return Rule(partial(check_names, least=fewest, error=ConfigError), several=True)
+def names(minimum: int = 1) -> Rule:
+    """A list of at least ``minimum`` different names."""
+    return Rule(partial(check_names, minimum=minimum, error=ConfigError), several=True)
 
 
-def wholes(least: int, most: int, *, fewest: int = 0, longest: int = 1000, different: bool = False) -> Rule:
-    """A list of ``fewest`` to ``longest`` whole numbers from ``least`` to ``most``."""
-    count = fewest, longest
-    check = partial(check_wholes, least=least, most=most, count=count, different=different, error=ConfigError)
-    return Rule(check, f"{fewest} to {longest} numbers{within(least, most)}", int, True)
+def wholes(minimum: int, maximum: int, *, shortest: int = 0, longest: int = 1000, different: bool = False) -> Rule:
+    """A list of ``shortest`` to ``longest`` whole numbers from ``minimum`` to ``maximum``."""
+    count = shortest, longest
+    check = partial(check_wholes, minimum=minimum, maximum=maximum, count=count, different=different, error=ConfigError)
+    return Rule(check, f"{shortest} to {longest} numbers{within(minimum, maximum)}", int, True)
 
 
-def weights(least: int, most: int) -> Rule:
-    """A mapping of names to whole numbers from ``least`` to ``most``."""
+def weights(minimum: int, maximum: int) -> Rule:
+    """A mapping of names to whole numbers from ``minimum`` to ``maximum``."""
 
     def check(name: str, value: Any) -> dict[str, int]:
         if not isinstance(value, Mapping) or not value:
             raise ConfigError(f"{name} is {value!r}; it must be a mapping of names to whole numbers")
         for key, weight in value.items():
-            if not isinstance(key, str) or not key or not is_whole(weight) or not least <= weight <= most:
+            if not isinstance(key, str) or not key or not is_whole(weight) or not minimum <= weight <= maximum:
                 raise ConfigError(
-                    f"{name} holds {key!r}: {weight!r}; give names with whole numbers{within(least, most)}"
+                    f"{name} holds {key!r}: {weight!r}; give names with whole numbers{within(minimum, maximum)}"
                 )
         return {key: int(weight) for key, weight in value.items()}
 
-    return Rule(check, f"weights{within(least, most)}")
+    return Rule(check, f"weights{within(minimum, maximum)}")
 
 
 def checked(function: Callable[[Any], Any], words: str = "") -> Rule:

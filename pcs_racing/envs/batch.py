@@ -8,13 +8,20 @@ ends is not the batch's business: :class:`pcs_racing.envs.single.SingleEnv` and
 :class:`pcs_racing.envs.vector.BatchVectorEnv` see to that.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
+from pcs_racing.base.errors import InputError
+from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.race.races import RaceSetup
+from pcs_racing.race.start_grid import Starts, places_of_grid, settle
+from pcs_racing.race.state import RaceState, empty_state
+from pcs_racing.track.frenet import X, Y
 
 Rows = NDArray[np.int64]
 """Numbers of episodes, or a number for each."""
@@ -39,3 +46,72 @@ def check_batch_size(episodes: int, threads: int | None) -> None:
     check_whole("num_envs", episodes, 1, MOST_EPISODES)
     if threads is not None:
         check_whole("threads", threads, 1)
+
+
+def read_numbers(options: Mapping[str, Any], name: str, shapes: Sequence[tuple[int | None, ...]], meaning: str) -> Any:
+    """An option as finite numbers of one of some shapes, in which None stands for any size; None if it is not given."""
+    if options.get(name) is None:
+        return None
+    try:
+        values = np.asarray(options[name], np.float64)
+    except (TypeError, ValueError):
+        values = np.full((), np.nan)
+    fits = any(
+        len(shape) == values.ndim and all(want in (None, size) for want, size in zip(shape, values.shape, strict=True))
+        for shape in shapes
+    )
+    if not fits or not np.isfinite(values).all():
+        raise InputError(f"reset option {name!r} is {options[name]!r:.80}; it must be {meaning}, finite numbers")
+    return values
+
+
+def start_option(options: Mapping[str, Any], episodes: int, cars: int = 2) -> Starts | None:
+    """Read the option "start": arc length of the start line (m) and place of car 0, of each episode or for all."""
+    places = places_of_grid(cars)
+    sides = "side 0 or 1" if places == 2 else f"place 0 to {places - 1}"
+    meaning = f"(arc length in m, {sides}), for all episodes or for each of the {episodes}"
+    values = read_numbers(options, "start", ((2,), (episodes, 2)), meaning)
+    if values is None:
+        return None
+    s, side = np.broadcast_to(values, (episodes, 2)).T
+    if not np.isin(side, np.arange(places)).all():
+        raise InputError(f"reset option 'start' is {options['start']!r:.80}; it must be {meaning}")
+    return Starts(s.copy(), side.astype(np.int64))
+
+
+def poses_option(options: Mapping[str, Any], episodes: int, cars: int = 2) -> NDArray[np.float64] | None:
+    """Read the option "poses": x, y (m), heading (rad) and optionally speed (m/s) of all cars, shape (B, N, 4).
+
+    For a car alone it may hold a second pose, which nobody takes.
+    """
+    rows = (1, 2) if cars == 1 else (cars,)
+    shapes = [(*first, row, size) for first in ((), (episodes,)) for row in rows for size in (3, 4)]
+    whose, row = ("both cars", 2) if cars == 2 else ("all cars", cars)
+    meaning = (
+        f"x, y, heading and, if not 0, speed of {whose}, shape ({row}, 3), ({row}, 4) or with {episodes} rows of these"
+    )
+    values = read_numbers(options, "poses", shapes, meaning)
+    if values is None:
+        return None
+    poses = np.zeros((episodes, cars, 4))
+    poses[..., : values.shape[-1]] = values[..., :cars, :]
+    if not ((poses[..., 3] >= 0.0) & (poses[..., 3] <= F1TENTH.v_max)).all():
+        raise InputError(f"a speed in the reset option 'poses' is not from 0 to {F1TENTH.v_max:g} m/s")
+    return poses
+
+
+def place_poses(setup: RaceSetup, poses: NDArray[np.float64]) -> RaceState:
+    """Races whose cars stand at given poses, shape (B, N, 4); progress is counted from the front car."""
+    state = empty_state(len(poses), setup.memory_size, len(setup.vehicles))
+    state.cars[:, :, X], state.cars[:, :, Y] = poses[..., 0], poses[..., 1]
+    state.cars[:, :, _vehicle.PSI] = np.mod(poses[..., 2], 2.0 * np.pi)
+    state.cars[:, :, _vehicle.V] = poses[..., 3]
+    settle(setup.track, setup.vehicles, state)
+    wrong = np.flatnonzero(state.crashed)
+    if len(wrong):
+        where, other = poses[wrong[0], :, :3].tolist(), "the other" if state.number == 2 else "another"
+        raise InputError(f"episode {wrong[0]}: at the poses {where} a car stands in a wall or in {other}")
+    length = setup.track.length
+    behind = np.mod(state.frenet[:, :1, 0] - state.frenet[..., 0] + 0.5 * length, length) - 0.5 * length
+    state.progress[:] = behind.min(axis=1, keepdims=True) - behind
+    return state

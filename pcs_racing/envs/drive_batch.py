@@ -14,7 +14,7 @@ from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import compiled_for, first_call
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import WORK_SHAPE
-from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_batch_size
+from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_batch_size, place_poses, poses_option, start_option
 from pcs_racing.envs.drive_kernel import (
     SEEN_SHAPE,
     Sight,
@@ -26,11 +26,9 @@ from pcs_racing.envs.drive_kernel import (
 )
 from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, rivals_of, samples_ahead, shares
 from pcs_racing.envs.infos import Result, all_poses, common_codes, pose_info, race_info, race_infos, race_results
-from pcs_racing.envs.moving_opponents import MovingOpponents
 from pcs_racing.envs.obstacles import obstacles_option
-from pcs_racing.envs.opponents import draw_opponent, drive_opponents, shared_planner
-from pcs_racing.envs.reset_options import place_poses, poses_option, start_option
-from pcs_racing.envs.variety import Variety
+from pcs_racing.envs.opponents import MovingOpponents, draw_opponent, drive_opponents, shared_planner
+from pcs_racing.envs.randomization import EpisodeRandomization
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.rules import RaceGame
@@ -50,13 +48,13 @@ from pcs_racing.track.track import Track
 EXTERNAL = Planner("external", (), leave_path, hold_command, memory_size=COMMAND_SLOTS)
 """The planner of a car that is driven from outside: its memory holds the target steering angle and speed."""
 
-WORTH_A_THREAD = 250.0  # us of work in a step; to hand over less takes longer than to do it
+US_OF_A_THREAD = 250.0  # us of work in a step; to hand over less takes longer than to do it
 TICK_US, SCAN_US, BEAM_US = 0.5, 2.5, 0.005  # about what a simulation step, a scan and each of its beams take
 MOST_NUMBERS = 250_000_000  # of all observations together: 1 GB
 KEPT = 64  # circuits that no race is on
 
 
-class Scene(NamedTuple):
+class KernelInputs(NamedTuple):
     """What the kernel is handed for a run of races: the circuit, the rules, and what the players observe."""
 
     arrays: TrackArrays
@@ -64,12 +62,12 @@ class Scene(NamedTuple):
     sight: Sight
 
 
-class Course(NamedTuple):
+class CircuitSetup(NamedTuple):
     """A circuit with what all races on it share."""
 
     setup: RaceSetup
     grid: RaceState  #: Races at all places that episodes begin at.
-    scene: Scene  #: Of races without obstacles.
+    inputs: KernelInputs  #: Of races without obstacles.
 
 
 class DriveBatch:
@@ -88,7 +86,7 @@ class DriveBatch:
         self.episodes, self.players, self.options = int(episodes), players, options
         given = rivals_of(options.opponent, options.opponents)
         self.cars = players + len(given)  #: In each race.
-        self.variety = Variety(self.episodes, options, cars=self.cars)
+        self.randomization = EpisodeRandomization(self.episodes, options, cars=self.cars)
         changes: dict[str, Any] = {"start_lines": options.start_lines}
         if options.duration is not None:
             changes["duration"] = options.duration
@@ -108,8 +106,10 @@ class DriveBatch:
         game = self._moving.game if self._moving else None
         planners = [EXTERNAL] * players + [shared_planner(rivals, game) for rivals in self.rivals]
         # The memory of late commands has one size for all episodes: that of the longest delay.
-        delay = self.variety.randomization.most_delay
-        self.setup = RaceSetup(self.variety.circuits.track(0), config, tuple(planners), self.variety.cars, delay)
+        delay = self.randomization.ranges.most_delay
+        self.setup = RaceSetup(
+            self.randomization.circuits.track(0), config, tuple(planners), self.randomization.cars, delay
+        )
         self._ticks = options.ticks
         #: Steps of an episode that does not end early.
         self.horizon = -(-self.setup.config.ticks // self._ticks)
@@ -117,7 +117,7 @@ class DriveBatch:
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
             **common_codes(opponent.name for opponent in self.opponents),
-            **self.variety.codes,
+            **self.randomization.codes,
         }
         self.elements = drive_elements(options, self.cars)
         # Refused before arrays of this size are made.
@@ -137,24 +137,24 @@ class DriveBatch:
 
     def _make_game(self) -> RaceGame:
         """The game of moves that an opponent plays which changes its policy while it drives."""
-        track, archive = self.variety.circuits.track(0), load_archive(self.options.archive)
+        track, archive = self.randomization.circuits.track(0), load_archive(self.options.archive)
         rules = load_game_config(self.options.race)
-        return RaceGame(track, archive, rules, ego_planner=EXTERNAL, vehicles=self.variety.cars[:2])
+        return RaceGame(track, archive, rules, ego_planner=EXTERNAL, vehicles=self.randomization.cars[:2])
 
     @property
     def track(self) -> Track:
         """The circuit of the first race."""
-        return self.variety.track(0)
+        return self.randomization.track(0)
 
     def _make_sight(self) -> Sight:
         """What the players observe; ``ahead`` belongs to a circuit."""
         options = self.options
-        noise = self.variety.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
+        noise = self.randomization.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
         sight = make_sight(options, self.cars, self.players, self.setup.track)
         return sight._replace(end_tick=self.setup.config.ticks, noise=noise)
 
-    def _make_course(self, circuit: int) -> Course:
-        setup = replace(self.setup, track=self.variety.circuits.track(circuit))
+    def _make_circuit(self, number: int) -> CircuitSetup:
+        setup = replace(self.setup, track=self.randomization.circuits.track(number))
         lines = start_lines(setup.track, setup.config, 0, split="train")
         count = places_of_grid(self.cars)
         places = Starts(np.repeat(lines, count), np.tile(np.arange(count), len(lines)))
@@ -164,16 +164,16 @@ class DriveBatch:
         # Time to collision costs time, and only opponents that observe characteristics need it.
         if self._moving is None:
             settings = settings._replace(ittc_horizon=0.0)
-        return Course(setup, grid, Scene(setup.track.arrays, settings, self._sight._replace(ahead=ahead)))
+        return CircuitSetup(setup, grid, KernelInputs(setup.track.arrays, settings, self._sight._replace(ahead=ahead)))
 
     def _prepare_races(self, threads: int | None) -> None:
         setup, races, options = self.setup, self.episodes, self.options
-        #: The course on a circuit, by its number. As many can be in use at once as there are races.
-        self.course = lru_cache(maxsize=KEPT + races)(self._make_course)
-        course = self.course(0)
-        self._scenes = [course.scene] * races  # of each race: what it is driven on, and what its players observe
+        #: Circuits by their numbers. As many can be in use at once as there are races.
+        self.circuit = lru_cache(maxsize=KEPT + races)(self._make_circuit)
+        circuit = self.circuit(0)
+        self._inputs = [circuit.inputs] * races  # of each race: what it is driven on, and what its players observe
         #: All races; written to by `restart` and `step`.
-        self.state = take(course.grid, np.zeros(races, np.intp))
+        self.state = take(circuit.grid, np.zeros(races, np.intp))
         self.drawn = np.zeros(races, np.int64)  #: Index of each race's opponent.
         # Equal weights draw a whole number, others a share: which of the two is part of what a seed means.
         weights = np.array([opponent.weight for opponent in self.opponents] or [1.0])
@@ -181,19 +181,19 @@ class DriveBatch:
         self.theta = np.zeros((races, self.cars, setup.theta_size))
         #: shape (races, cars): Faults that agents have paid for, which one that ended a race never is.
         self._paid = np.zeros((races, self.cars), np.int8)
-        self.vehicles = self.variety.vehicles
+        self.vehicles = self.randomization.vehicles
         self._limits = max(car.steer_max for car in setup.vehicles[: self.players]), float(options.top_speed)
         self._laps = np.inf if options.laps is None else float(options.laps)
         paid = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
         fault_loses = setup.config.crash_rule == "fault-loses"
         self._weights = (*(float(getattr(options, name)) for name in paid), fault_loses, self._laps)
         self._rows = np.arange(races)
-        variety = self.variety
-        self._uniform = not variety.circuits.several  # until an obstacle stands somewhere
-        self._varied = bool(variety.codes or variety.drawn or variety.obstacles)
+        randomization = self.randomization
+        self._uniform = not randomization.circuits.several  # until an obstacle stands somewhere
+        self._varied = bool(randomization.codes or randomization.drawn or randomization.obstacles)
         self._in_python = any(planner.drive is not None for planner in setup.planners)
         scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
-        enough_for = int(races * (0.5 * max(2, self.cars) * TICK_US * self._ticks + scans) / WORTH_A_THREAD)
+        enough_for = int(races * (0.5 * max(2, self.cars) * TICK_US * self._ticks + scans) / US_OF_A_THREAD)
         #: Threads that share a step: no more than have enough to do.
         self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
         size = max(1, *(planner.scratch_size for planner in setup.planners))
@@ -217,38 +217,38 @@ class DriveBatch:
         if starts is not None and poses is not None:
             raise InputError("reset options 'start' and 'poses' were both given; give one of the two")
         boxes = obstacles_option(options, len(rows))
-        self.variety.draw(rows, generators)
-        groups = [(self.course(circuit), some) for circuit, some in self.variety.groups(rows)]
+        self.randomization.draw(rows, generators)
+        groups = [(self.circuit(number), some) for number, some in self.randomization.groups(rows)]
         places, seeds, at = np.zeros(count, np.int64), np.zeros(count, np.uint64), np.zeros((count, self.cars))
         grids: list[RaceState] = []
         # The draws of an episode come in this order whatever is given, so that one seed is one episode.
-        for course, some in groups:
-            grid = course.grid
+        for circuit, some in groups:
+            grid = circuit.grid
             if starts is not None:
-                grid = start_races(course.setup, starts.take(some), np.zeros(len(some), np.uint64))
+                grid = start_races(circuit.setup, starts.take(some), np.zeros(len(some), np.uint64))
             elif poses is not None:
-                grid = place_poses(course.setup, poses[some])
+                grid = place_poses(circuit.setup, poses[some])
             for k, i in enumerate(some):
                 generator = generators[i]
-                places[i] = generator.integers(course.grid.races)
+                places[i] = generator.integers(circuit.grid.races)
                 self._draw_opponent(int(rows[i]), generator)
                 seeds[i] = generator.integers(2**64, dtype=np.uint64)
                 # What stands where the options say has a row of its own instead of a place on the grid.
-                if grid is not course.grid:
+                if grid is not circuit.grid:
                     places[i] = k
             at[some] = grid.frenet[places[some], :, 0]
             grids.append(grid)
-        self.variety.place_obstacles(rows, at, generators, boxes)
+        self.randomization.place_obstacles(rows, at, generators, boxes)
         # Before anything is written: a reset that is refused leaves the races as they were.
         if boxes is not None:
-            for (course, some), grid in zip(groups, grids, strict=True):
-                self._check_clear(course.setup, rows[some], take(grid, places[some]))
-        for (course, some), grid in zip(groups, grids, strict=True):
+            for (circuit, some), grid in zip(groups, grids, strict=True):
+                self._check_clear(circuit.setup, rows[some], take(grid, places[some]))
+        for (circuit, some), grid in zip(groups, grids, strict=True):
             for row in rows[some]:
-                arrays = self.variety.track(int(row)).arrays
+                arrays = self.randomization.track(int(row)).arrays
                 # Races with obstacles have arrays of their own, and are stepped apart from the others.
-                own = arrays is not course.scene.arrays
-                self._scenes[row] = course.scene._replace(arrays=arrays) if own else course.scene
+                own = arrays is not circuit.inputs.arrays
+                self._inputs[row] = circuit.inputs._replace(arrays=arrays) if own else circuit.inputs
                 self._uniform &= not own
             restart(self.state, grid, rows[some], places[some], seeds[some])
         if self._moving is not None:
@@ -256,14 +256,14 @@ class DriveBatch:
 
     def _check_clear(self, setup: RaceSetup, rows: NDArray[np.int64], placed: RaceState) -> None:
         """Refuse obstacles that a car would stand in."""
-        settle(setup.track, setup.vehicles, placed, self.variety.conditions(rows))
+        settle(setup.track, setup.vehicles, placed, self.randomization.conditions(rows))
         wrong = np.flatnonzero(placed.crashed)
         if len(wrong):
             raise InputError(f"episode {rows[wrong[0]]}: a car starts in one of the obstacles")
 
     def forget(self, rows: NDArray[np.int64]) -> None:
         """Let what lasts for several episodes begin anew, as the generators of some episodes do."""
-        self.variety.circuits.forget(rows)
+        self.randomization.circuits.forget(rows)
 
     def _draw_opponent(self, row: int, generator: np.random.Generator) -> None:
         if self._edges is None:
@@ -290,11 +290,11 @@ class DriveBatch:
         return out.reshape(self.episodes, self.cars, -1)
 
     def _see(self, rows: NDArray[np.int64], players: int, out: NDArray[np.float32]) -> None:
-        scenes = [self._scenes[row] for row in rows]
-        for first, last in runs_of(scenes):
-            scene = scenes[first]
-            sight, work = scene.sight._replace(players=players), self._buffers[0][2:]
-            observe_races(scene.arrays, self.state, self.vehicles, sight, rows, first, last, *work, out)
+        inputs = [self._inputs[row] for row in rows]
+        for first, last in runs_of(inputs):
+            one = inputs[first]
+            sight, work = one.sight._replace(players=players), self._buffers[0][2:]
+            observe_races(one.arrays, self.state, self.vehicles, sight, rows, first, last, *work, out)
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return actions as float64 of shape (B, players, 2), or raise an error that says what is wrong, and where."""
@@ -353,21 +353,21 @@ class DriveBatch:
     ) -> None:
         """Step a part of the races, on one thread."""
         # Races on the same circuit stand side by side, so that a call of the kernel takes a run of them.
-        runs = [(0, last - first)] if self._uniform or first == last else runs_of(self._scenes[first:last])
+        runs = [(0, last - first)] if self._uniform or first == last else runs_of(self._inputs[first:last])
         for low, high in runs:
-            scene = self._scenes[first + low] if first < last else self._scenes[0]
+            inputs = self._inputs[first + low] if first < last else self._inputs[0]
             arguments = (
-                scene.arrays,
+                inputs.arrays,
                 self.state,
                 self.theta,
                 self.vehicles,
                 self._pointers,
-                scene.settings,
+                inputs.settings,
                 ticks,
                 actions,
                 self._limits,
                 self._weights,
-                scene.sight,
+                inputs.sight,
                 self._rows,
                 first + low,
                 first + high,
@@ -384,17 +384,24 @@ class DriveBatch:
 
     def _advance_in_python(self, ticks: int) -> None:
         """Drive every race on against an opponent in plain Python."""
-        circuits = self.variety.circuits.number if self.variety.circuits.several else np.zeros(self.episodes, np.int64)
+        circuits = (
+            self.randomization.circuits.number
+            if self.randomization.circuits.several
+            else np.zeros(self.episodes, np.int64)
+        )
         for first, last in runs_of(circuits.tolist()):
             part = RaceState._make(array[first:last] for array in self.state)
-            conditions = self.variety.conditions(np.arange(first, last))
-            setup = self.course(int(circuits[first])).setup
+            conditions = self.randomization.conditions(np.arange(first, last))
+            setup = self.circuit(int(circuits[first])).setup
             fixed = (setup.track, setup.settings, setup.planners, setup.vehicles)
             drive(*fixed, part, self.theta[first:last], ticks, conditions=conditions)
 
     def infos(self) -> dict[str, NDArray[Any]]:
         """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
-        of_races = {"opponent": self.drawn if self.opponents else np.full(self.episodes, -1), **self.variety.infos()}
+        of_races = {
+            "opponent": self.drawn if self.opponents else np.full(self.episodes, -1),
+            **self.randomization.infos(),
+        }
         return {
             **race_infos(self.state, self.players),
             **all_poses(self.state.cars, range(self.players)),
@@ -409,7 +416,7 @@ class DriveBatch:
         # In most steps no race is over, and nobody need be asked who won.
         over = state.crashed | (state.tick >= config.ticks)
         if self.options.laps is not None:
-            lengths = np.array([scene.arrays.length for scene in self._scenes])
+            lengths = np.array([one.arrays.length for one in self._inputs])
             over |= state.progress.max(axis=1) >= self._laps * lengths
         if not over.any():
             return result
@@ -427,13 +434,13 @@ class DriveBatch:
         info = race_info(self.state, race, car)
         over = any(self.state.crash[race].tolist()) or self.state.tick.item(race) >= self.setup.config.ticks
         if self.options.laps is not None:
-            over = over or self.state.progress[race].max() >= self._laps * self._scenes[race].arrays.length
+            over = over or self.state.progress[race].max() >= self._laps * self._inputs[race].arrays.length
         info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
         cars = self.state.cars[race]
         info |= pose_info(cars if car == 0 else np.concatenate([cars[car : car + 1], np.delete(cars, car, axis=0)]))
         if self._varied:
-            info.update(self.variety.info(race))
+            info.update(self.randomization.info(race))
         return info
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
@@ -447,7 +454,7 @@ class DriveBatch:
         if not self.alone:
             text += f"    lead of {names[0]} {info['lead']:+.1f} m"
         plans = [np.full((1, 2), np.nan)] * self.players + list(self.state.path[race, self.players :])
-        renderer.show(self.variety.track(race), half_sizes(self.vehicles[race]))
+        renderer.show(self.randomization.track(race), half_sizes(self.vehicles[race]))
         return renderer.render(cars, plans=plans if self.rivals else None, names=names, text=text)
 
     def film(
@@ -459,11 +466,11 @@ class DriveBatch:
     def get_state(self) -> tuple[Any, ...]:
         """Copies of the races, of the opponents' indices and parameters, and of the moves they made."""
         moving = None if self._moving is None else self._moving.get_state()
-        return self.state.copy(), self.drawn.copy(), self.theta.copy(), moving, self.variety.get_state()
+        return self.state.copy(), self.drawn.copy(), self.theta.copy(), moving, self.randomization.get_state()
 
     def set_state(self, state: tuple[Any, ...]) -> None:
         """Continue from what `get_state` returned, here or in an equal batch."""
-        races, drawn, theta, moving, variety = state
+        races, drawn, theta, moving, randomization = state
         if not isinstance(races, RaceState) or [a.shape for a in races] != [a.shape for a in self.state]:
             raise InputError(
                 f"the state is not one of {self.episodes} races with these planners; use what get_state returned"
@@ -471,12 +478,12 @@ class DriveBatch:
         count = max(1, len(self.opponents))
         if np.shape(drawn) != (self.episodes,) or not ((drawn >= 0) & (drawn < count)).all():
             raise InputError(f"the state's opponents {drawn!r} are not among the {len(self.opponents)} that there are")
-        self.variety.set_state(variety)
+        self.randomization.set_state(randomization)
         for row in range(self.episodes):
-            scene = self.course(int(self.variety.circuits.number[row])).scene
-            arrays = self.variety.track(row).arrays
-            self._scenes[row] = scene if arrays is scene.arrays else scene._replace(arrays=arrays)
-            self._uniform &= self._scenes[row] is self._scenes[0]
+            inputs = self.circuit(int(self.randomization.circuits.number[row])).inputs
+            arrays = self.randomization.track(row).arrays
+            self._inputs[row] = inputs if arrays is inputs.arrays else inputs._replace(arrays=arrays)
+            self._uniform &= self._inputs[row] is self._inputs[0]
         # Into the own arrays: the state that was given stays as it is.
         for name, own in self.state._asdict().items():
             own[...] = getattr(races, name)
@@ -486,6 +493,6 @@ class DriveBatch:
 
     def close(self) -> None:
         """Free the threads."""
-        self.variety.circuits.close()
+        self.randomization.circuits.close()
         self._pool.shutdown()
         self.threads = 1  # a step is still possible

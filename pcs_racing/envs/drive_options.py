@@ -16,7 +16,7 @@ from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_RANGE, MOST_BEAMS, Lidar
 from pcs_racing.car.lidar_kernel import Beams
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive_kernel import Sight
-from pcs_racing.envs.variety import EpisodeOptions
+from pcs_racing.envs.randomization import EpisodeOptions
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import ObservationElement as Element
 from pcs_racing.race.config import DT, RaceConfig

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import ANYTHING, flag, setting
-from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_batch_size
+from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_batch_size, start_option
 from pcs_racing.envs.infos import Result, common_codes, of_players, race_info, race_infos, race_results
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
-from pcs_racing.envs.reset_options import start_option
-from pcs_racing.envs.variety import EpisodeOptions, Variety
+from pcs_racing.envs.randomization import EpisodeOptions, EpisodeRandomization
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.competitor import ask_moves
@@ -115,8 +114,8 @@ class GameBatch:
                 + ("name one, for instance 'random-moves'" if players == 1 else "both cars belong to players here")
             )
         self.episodes, self.players = int(episodes), players
-        self.variety = Variety(self.episodes, options)
-        if "lidar_noise" in self.variety.drawn:
+        self.randomization = EpisodeRandomization(self.episodes, options)
+        if "lidar_noise" in self.randomization.drawn:
             raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
         rules = load_game_config(options.race, **{name: value for name, value in arguments.items() if name not in own})
         self._made_of = load_archive(options.archive), rules, options.opponent, threads
@@ -132,7 +131,7 @@ class GameBatch:
             **common_codes(each.name for each in self.opponents),
             "move": moves,
             "opponent_move": moves,
-            **self.variety.codes,
+            **self.randomization.codes,
         }
         self._set_rules(options)
         low, high = (np.array([getattr(e, end) for e in self.elements], np.float32) for end in ("low", "high"))
@@ -156,17 +155,17 @@ class GameBatch:
     @property
     def track(self) -> Track:
         """The circuit of the first episode."""
-        return self.game.track if self.state is None else self.variety.track(0)
+        return self.game.track if self.state is None else self.randomization.track(0)
 
     def _make_game(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
         archive, rules, opponent, threads = self._made_of
         game = RaceGame(
-            self.variety.circuits.track(circuit),
+            self.randomization.circuits.track(circuit),
             archive,
             rules,
             threads=threads,
-            vehicles=self.variety.cars,
-            most_delay=self.variety.randomization.most_delay,
+            vehicles=self.randomization.cars,
+            most_delay=self.randomization.ranges.most_delay,
         )
         opponents = [] if opponent is None else parse_opponents(opponent, game)
         # The opponents can only be read in a game, and then say which planner it must be made with.
@@ -177,7 +176,7 @@ class GameBatch:
 
     def game_of(self, episode: int) -> RaceGame:
         """Return the game on the circuit of an episode."""
-        return self.game_on(int(self.variety.circuits.number[episode]))[0]
+        return self.game_on(int(self.randomization.circuits.number[episode]))[0]
 
     def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
         """Return actions as (episodes, players)."""
@@ -190,26 +189,26 @@ class GameBatch:
         :class:`pcs_racing.envs.duel.DuelEnv` describes the options.
         """
         starts, policies, boxes = self._read(options, len(rows))
-        self.variety.draw(rows, generators)
-        if self.variety.obstacles is not None and starts is None:  # they must be known, to keep obstacles away
+        self.randomization.draw(rows, generators)
+        if self.randomization.obstacles is not None and starts is None:  # they must be known, to keep obstacles away
             lines = [self.game_of(row).start_lines for row in rows]
             drawn_lines = [line[gen.integers(len(line))] for line, gen in zip(lines, generators, strict=True)]
             starts = Starts(np.array(drawn_lines), np.array([gen.integers(2) for gen in generators], np.int64))
         # Without obstacles to draw nobody reads the places.
         places = np.zeros((len(rows), 2)) if starts is None else np.repeat(starts.s[:, None], 2, axis=1)
-        self.variety.place_obstacles(rows, places, generators, boxes)
+        self.randomization.place_obstacles(rows, places, generators, boxes)
         # A game is a function of this key, whatever the generator draws later.
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
         drawn, drivers = self._draw_opponents(generators)
         if self.state is None:
             self.state = self._empty()
-        for circuit, some in self.variety.groups(rows):
+        for circuit, some in self.randomization.groups(rows):
             fresh = self.game_on(circuit)[0].reset(
                 keys[some],
                 policies=policies[some],
                 starts=None if starts is None else starts.take(some),
                 opponents=[drivers[i] for i in some],
-                conditions=self.variety.conditions(rows[some]),
+                conditions=self.randomization.conditions(rows[some]),
             )
             put_games(self.state, rows[some], fresh)
         self.drawn[rows], self.moves[rows] = drawn, NO_MOVE
@@ -256,13 +255,13 @@ class GameBatch:
 
     def _apply(self, state: GameState, moves: NDArray[np.int64]) -> GameState:
         # On one circuit the whole batch is one call: no games are taken out and put back.
-        groups = self.variety.groups(np.arange(self.episodes))
+        groups = self.randomization.groups(np.arange(self.episodes))
         if len(groups) == 1:
             circuit, rows = groups[0]
-            return self.game_on(circuit)[0].apply(state, moves, self.variety.conditions(rows))
+            return self.game_on(circuit)[0].apply(state, moves, self.randomization.conditions(rows))
         new = state.copy()
         for circuit, rows in groups:
-            conditions = self.variety.conditions(rows)
+            conditions = self.randomization.conditions(rows)
             put_games(new, rows, self.game_on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions))
         return new
 
@@ -272,7 +271,7 @@ class GameBatch:
         """Moves of the opponents, which observe ``seen``, in all games or among some."""
         replies = np.zeros(self.episodes, np.int64)
         among = np.arange(self.episodes) if among is None else among
-        for circuit, some in self.variety.groups(among):
+        for circuit, some in self.randomization.groups(among):
             game, opponents = self.game_on(circuit)
             on = among[some]
             for k, opponent in enumerate(opponents):
@@ -324,7 +323,7 @@ class GameBatch:
             "opponent_move": of_players(moves[:, ::-1], players),
             "policy": of_players(state.policy, players),
             "action_mask": of_players(self.game.action_mask(state), players).astype(np.int8),
-            **{name: np.repeat(values, players) for name, values in self.variety.infos().items()},
+            **{name: np.repeat(values, players) for name, values in self.randomization.infos().items()},
         }
 
     def info(self, environment: int) -> dict[str, Any]:
@@ -338,7 +337,7 @@ class GameBatch:
             info[name] = NO_MOVE if state.policy.item(row, each) == OUTSIDE else self.moves.item(row, each)
         info["policy"] = state.policy.item(row, car)
         info["action_mask"] = self.game.action_mask(state)[row, car].astype(np.int8)
-        info.update(self.variety.info(row))
+        info.update(self.randomization.info(row))
         return info
 
     def _results(self) -> NDArray[np.int64]:
@@ -362,7 +361,7 @@ class GameBatch:
     ) -> Iterator[NDArray[np.uint8] | None]:
         """Drive a step of a game again, by default the last, and draw a frame every so many simulation steps (4)."""
         episode = environment // self.players
-        game, conditions = self.game_of(episode), self.variety.conditions(np.array([episode]))
+        game, conditions = self.game_of(episode), self.randomization.conditions(np.array([episode]))
         step = self.last_step(environment) if step is None else step
         trail: list[NDArray[np.float64]] = []
         for begun, theta in step.pieces:
@@ -385,7 +384,7 @@ class GameBatch:
         if begun is not None:
             if self.game.config.end_ticks[0] == 0:
                 return []  # nothing was driven yet
-            conditions = self.variety.conditions(np.array([episode]))
+            conditions = self.randomization.conditions(np.array([episode]))
             noise = state.race.seed[episode : episode + 1]
             return [(self.game_of(episode).grid(begun[0], noise, begun[1], conditions), theta)]
         if self.before is None or int(self.before.race.tick[episode]) >= int(state.race.tick[episode]):
@@ -407,13 +406,13 @@ class GameBatch:
         moves = " | ".join(f"{name}: {codes[int(made[car])]}" for car, name in enumerate(names))
         text = f"{race.tick[at] * DT:.1f} s | lead of {names[0]} {race.lead[at]:+.1f} m | {moves}"
         plans = [path[:, :2] for path in race.path[at] if path.any()]
-        renderer.show(self.variety.track(episode), half_sizes(self.variety.vehicles[episode]))
+        renderer.show(self.randomization.track(episode), half_sizes(self.randomization.vehicles[episode]))
         shown = plans if len(plans) == 2 else None
         return renderer.render(race.cars[at], plans=shown, trails=trails, names=names, text=text)
 
     def forget(self, rows: NDArray[np.int64]) -> None:
         """Let what lasts for several episodes begin anew, as the generators of some episodes do."""
-        self.variety.circuits.forget(rows)
+        self.randomization.circuits.forget(rows)
 
     def value(self) -> Any:
         """What is played, as a value; None before the first `restart`."""
@@ -423,14 +422,14 @@ class GameBatch:
         """Copies of all that changes: what is played, opponents, last moves, what these remember, what was drawn."""
         value = self.value()
         kept = None if value is None else value.copy()
-        return kept, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories), self.variety.get_state()
+        return kept, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories), self.randomization.get_state()
 
     def set_state(self, values: tuple[Any, ...]) -> None:
         """Continue from what `get_state` returned, here or in an equal batch."""
-        value, drawn, moves, memories, variety = values
+        value, drawn, moves, memories, randomization = values
         if value is not None:
             self._check_value(value)
-        self.variety.set_state(variety)
+        self.randomization.set_state(randomization)
         self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
         self._continue(None if value is None else value.copy())
 
@@ -458,4 +457,4 @@ class GameBatch:
 
     def close(self) -> None:
         """Stop building circuits."""
-        self.variety.circuits.close()
+        self.randomization.circuits.close()

@@ -75,12 +75,12 @@ class MatchBatch(GameBatch):
         :class:`pcs_racing.envs.match.MatchEnv` describes the options.
         """
         starts, policies, boxes = self._read(options, len(rows))
-        self.variety.draw(rows, generators)
+        self.randomization.draw(rows, generators)
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
         drawn, drivers = self._draw_opponents(generators)
         # Of all rows, on any circuit, for the shapes; each circuit then writes its own.
         fresh = self.match.begin(keys, opponents=drivers)
-        for circuit, some in self.variety.groups(rows):
+        for circuit, some in self.randomization.groups(rows):
             own = None if starts is None else starts.take(some)
             begun = self.match_on(circuit).begin(
                 keys[some],
@@ -90,7 +90,7 @@ class MatchBatch(GameBatch):
                 opponents=[drivers[i] for i in some],
             )
             put_matches(fresh, some, begun)
-        self.variety.place_obstacles(rows, fresh.starts, generators, boxes)
+        self.randomization.place_obstacles(rows, fresh.starts, generators, boxes)
         if self.played is None:
             self.played = fresh
         else:
@@ -140,9 +140,9 @@ class MatchBatch(GameBatch):
             return played
         choices = np.full((self.episodes, 2), KEEP, np.int64)
         choices[:, : self.players] = np.where(actions < len(self.game.archive), actions, KEEP)
-        conditions = self.variety.conditions(np.arange(self.episodes))
+        conditions = self.randomization.conditions(np.arange(self.episodes))
         memory, started = self.match.memory(played)[:, 1], played
-        for circuit, some in self.variety.groups(between):
+        for circuit, some in self.randomization.groups(between):
             match, on = self.match_on(circuit), between[some]
             for k, opponent in enumerate(self.game_on(circuit)[1]):
                 rows = on[self.drawn[on] == k]
@@ -176,8 +176,8 @@ class MatchBatch(GameBatch):
             choosing = np.array([isinstance(each.competitor, Chooser) for each in self.opponents])
             moves[:, 1] = np.where(choosing[self.drawn], stay, replies)
         self.moves[rows] = moves[rows]
-        conditions, moved = self.variety.conditions(np.arange(self.episodes)), played
-        for circuit, some in self.variety.groups(rows):
+        conditions, moved = self.randomization.conditions(np.arange(self.episodes)), played
+        for circuit, some in self.randomization.groups(rows):
             moved = self.match_on(circuit).move(moved, moves, rows[some], conditions)
         if self.episodes == 1:
             self.driven.append((played.game.race, moved.game.theta))

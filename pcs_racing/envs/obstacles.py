@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import is_whole
-from pcs_racing.base.settings import Settings, choice, load_settings, number, setting
-from pcs_racing.envs.randomization import range_rule
-from pcs_racing.envs.reset_options import read_numbers
+from pcs_racing.base.settings import Settings, choice, load_settings, number, number_range, setting
+from pcs_racing.envs.batch import read_numbers
 from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.obstacles import BOX
 from pcs_racing.track.track import Track
@@ -28,11 +27,11 @@ class Obstacles(Settings):
 
     count: tuple[int, int] = setting(
         (1, 3),
-        range_rule(" of obstacles", 0, MOST, is_whole),
+        number_range(" of obstacles", 0, MOST, is_whole),
         "How many there are: a number, or the smallest and the largest.",
     )
     size: tuple[float, float] = setting(
-        (0.2, 0.4), range_rule(" of obstacles", 0.05, 2.0), "Length of a side, or the shortest and the longest, m."
+        (0.2, 0.4), number_range(" of obstacles", 0.05, 2.0), "Length of a side, or the shortest and the longest, m."
     )
     shape: str = setting(
         "box", choice(SHAPES), "What they are: boxes, circles (their diameter is drawn as a side is), or either."

@@ -1,6 +1,6 @@
-"""Domain randomisation: ranges from which each episode draws its friction, mass, steering and sensor noise."""
+"""What differs from episode to episode of a batch: circuit, obstacles, cars, sensors."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -8,48 +8,38 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import is_number
-from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import Rule, Settings, load_settings, setting
-from pcs_racing.car.vehicle import COMMAND_PERIOD, MOST_DELAYED, VehicleParams
-
-
-def range_rule(what: str, least: float, most: float, is_kind: Callable[[Any], bool] = is_number) -> Rule:
-    """Two numbers within limits, the second one not below the first; a single number stands for both."""
-
-    def check(name: str, value: Any) -> tuple[Any, Any]:
-        pair = [value, value] if is_kind(value) else value
-        fine = isinstance(pair, list | tuple) and len(pair) == 2 and all(map(is_kind, pair))
-        if not fine or not least <= pair[0] <= pair[1] <= most:
-            raise ConfigError(
-                f"{name}{what} is {value!r}; it must be [low, high] with {least:g} <= low <= high <= {most:g}"
-            )
-        kind = float if is_kind is is_number else int
-        return kind(pair[0]), kind(pair[1])
-
-    return Rule(check, f"[low, high] from {least:g} to {most:g}")
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.settings import ANYTHING, Settings, checked, load_settings, number_range, setting
+from pcs_racing.car.vehicle import COMMAND_PERIOD, F1TENTH, MOST_DELAYED, VehicleParams, load_vehicle, load_vehicles
+from pcs_racing.envs.batch import Generators, Rows
+from pcs_racing.envs.circuits import Circuits
+from pcs_racing.envs.obstacles import Obstacles, load_obstacles
+from pcs_racing.race.conditions import RaceConditions, vehicle_rows
+from pcs_racing.race.driving import AS_THE_SETUP
+from pcs_racing.track.obstacles import BOX, with_obstacles
+from pcs_racing.track.track import Track
 
 
 @dataclass(frozen=True)
 class Randomization(Settings):
     """What each episode draws, uniformly, for both cars; None leaves it as it is."""
 
-    friction: tuple[float, float] | None = setting(None, range_rule("", 0.05, 5.0), "Friction coefficient.")
+    friction: tuple[float, float] | None = setting(None, number_range("", 0.05, 5.0), "Friction coefficient.")
     mass: tuple[float, float] | None = setting(
-        None, range_rule("", 0.1, 1000.0), "Mass, kg; the yaw inertia changes in the same proportion."
+        None, number_range("", 0.1, 1000.0), "Mass, kg; the yaw inertia changes in the same proportion."
     )
     steering_delay: tuple[float, float] | None = setting(
         None,
-        range_rule("", 0.0, MOST_DELAYED * COMMAND_PERIOD),
+        number_range("", 0.0, MOST_DELAYED * COMMAND_PERIOD),
         "Time by which steering commands are late, s; of its multiples of 0.02 s each is as likely.",
     )
     steering_noise: tuple[float, float] | None = setting(
         None,
-        range_rule("", 0.0, 0.4),
+        number_range("", 0.0, 0.4),
         "Standard deviation of the disturbance of every steering command, in place of that of the rules, rad.",
     )
     lidar_noise: tuple[float, float] | None = setting(
-        None, range_rule("", 0.0, 10.0), "Standard deviation of the lidar's ranges, m; only where there is a lidar."
+        None, number_range("", 0.0, 10.0), "Standard deviation of the lidar's ranges, m; only where there is a lidar."
     )
 
     @property
@@ -112,3 +102,156 @@ def load_randomization(source: Randomization | Mapping[str, Any] | str | Path | 
     ('friction',)
     """
     return load_settings("randomization", Randomization(), source)
+
+
+def _vehicles(value: Any) -> Any:
+    return tuple(map(load_vehicle, value)) if isinstance(value, list | tuple) else load_vehicle(value)
+
+
+@dataclass(frozen=True, eq=False)
+class EpisodeOptions(Settings):
+    """Arguments of all environments: what differs from episode to episode."""
+
+    track: Any = setting(
+        "Tarnfjord",
+        ANYTHING,
+        'Name of a shipped circuit, a map folder, or a track. Of a list one is drawn for each episode; with "random" '
+        "each episode is driven on a newly generated circuit, or as "
+        ":class:`pcs_racing.race.random_circuits.RandomCircuits` says. All races of a match are on the same circuit.",
+    )
+    vehicle: Any = setting(
+        F1TENTH,
+        checked(_vehicles),
+        "Parameters of all cars, or a list with those of each one: a dict or a YAML file names those that differ from "
+        'F1TENTH\'s (:class:`pcs_racing.VehicleParams`), such as ``{"mu": 0.8}``.',
+    )
+    randomize: Randomization | None = setting(
+        None,
+        checked(load_randomization),
+        "Ranges from which each episode draws friction, mass, steering delay, steering noise and, where there is one, "
+        "noise of the lidar (:class:`pcs_racing.envs.randomization.Randomization`): a dict or a YAML file, such as "
+        '``{"friction": [0.7, 1.1]}``.',
+    )
+    obstacles: Obstacles | None = setting(
+        None,
+        checked(load_obstacles),
+        "Boxes and circles that stand on the track, drawn for each episode: how many, or their settings "
+        "(:class:`pcs_racing.envs.obstacles.Obstacles`) as a dict or a YAML file. The lidar sees them, a car that "
+        "touches one has crashed as into a wall, and the lattice planner avoids most.",
+    )
+
+
+class EpisodeRandomization:
+    """The circuits, obstacles and cars of a batch of episodes, and what is drawn at random about them."""
+
+    def __init__(self, episodes: int, options: EpisodeOptions, *, cars: int = 2) -> None:
+        self.cars = load_vehicles(options.vehicle, cars)  #: As they are where nothing is drawn.
+        self.ranges = options.randomize or Randomization()
+        self.episodes = episodes
+        self.circuits = Circuits(options.track, episodes)
+        #: shape (episodes, cars, 18): Parameter rows of the cars of each episode.
+        self.vehicles = vehicle_rows(self.cars, episodes)  # never read-only, which would be another type to compile
+        #: Each of shape (episodes,): what was drawn for each episode, by name.
+        self.drawn = {name: np.zeros(episodes) for name in self.ranges.names}
+        self.obstacles = options.obstacles
+        #: Each of shape (K, 5): obstacles of each episode (:data:`pcs_racing.track.obstacles.BOX`).
+        self.boxes = [np.empty((0, len(BOX)))] * episodes
+        self._tracks: list[Track | None] = [None] * episodes  # with obstacles on them
+        self._blocked = False  # whether there was an obstacle yet
+
+    @property
+    def codes(self) -> dict[str, Mapping[int, str]]:
+        """Words of those infos that are codes."""
+        return {"track": self.circuits.codes} if self.circuits.several else {}
+
+    def track(self, episode: int) -> Track:
+        """Return the circuit of an episode, with its obstacles."""
+        return self._tracks[episode] or self.circuits.track(int(self.circuits.number[episode]))
+
+    def place_obstacles(
+        self,
+        rows: Rows,
+        starts: NDArray[np.float64],
+        generators: Generators,
+        given: Sequence[NDArray[np.float64]] | None,
+    ) -> None:
+        """Put obstacles on the circuits of new episodes: given ones, or drawn ones away from where the cars start.
+
+        ``starts``, shape (len(rows), cars), are the arc lengths at which the cars start, m, and ``given`` the boxes of
+        each episode, each of shape (K, 5).
+        """
+        if given is None and self.obstacles is None and not self._blocked:
+            return
+        # Those of the last episode go, even where none are put.
+        for i, row in enumerate(rows):
+            self._tracks[row], self.boxes[row] = None, np.empty((0, len(BOX)))
+            if given is None and self.obstacles is None:
+                continue
+            track = self.track(row)
+            if given is not None:
+                boxes = given[i]
+            else:
+                boxes = self.obstacles.draw(track, starts[i], generators[i])  # type: ignore[union-attr]
+            self._stand(int(row), track, boxes)
+
+    def _stand(self, row: int, track: Track, boxes: NDArray[np.float64]) -> None:
+        if len(boxes):
+            self._blocked = True
+            self._tracks[row], self.boxes[row] = with_obstacles(track, boxes), np.array(boxes)
+
+    def draw(self, rows: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> None:
+        """Draw what belongs to new episodes, each from its own generator."""
+        self.circuits.draw(rows, generators)
+        if not self.drawn:
+            return
+        for row, generator in zip(rows, generators, strict=True):
+            values = self.ranges.draw(generator)
+            for name, value in values.items():
+                self.drawn[name][row] = value
+            for car, vehicle in enumerate(self.cars):
+                self.vehicles[row, car] = self.ranges.apply(vehicle, values).as_row()
+
+    def conditions(self, rows: NDArray[np.int64]) -> RaceConditions:
+        """Cars and tracks of some episodes, for a batch that holds these alone."""
+        vehicles = np.ascontiguousarray(self.vehicles[rows]) if self.drawn else None
+        # None where nothing differs from the setup: the kernels then drive all races in one call.
+        tracks = None
+        if self._blocked and any(self._tracks[row] is not None for row in rows):
+            tracks = tuple(self.track(row) for row in rows)
+        return AS_THE_SETUP if vehicles is None and tracks is None else RaceConditions(vehicles, tracks)
+
+    def groups(self, rows: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
+        """Numbers of the circuits of some episodes, and which of ``rows`` are on each, as indices in ``rows``."""
+        if not self.circuits.several:
+            return [(0, np.arange(len(rows)))]
+        numbers = self.circuits.number[rows]
+        return [(int(number), np.flatnonzero(numbers == number)) for number in np.unique(numbers)]
+
+    def infos(self) -> dict[str, NDArray[Any]]:
+        """What was drawn for each episode, as numbers."""
+        infos = {"track": self.circuits.number.copy()} if self.circuits.several else {}
+        if self.obstacles is not None:
+            infos["obstacles"] = np.array([len(boxes) for boxes in self.boxes])
+        return {**infos, **{name: values.copy() for name, values in self.drawn.items()}}
+
+    def info(self, episode: int) -> dict[str, Any]:
+        """What was drawn for one episode, as numbers."""
+        return {name: values[episode].item() for name, values in self.infos().items()}
+
+    def get_state(self) -> tuple[Any, ...]:
+        """Return copies of all that changes."""
+        drawn = {name: one.copy() for name, one in self.drawn.items()}
+        return self.circuits.get_state(), self.vehicles.copy(), drawn, list(self.boxes)
+
+    def set_state(self, state: tuple[Any, ...]) -> None:
+        """Continue from what `get_state` returned."""
+        circuits, vehicles, drawn, boxes = state
+        if np.shape(vehicles) != self.vehicles.shape or set(drawn) != set(self.drawn):
+            raise InputError("the state's cars are not of this environment; use what get_state returned")
+        self.circuits.set_state(circuits)
+        self.vehicles[:] = vehicles
+        for name, values in drawn.items():
+            self.drawn[name][:] = values
+        for row, own in enumerate(boxes):
+            self._tracks[row], self.boxes[row] = None, own
+            self._stand(row, self.track(row), own)

@@ -16,9 +16,8 @@ IDS = {"f110-v0": "pcs_racing.f1tenth.env:GenerationA", "f1tenth-v0": "pcs_racin
 _PLACES = {
     "env": "F110Env GenerationA GenerationB Integrator deep_update DynamicModel IntegratorType LongitudinalActionEnum "
     "SteerActionEnum",
-    "simulator": "Simulator RaceCar",
+    "simulator": "Simulator RaceCar ScanSimulator2D pid pid_accl pid_steer vehicle_dynamics_ks vehicle_dynamics_st",
     "lines": "Track TrackSpec Raceline CubicSpline2D nearest_point_on_trajectory",
-    "models": "ScanSimulator2D pid pid_accl pid_steer vehicle_dynamics_ks vehicle_dynamics_st",
     "rendering": "EnvRenderer RenderSpec TrackRenderer get_vertices",
 }
 NAMES = {name: module for module, names in _PLACES.items() for name in names.split()}

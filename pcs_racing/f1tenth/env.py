@@ -18,11 +18,10 @@ from numpy.typing import ArrayLike
 from pcs_racing.base.checks import check_choice, check_flag, check_number, check_seed, check_whole
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.f1tenth import kernel as k
-from pcs_racing.f1tenth.lines import Track
+from pcs_racing.f1tenth.lines import Track, starting_poses
 from pcs_racing.f1tenth.maps import load_map
 from pcs_racing.f1tenth.observations import ORIGINAL, observation
 from pcs_racing.f1tenth.rendering import EnvRenderer, RenderSpec, TrackRenderer
-from pcs_racing.f1tenth.resetting import starting_poses
 from pcs_racing.f1tenth.simulator import DEFAULT_PARAMS, MOST_CARS, Simulator, merged_params, warn_of_unknown
 
 Callback = Callable[[Any], None]

@@ -1,10 +1,11 @@
-"""Modules of the names that programs import (gym, f110_gym, f1tenth_gym, pyglet), for one process.
+"""Modules of the names that programs import (gym, f110_gym, f1tenth_gym, pyglet), and names of an older numpy.
 
 They hold what programs use of them. What is not served says so in one sentence.
 """
 
+import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -17,7 +18,7 @@ import numpy as np
 
 from pcs_racing import f1tenth
 from pcs_racing.base.errors import InputError
-from pcs_racing.f1tenth import env, models, old_gym, old_numpy, rendering
+from pcs_racing.f1tenth import env, old_gym, rendering, simulator
 from pcs_racing.f1tenth.maps import find_yaml
 from pcs_racing.f1tenth.observations import FEATURES
 
@@ -57,7 +58,7 @@ def _contents() -> dict[str, dict[str, Any]]:
     gym |= dict.fromkeys(("Wrapper", "ObservationWrapper", "RewardWrapper", "ActionWrapper"), old_gym.Wrapper)
     gym["TimeLimit"] = old_gym.TimeLimit
     own = ("gym.spaces", "gym.error", "gym.utils", "gym.utils.seeding", "gym.envs.registration")
-    a = known | {"F110Env": env.GenerationA, "vehicle_dynamics_st": models.old_dynamics_st}
+    a = known | {"F110Env": env.GenerationA, "vehicle_dynamics_st": simulator.old_dynamics_st}
     b = known | track | {"F110Env": env.GenerationB}
     return {
         **dict.fromkeys(("gym", "gym.core", "gym.wrappers", "gym.envs"), gym),
@@ -107,7 +108,7 @@ def install() -> None:
             setattr(sys.modules[parent], child, module)
     sys.modules["gym"].__version__ = "0.21.0"  # type: ignore[attr-defined]
     sys.meta_path.insert(0, _Refuser())
-    old_numpy.install()
+    restore_numpy()
     old_gym.install()
 
 
@@ -120,3 +121,45 @@ def _missing(module: str) -> Any:
         raise NotServedError(module, name)
 
     return get
+
+
+_REMOVED = {
+    "float": float, "int": int, "complex": complex, "object": object, "str": str, "float_": np.float64, "Inf": np.inf,
+    "infty": np.inf, "NaN": np.nan, "product": np.prod, "in1d": np.isin, "row_stack": np.vstack, "bool8": np.bool_,
+}  # fmt: skip
+_TAKE_ARRAYS = "acos asin atan ceil cos degrees exp fabs floor log radians sin sqrt tan atan2 copysign fmod pow"
+
+
+def restore_numpy() -> None:
+    """Put the names back, and let functions of ``math`` take arrays of one number, as they did up to numpy 2.3."""
+    for name, value in _REMOVED.items():
+        if name not in vars(np):
+            setattr(np, name, value)
+    # numba's own use of ``math`` must have been seen before a module takes its name.
+    from numba.core.registry import cpu_target
+
+    cpu_target.typing_context.refresh()
+    cpu_target.target_context.refresh()
+    module = ModuleType("math", math.__doc__)
+    module.__dict__.update({name: value for name, value in vars(math).items() if not name.startswith("__")})
+    sys.modules["math"] = module
+    for name in _TAKE_ARRAYS.split():
+        _replace(module, name, getattr(math, name))
+
+
+def _replace(module: ModuleType, name: str, function: Callable[..., Any]) -> None:
+    from numba.extending import overload
+
+    def call(*values: Any) -> Any:
+        return function(*[v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in values])
+
+    # Compiled code that names ``math.sin`` means the real one.
+    def one(x):  # type: ignore[no-untyped-def]
+        return lambda x: function(x)
+
+    def two(x, y):  # type: ignore[no-untyped-def]
+        return lambda x, y: function(x, y)
+
+    call.__name__, call.__module__ = name, "math"
+    setattr(module, name, call)
+    overload(call)(two if name in ("atan2", "copysign", "fmod", "pow") else one)

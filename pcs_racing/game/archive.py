@@ -95,7 +95,7 @@ class PolicyArchive:
             ("explored_own_crash", (explored,)),
         ):
             if getattr(self, key) is not None:
-                self._set_array(key, shape, least=0.0)
+                self._set_array(key, shape, minimum=0.0)
         for axis, low, high in zip(self.characteristics, self.nadir, self.ideal, strict=True):
             if not low < high:
                 raise InputError(
@@ -103,11 +103,11 @@ class PolicyArchive:
                 )
 
     def _set_array(
-        self, key: str, shape: tuple[int | None, ...], default: Floats | None = None, least: float | None = None
+        self, key: str, shape: tuple[int | None, ...], default: Floats | None = None, minimum: float | None = None
     ) -> None:
         given: Any = default if getattr(self, key) is None else getattr(self, key)
-        lowest = -LARGEST if least is None else least
-        array = check_array(f"archive {self.name!r}: {key}", given, shape, least=lowest, most=LARGEST)
+        lowest = -LARGEST if minimum is None else minimum
+        array = check_array(f"archive {self.name!r}: {key}", given, shape, minimum=lowest, maximum=LARGEST)
         array.setflags(write=False)
         object.__setattr__(self, key, array)
 
@@ -211,13 +211,13 @@ class PolicyArchive:
 
     def policy(self, index: int) -> Policy:
         """Return one of the policies, named after the archive and its index."""
-        at = int(check_whole_array("policy index", index, (), least=0, most=len(self) - 1))
+        at = int(check_whole_array("policy index", index, (), minimum=0, maximum=len(self) - 1))
         return Policy(get_planner(self.planner), self.complete(self.parameters[[at]])[0], f"{self.name}[{at}]")
 
     def explored_policy(self, index: int) -> Policy:
         """Return one of the explored policies."""
         explored: Any = self.explored_parameters
-        at = int(check_whole_array("explored policy index", index, (), least=0, most=len(explored) - 1))
+        at = int(check_whole_array("explored policy index", index, (), minimum=0, maximum=len(explored) - 1))
         return Policy(get_planner(self.planner), self.complete(explored[[at]])[0], f"{self.name}:explored[{at}]")
 
     @property

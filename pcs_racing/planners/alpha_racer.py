@@ -3,7 +3,7 @@
 The numbers of a car are a factor of its speed, a look-ahead (how soon it is where it wants to be across the track),
 the distance at which it passes the other car, how far away it begins to, and how much it moves in front of a car
 behind. Ten times a second both cars get a few samples of them, and every pair of samples is driven on in thought. What
-a pair is worth to a car is its progress less that of the other car and the costs of collisions, of walls and of
+a pair pays a car is its progress less that of the other car and the costs of collisions, of walls and of
 leaving the race line. A game in which what one car gains by another choice is what one function of both choices gains,
 the potential, has its equilibria where the potential is greatest. So the car drives its part of the best pair.
 
@@ -149,7 +149,7 @@ def _step(theta, table, dt, five, decay, home, top, grip, long, wide, s, v, d, r
 
 @inner_kernel
 def _play(theta, view, dt, at, d, rate, opp_d, scale, opp_scale, i, j, scratch):  # type: ignore[no-untyped-def]
-    """Drive both cars on with a sample each, write the own plan, and return what that is worth to either, m."""
+    """Drive both cars on with a sample each, write the own plan, and return the payoff of either, m."""
     table, grip = scratch[_TABLE:_LANE], 1.3 * _line.GRIP * max(scale * scale, 1.0)
     long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.1
     wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
@@ -186,11 +186,11 @@ def best_of_potential(own, opponent, means, last):  # type: ignore[no-untyped-de
     Parameters
     ----------
     own, opponent : ndarray, shape (SAMPLES * SAMPLES,)
-        What the pairs are worth to either car; own samples are rows.
+        Payoffs of the pairs for either car; own samples are rows.
     means : ndarray, shape (4 * SAMPLES,)
         Working memory.
     last : int
-        The own sample that is worth `KEPT` more.
+        The own sample that pays `KEPT` more.
     """
     n = SAMPLES
     means[:] = 0.0

@@ -28,7 +28,7 @@ from pcs_racing.track import frenet as _frenet
 PARAMETERS = (
     *_line.TRAILING,
     Parameter("cooperation", 0.0, 1.0, 0.3, "share of the cost of a collision that the car ahead bears"),
-    Parameter("blocking", 0.0, 10.0, 0.0, "what staying ahead is worth to the car ahead, m"),
+    Parameter("blocking", 0.0, 10.0, 0.0, "payoff of staying ahead for the car ahead, m"),
     Parameter("side_weight", 0.1, 5.0, 1.0, "metres of progress that a metre of mean distance from the line costs"),
     Parameter("wall_air", 0.05, 0.5, 0.15, "air beside walls to keep away from the race line, m"),
     Parameter("opponent_air", 0.05, 0.6, 0.25, "air beside the opponent to keep, m"),

@@ -34,12 +34,12 @@ def _speed_range(value: Any) -> tuple[float, float]:
     return value[0], value[1]
 
 
-def check_steps(name: str, value: Any, least: int) -> tuple[float, ...]:
+def check_steps(name: str, value: Any, minimum: int) -> tuple[float, ...]:
     """Return lengths of a game's steps: whole tenths of a second, in which plans are made; the first one may be 0."""
     lengths = value if isinstance(value, list | tuple) else [None]
     whole_tenths = [is_number(one) and abs(10.0 * one - round(10.0 * one)) < 1e-9 for one in lengths]
-    if len(lengths) < least or not all(whole_tenths):
-        raise InputError(f"{name} is {value!r:.80}; it must list {least} or more lengths in whole tenths of 1 s")
+    if len(lengths) < minimum or not all(whole_tenths):
+        raise InputError(f"{name} is {value!r:.80}; it must list {minimum} or more lengths in whole tenths of 1 s")
     if any(not (0.1 <= one <= 600.0 or (k == 0 and one == 0.0)) for k, one in enumerate(lengths)):
         raise InputError(f"{name} is {value!r:.80}; steps last 0.1 to 600 s, and the first one may last 0")
     return tuple(map(float, lengths))

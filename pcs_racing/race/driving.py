@@ -27,7 +27,7 @@ Run = tuple[Track, int, int]  # a track, the first of the races on it, and the o
 
 # Counted in steps of 0.01 s of one race, of about 1 us each.
 PIECE = 3000  # that a thread drives at a time
-WORTH_A_THREAD = 500  # that are worth handing over
+TICKS_OF_A_THREAD = 500  # that are worth handing over
 
 FEW_ROUNDS = 4
 
@@ -129,7 +129,7 @@ def _drive_compiled(
         drivers = pointers_of(planners)
         if compiling and runs:
             part(runs[0][0].arrays, 0, 0)
-    workers = min(threads or default_threads(), races, races * ticks // WORTH_A_THREAD)
+    workers = min(threads or default_threads(), races, races * ticks // TICKS_OF_A_THREAD)
     # A pool costs as much as some hundred steps.
     if workers <= 1:
         for track, first, last in runs:

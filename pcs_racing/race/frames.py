@@ -29,8 +29,8 @@ def replay_frames(
     second of the video, ``speed`` the race seconds per video second. With ``candidates`` the paths considered are
     drawn, where they were kept.
     """
-    check_number("fps", fps, most=1000.0, above=0.0)
-    check_number("speed", speed, most=1000.0, above=0.0)
+    check_number("fps", fps, maximum=1000.0, above=0.0)
+    check_number("speed", speed, maximum=1000.0, above=0.0)
     renderer = renderer or Renderer(replay)
     if renderer.mode != "rgb_array":
         raise InputError("frames of a replay need a renderer in mode 'rgb_array'")
@@ -80,7 +80,7 @@ def write_gif(
     path = Path(path)
     if path.suffix != ".gif":
         raise InputError(f"write_gif writes .gif files, got {path.name!r}")
-    check_number("fps", fps, most=50.0, above=0.0)
+    check_number("fps", fps, maximum=50.0, above=0.0)
     frames = replay_frames(replay, renderer or Renderer(replay, 640, 420), fps=fps, speed=speed, candidates=candidates)
     first = Image.fromarray(next(frames)).quantize(128)
     # One palette for all frames: smaller, faster, and nothing flickers.

@@ -15,7 +15,7 @@ from pcs_racing.base.errors import InputError, MapError, UnknownNameError
 from pcs_racing.base.files import parse_json
 from pcs_racing.track.building.build import LINE_SPACING, check_centerline, check_line
 from pcs_racing.track.building.clearance import checked_grid, wall_clearance
-from pcs_racing.track.building.splines import sample_closed
+from pcs_racing.track.building.curves import sample_closed
 from pcs_racing.track.cache import TRACK, cache_key, load_cached, store
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.grid import distance_to_walls

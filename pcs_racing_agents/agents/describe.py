@@ -17,7 +17,7 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build, entries, options
-from pcs_racing_agents.results.csv_files import read_csv
+from pcs_racing_agents.results.tables import read_csv
 
 AGAINST = "against "
 TEXTS = ("archive", "race", "agent", "sha256", "tracks")

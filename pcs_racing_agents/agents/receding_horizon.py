@@ -70,8 +70,8 @@ class RecedingHorizon:
 
     def __post_init__(self) -> None:
         agent = f"agent {self.name!r}"
-        for key, least, below in (("seed", 0, 2**63), ("depth", 1, 2**31), ("noises", 1, 10_000)):
-            check_whole(f"the {key} of {agent}", getattr(self, key), least, below - 1)
+        for key, minimum, below in (("seed", 0, 2**63), ("depth", 1, 2**31), ("noises", 1, 10_000)):
+            check_whole(f"the {key} of {agent}", getattr(self, key), minimum, below - 1)
         for key, options in (("leaf", LEAVES), ("opponent", OPPONENTS), ("decision", DECISIONS)):
             check_choice(f"the {key} of {agent}", getattr(self, key), options)
         if (self.network is None) is (self.leaf == "network"):

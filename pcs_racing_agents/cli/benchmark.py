@@ -1,5 +1,7 @@
-"""``pcs-racing benchmark`` and ``pcs-racing leaderboard``: score cards of agents by a fixed protocol, and a ranking."""
+"""``pcs-racing benchmark``, ``leaderboard`` and ``overtaking``: score cards, their ranking, and how cars are passed."""
 
+import csv
+import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import Workers, output_folder
+from pcs_racing_agents.cli.options import POLICY_HELP, TRACK_HELP, Workers, output_file, output_folder
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 
@@ -61,10 +63,9 @@ def run(
     """Race an agent by the fixed protocol of the benchmark, and write its score card."""
     from pcs_racing.game.competitor import competitor_name
     from pcs_racing_agents.agents.agent import competitor_hash
-    from pcs_racing_agents.benchmark.entrants import load_entrant
-    from pcs_racing_agents.benchmark.hidden import hidden_score, load_hidden
+    from pcs_racing_agents.agents.zoo import load_entrant
     from pcs_racing_agents.benchmark.protocol import load_protocol
-    from pcs_racing_agents.benchmark.scoring import play_protocol
+    from pcs_racing_agents.benchmark.scoring import hidden_score, load_hidden, play_protocol
 
     alone = len(agents) == 1
     if not alone and (weights is not None or name is not None):
@@ -107,7 +108,7 @@ def _write(
     from pcs_racing.game.competitor import competitor_name
     from pcs_racing_agents.benchmark.card import Card, fact_lines, summary_rows, write_card
     from pcs_racing_agents.benchmark.scoring import decision_cost, gain, rating, summarise, telling_races
-    from pcs_racing_agents.results.text_table import aligned
+    from pcs_racing_agents.results.tables import aligned
 
     name, config = competitor_name(agent), protocol.config
     own = results[name]
@@ -169,7 +170,7 @@ def run_board(
 ) -> None:
     """Rank score cards of one protocol, and write the page that shows them."""
     from pcs_racing_agents.benchmark.card import board_page, board_rows, read_cards
-    from pcs_racing_agents.results.text_table import aligned, markdown
+    from pcs_racing_agents.results.tables import aligned, markdown
 
     ranked = read_cards(cards)
     rows = board_rows(ranked)
@@ -182,3 +183,41 @@ def run_board(
         ):
             write_atomically(folder / name, lambda file, text=text: file.write(text.encode()))  # type: ignore[misc]
             print(f"written: {folder / name}")
+
+
+@command(
+    "overtaking",
+    "pcs-racing overtaking --drivers spliner mppi --track Tarnfjord Pipkin",
+    "pcs-racing overtaking --drivers spliner:pace=1 --track maps/Austin maps/Hockenheim --lines lines",
+)
+def run_overtaking(
+    *,
+    drivers: Annotated[Sequence[str], Option(f"drivers of the ego: {POLICY_HELP}", "POLICY")],
+    track: Annotated[Sequence[str], Option(f"{TRACK_HELP} (default: all that ship)", "T")] = (),
+    lines: Annotated[
+        Path | None, Option("folder of CIRCUIT_line0.csv to line2.csv (default: lines made here)", "DIR")
+    ] = None,
+    seed: Annotated[int, Option("seed of the noise")] = 0,
+    out: Annotated[Path | None, Option("file for a line for each scenario (.csv)", "FILE")] = None,
+) -> None:
+    """Race the scenarios of the End2Race overtaking protocol, 600 a circuit."""
+    from pcs_racing.track.loading import load_track
+    from pcs_racing.track.maps import list_tracks
+    from pcs_racing_agents.agents.own_code import parse_driver
+    from pcs_racing_agents.benchmark.overtaking import detail, joined, made_lines, race_scenarios, read_lines, summary
+
+    target = output_file(out, ".csv") if out else None
+    policies = [parse_driver(text) for text in drivers]
+    tracks = [load_track(name) for name in track or list_tracks()]
+    given = [made_lines(one) if lines is None else read_lines(one, lines) for one in tracks]
+    found = [joined([race_scenarios(one, policy, seed=seed) for one in given]) for policy in policies]
+    print("\n".join([f"{len(found[0].start)} scenarios", "", *summary(found), "", *detail(found)]))
+    if target is not None:
+        text = io.StringIO()
+        writer = csv.writer(text)
+        names = ("circuit", "start", "line", "factor", "fault", "overtakes")
+        writer.writerow(("driver", *names))
+        for one in found:
+            writer.writerows((one.driver, *row) for row in zip(*(getattr(one, name) for name in names), strict=True))
+        write_atomically(target, lambda file: file.write(text.getvalue().encode()))
+        print(f"scenarios: {target}")

@@ -126,7 +126,7 @@ def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, 
     print(text)
     if out is not None:
         from pcs_racing.base.files import write_atomically
-        from pcs_racing.race.replay_files import save_replay
+        from pcs_racing.race.replay import save_replay
 
         write_atomically(out / "race.txt", lambda file: file.write(f"{text}\n".encode()))
         print(f"to watch: {save_replay(explanation.replay, out / 'race.html')}")
@@ -161,10 +161,8 @@ def _situations(folder: Path | None, planned: _Planned, agent: str, out: Path | 
     for (_, car), games in zip(pairings, played, strict=True):
         observations.append(games.observations[:, car])
         actions.append(games.moves.codes[:, car])
-    arena = game_between(first.game, first.ego, first.opponent)
-    situations = summarise(
-        np.concatenate(observations), np.concatenate(actions), arena.archive, arena.move_names, agent
-    )
+    game = game_between(first.game, first.ego, first.opponent)
+    situations = summarise(np.concatenate(observations), np.concatenate(actions), game.archive, game.move_names, agent)
     if folder is None:
         print(f"{first.game.track.name}, {first.game.config.race.name} rules, {total} races")
     print(situations_text(situations))

@@ -14,8 +14,7 @@ from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, ArchiveName, Circuits, Rules, Workers, archive_for
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
-from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.results.tables import aligned, write_csv
 
 if TYPE_CHECKING:
     from pcs_racing_agents.payoffs.headroom import Headroom
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 MOST = 16
 """Policies of a pool whose size is not given: all pairs of them race in less than a minute a circuit."""
-NOTE = """H: what knowing the opponent before the start is worth, in races won, over the best fixed policy; low: a bound
+NOTE = """H: value of knowing the opponent before the start, in races won, over the best fixed policy; low: a bound
 from below; opponents, pool: standard errors over opponents and over draws of the pool; transitive: share of the
 payoffs' variance that ratings explain, noise removed"""
 
@@ -85,7 +84,7 @@ def run(
     ],
     workers: Workers,
 ) -> None:
-    """Race all pairs of an archive's policies, and print what knowing the opponent is worth."""
+    """Race all pairs of an archive's policies, and print the value of knowing the opponent."""
     from pcs_racing_agents.payoffs.headroom import headroom, transitive_share
     from pcs_racing_agents.payoffs.policy_pool import pool_payoffs
 

@@ -1,4 +1,4 @@
-"""``pcs-racing learn`` and ``best-reply``: train agents in branched races, and opponents that exploit an agent."""
+"""``pcs-racing learn``, ``best-reply`` and ``ppo``: train agents, opponents that exploit one, and PPO baselines."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,15 +6,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from pcs_racing.base.checks import check_whole
+from pcs_racing.base.errors import require
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.make import make_game
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.cli.commands import Option, command
+from pcs_racing_agents.cli.commands import Option, SettingOptions, command
 from pcs_racing_agents.cli.options import AGENT_HELP, DEFAULT_TRACK, ArchiveName, Circuits, Rules, Workers, archive_for
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
+from pcs_racing_agents.learning.ppo.settings import PPOSettings
 
 if TYPE_CHECKING:
     from pcs_racing_agents.agents.agent import Competitor
@@ -108,7 +110,7 @@ def run(
     settings = load(config or CONFIGS[method][0], seed=games.rules.seed)
     players: tuple[Any, ...] = (made, opponents, setting)
     if method == "self-play":
-        players = ([self_play.RaceArena(game, setting, settings.worth) for game in made],)
+        players = ([self_play.RaceSampler(game, setting, settings.worth) for game in made],)
     name = name or method
     identity = {**run_identity(made, setting, opponents), "name": name, "settings": plain_settings(settings)}
     with workers.start() as executor, open_job(out, method, identity) as job:
@@ -188,3 +190,64 @@ def run_best_reply(
         write_results(reply.races, out / "results.csv")
         print(f"written: {write_replies({agent: reply}, out / 'best_reply.csv')}")
         print(f"network: {save_network(reply.network, out / 'reply')}")
+
+
+@command(
+    "ppo",
+    "pcs-racing ppo --config duel-paper --out out/ppo",
+    "pcs-racing ppo --config drive --steps 2000000 --seeds 0 1 2 --executor processes --out out/ppo-drive",
+)
+def run_ppo(
+    *,
+    config: Annotated[str, Option(f"settings: {', '.join(shipped_configs('ppo'))} or a YAML file", "NAME")],
+    changes: Annotated[dict[str, Any], SettingOptions(PPOSettings, "steps", "seeds")],
+    name: Annotated[
+        str | None, Option("name of the policy (default: the name under which the agent 'ppo' looks for it)")
+    ] = None,
+    tensorboard: Annotated[bool, Option("also write the learning curves for TensorBoard")] = False,
+    no_picture: Annotated[bool, Option("do not draw the learning curves")] = False,
+    out: Annotated[
+        Path, Option("folder for weights and learning curves; a stopped training keeps its finished seeds there", "DIR")
+    ],
+    workers: Workers,
+) -> None:
+    """Train a baseline by PPO at the strategy or control level, or resume such a training."""
+    from pcs_racing_agents.jobs.progress import show_progress
+    from pcs_racing_agents.learning.ppo.evaluation import evaluation_curves, mean_score, score_table
+    from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+    from pcs_racing_agents.learning.ppo.train import train_ppo
+    from pcs_racing_agents.pictures.curves import curves_picture, write_tensorboard
+    from pcs_racing_agents.pictures.style import save_picture
+
+    settings = load_ppo_settings(config, **changes)
+    if tensorboard:
+        require("tensorboard", extra="learning")
+    if not no_picture:
+        require("matplotlib", extra="plots")
+    with workers.start() as executor:
+        trained = train_ppo(
+            settings,
+            out,
+            name=name,
+            executor=executor,
+            progress=show_progress("steps"),
+        )
+    opponents = settings.opponents
+    if tensorboard:
+        runs = {
+            f"seed-{curve.seed}": [
+                (steps, {f"evaluation/{key}": value for key, value in mean_score(scores, opponents)._asdict().items()})
+                for steps, scores in zip(curve.steps, curve.scores, strict=True)
+            ]
+            for curve in trained.curves
+        }
+        write_tensorboard(out / "tensorboard", runs)
+    if not no_picture:
+        panels = evaluation_curves(trained.curves, opponents)
+        x_label, title = f"million {trained.task.unit}", f"PPO: {trained.task.default_name}"
+        save_picture(curves_picture(panels, x_label=x_label, title=title), out / "curve.png")
+    steps = ", ".join(f"{curve.steps[-1]} with seed {curve.seed}" for curve in trained.curves)
+    print(
+        f"{steps}: {trained.seconds:.0f} s of training; kept is seed {trained.seed} after {trained.steps} "
+        f"{trained.task.unit}\n\n{score_table(trained.scores, opponents)}\n\npolicy: {trained.folder}"
+    )

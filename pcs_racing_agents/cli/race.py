@@ -17,8 +17,7 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_races, starts_of, winners
 from pcs_racing.race.recording import LAST_INDEX, record_race
-from pcs_racing.race.replay import Replay
-from pcs_racing.race.replay_files import save_replay
+from pcs_racing.race.replay import Replay, save_replay
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.own_code import parse_driver

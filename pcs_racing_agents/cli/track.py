@@ -16,7 +16,7 @@ from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Calibration, Track, calibration_values
 from pcs_racing_agents.cli.commands import Command, Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuit, Race, output_file
-from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.results.tables import aligned
 
 group = Command(
     "track",
@@ -67,7 +67,7 @@ def run_import(
     ] = None,
 ) -> None:
     """Complete a map folder: build the missing centre line from the picture, and the race line from the centre line."""
-    from pcs_racing.track.mapping.folders import import_map
+    from pcs_racing.track.mapping.circuits import import_map
 
     heading = None if direction is None else _direction(direction)
     track = import_map(source, out, seed_point=seed_point, direction=heading, name=name)
@@ -87,7 +87,7 @@ def run_generate(
     out: MapFolder,
 ) -> None:
     """Generate a new circuit from a seed."""
-    from pcs_racing.track.mapping.folders import generate_map
+    from pcs_racing.track.mapping.circuits import generate_map
 
     track = generate_map(out, seed, style, name=name, width=width)
     write_track_picture(track, out / f"{track.name}.png")

@@ -13,7 +13,7 @@ from pcs_racing_agents.cli.options import Workers, output_folder
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.folders import hold_folder
 from pcs_racing_agents.networks.settings import TrainSettings
-from pcs_racing_agents.results.csv_files import write_csv
+from pcs_racing_agents.results.tables import write_csv
 
 
 @command(

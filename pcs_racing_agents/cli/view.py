@@ -219,7 +219,7 @@ def run_play(
     loaded = load_archive(archive_for(archive, config))
     rival = parse_agent(opponent, make_setting(loaded, config), seed=rules.seed)
     if drive:
-        from pcs_racing_agents.view.person_drive import drive_page, make_person_drive
+        from pcs_racing_agents.view.person_race import drive_page, make_person_drive
 
         wheel = make_person_drive(rival, rules.seed, track=load_track(track), race=config, archive=loaded)
         wheel.answer("/begin/0")  # what does not fit is told now

@@ -110,21 +110,21 @@ def explain_game(
         other = "nor does the other car's" if isinstance(cars[1 - car], Driver) else "try the other car"
         raise InputError(f"{competitor.name!r} in car {car} makes no moves, so there is nothing to explain; {other}")
     recording = record_game(game, *cars, policies=policies, start=start, seed=seed, candidates=candidates)
-    played, arena = recording.played, recording.game
+    played, game = recording.played, recording.game
     names = recording.replay.car_names
-    config, strategy = arena.config, getattr(competitor, "strategy", None)
+    config, strategy = game.config, getattr(competitor, "strategy", None)
     # A strategy may have a network of another kind, whose outputs are no values of moves.
     network = getattr(strategy, "network", None)
     network = network if isinstance(network, RegretNetwork) else None
     return Explanation(
-        archive=arena.archive,
-        moves=arena.move_names,
+        archive=game.archive,
+        moves=game.move_names,
         names=(names[0], names[1]),
         car=car,
         race=config.race.name,
         ends=config.ends,
-        steps=_steps(arena, competitor, played, car, network),
-        replay=mark_moves(recording.replay, played, arena.move_names, config.ends),
+        steps=_steps(game, competitor, played, car, network),
+        replay=mark_moves(recording.replay, played, game.move_names, config.ends),
         played=played,
         unit=None if network is None else value_unit(network, str(config.utility)),
         default=DefaultStrategy(strategy.blind.name, strategy.margin)
@@ -135,9 +135,9 @@ def explain_game(
 
 
 def _steps(
-    arena: RaceGame, competitor: Competitor, played: RaceTable, car: int, network: RegretNetwork | None
+    game: RaceGame, competitor: Competitor, played: RaceTable, car: int, network: RegretNetwork | None
 ) -> tuple[ExplainedDecision, ...]:
-    axes = len(arena.characteristics)
+    axes = len(game.characteristics)
     strategy = getattr(competitor, "strategy", None)
     steps = []
     for k in range(int((played.moves.codes[0, car] >= 0).sum())):
@@ -148,7 +148,7 @@ def _steps(
             default_move = int(strategy.blind.predict(observation[0])[0])
         steps.append(
             ExplainedDecision(
-                time=arena.config.ends[k],
+                time=game.config.ends[k],
                 own=own(observation, axes)[0].astype(np.float64),
                 opponent=opponent(observation, axes)[0].astype(np.float64),
                 lead=float(observed_lead(observation, axes, k)[0]),

@@ -138,9 +138,7 @@ def draw_values(figure: Any, explanation: Explanation) -> None:
     if valued:
         label = unit.text.removeprefix("of a ") + "s" if unit is not None and unit.text == "of a win" else ""
         label = label or (unit.text if unit is not None else "")
-        figure.supxlabel(
-            f"what each move is worth{f', {label}' if label else ''}; coloured: made", fontsize=9, color=SOFT
-        )
+        figure.supxlabel(f"value of each move{f', {label}' if label else ''}; coloured: made", fontsize=9, color=SOFT)
     else:
         figure.supxlabel("chance of each move; coloured: made", fontsize=9, color=SOFT)
 

@@ -19,7 +19,7 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing_agents.agents.observing import earlier, opponent
 from pcs_racing_agents.explain.explain import observed_lead
 from pcs_racing_agents.pictures.style import INK, SOFT, new_figure, picture, short
-from pcs_racing_agents.results.csv_files import write_csv
+from pcs_racing_agents.results.tables import write_csv
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]

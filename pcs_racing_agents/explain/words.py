@@ -97,7 +97,7 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
     if values is None or unit is None:
         return ""
     if step.next_policy == step.policy and explanation.moves[step.move] != "stay":
-        return "it keeps the policy, so it is worth what staying is worth"
+        return "it keeps the policy, so its value is that of staying"
     names = explanation.moves
     best = int(np.argmax(values))
     if explanation.default is not None and step.default_move is not None:
@@ -111,10 +111,10 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
     stay = len(names) - 1
     second = max(others, key=lambda i: values[i])
     against = stay if stay < len(values) and step.move != stay and names[stay] == "stay" else second
-    gain = _worth(explanation, values[step.move] - values[against])
+    gain = _difference(explanation, values[step.move] - values[against])
     text = f"worth {gain} than {'staying' if names[against] == 'stay' else names[against]}"
     if against != second:
-        text += f", {_worth(explanation, values[step.move] - values[second])} than {names[second]}"
+        text += f", {_difference(explanation, values[step.move] - values[second])} than {names[second]}"
     if unit.text == "" and values[step.move] == values[best]:
         text = f"the highest value of all moves, {text}"
     return text
@@ -126,14 +126,14 @@ def _why_default(explanation: Explanation, step: ExplainedDecision, best: int) -
     assert default is not None
     assert values is not None
     assert default_move is not None
-    # A network without a value for the default move (to stay) tells what others are worth more than it.
-    worth = values[default_move] if default_move < len(values) else 0.0
-    gain = _worth(explanation, values[best] - worth)
+    # A network without a value for the default move (to stay) tells by how much others are better.
+    usual = values[default_move] if default_move < len(values) else 0.0
+    gain = _difference(explanation, values[best] - usual)
     margin = _amount(explanation, default.margin)
     names = explanation.moves
     if step.move != default_move:
-        usual = f"{names[default_move]}, what {default.name} would do"
-        return f"worth {gain} than {usual}, and that is above the margin of {margin}"
+        other = f"{names[default_move]}, what {default.name} would do"
+        return f"worth {gain} than {other}, and that is above the margin of {margin}"
     if best == default_move:
         return f"what {default.name} would do, and the best move too"
     return (
@@ -142,7 +142,7 @@ def _why_default(explanation: Explanation, step: ExplainedDecision, best: int) -
     )
 
 
-def _worth(explanation: Explanation, difference: float) -> str:
+def _difference(explanation: Explanation, difference: float) -> str:
     return f"{_amount(explanation, abs(difference))} {'more' if difference >= 0.0 else 'less'}"
 
 

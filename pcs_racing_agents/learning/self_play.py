@@ -83,12 +83,12 @@ def load_self_play_settings(source: str | Path | SelfPlaySettings | None = None,
     return load_config("self-play", SelfPlaySettings(), source, **changes)
 
 
-class Arena(Protocol):
-    """A game that can be branched, the protocol of what self-play learns in."""
+class GameSampler(Protocol):
+    """Samples branched games of one kind, the protocol of what self-play learns from."""
 
     @property
     def identity(self) -> GameIdentity:
-        """The game that the network learns; several arenas, such as circuits, may be one game."""
+        """The game that the network learns; several samplers, such as of circuits, may have one game."""
 
     @property
     def steps(self) -> int:
@@ -117,7 +117,7 @@ class Arena(Protocol):
 
 
 def learn_self_play(
-    arenas: Sequence[Arena],
+    samplers: Sequence[GameSampler],
     settings: SelfPlaySettings,
     job: Job,
     *,
@@ -128,8 +128,8 @@ def learn_self_play(
 
     Parameters
     ----------
-    arenas : sequence of Arena
-        One for each circuit (:class:`RaceArena`), all of one game; they share one network.
+    samplers : sequence of GameSampler
+        One for each circuit (:class:`RaceSampler`), all of one game; they share one network.
     job : Job
         Stores rows and networks, so that a stopped run can be resumed.
 
@@ -139,23 +139,23 @@ def learn_self_play(
         A network of advantages for each iteration, to be played by regret matching, with the weights of the average
         strategy. The last one was fitted to the rows of all iterations: it predicts the mean counterfactual regrets.
     """
-    if len(arenas) == 0:
-        raise InputError("there is no arena to learn in; give at least one")
-    identity, steps = arenas[0].identity, arenas[0].steps
-    for i, arena in enumerate(arenas):
-        if arena.identity != identity or arena.steps != steps:
-            raise InputError(f"arena {i} is another game than arena 0; all must have one archive and one set of rules")
+    if len(samplers) == 0:
+        raise InputError("there is no game to learn; give at least one")
+    identity, steps = samplers[0].identity, samplers[0].steps
+    for i, sampler in enumerate(samplers):
+        if sampler.identity != identity or sampler.steps != steps:
+            raise InputError(f"game {i} is another one than game 0; all must have one archive and one set of rules")
     rows: list[Rows] = []
     networks: list[RegretNetwork] = []
     for iteration in range(1, settings.iterations + 1):
         place = f"iteration-{iteration}"
         blocks = [
             block
-            for i in range(len(arenas))
+            for i in range(len(samplers))
             for step in range(steps)
             for block in game_blocks(settings.seed, (i, step, iteration), settings.starts)
         ]
-        work = partial(_traverse, arenas, networks[-1] if networks else None, settings.exploration)
+        work = partial(_traverse, samplers, networks[-1] if networks else None, settings.exploration)
         results = job.run(place, work, blocks, **workers)
         weight = settings.iteration_weight(iteration)
         for arrays, block in zip(results, blocks, strict=True):
@@ -181,9 +181,11 @@ def learn_self_play(
     return NetworkSet(name, tuple(networks), np.array(weights), "regret-matching", facts)
 
 
-def _traverse(arenas: Sequence[Arena], network: RegretNetwork | None, exploration: float, block: GameBlock) -> Arrays:
+def _traverse(
+    samplers: Sequence[GameSampler], network: RegretNetwork | None, exploration: float, block: GameBlock
+) -> Arrays:
     i, step, _ = block.place
-    return arenas[i].traverse(network, exploration, step, block.keys)
+    return samplers[i].traverse(network, exploration, step, block.keys)
 
 
 # Races
@@ -208,12 +210,12 @@ class ExploringStrategy:
 
 
 @dataclass(frozen=True, eq=False)
-class RaceArena:
+class RaceSampler:
     """The game on one circuit: every move of one car is tried, and both cars play by the same network."""
 
     game: RaceGame
     setting: Setting  #: Archive and rules, as agents know them.
-    worth: str = "win"  #: "win" or "utility": Value of an outcome.
+    payoff: str = "win"  #: "win" or "utility": What a game counts.
 
     @property
     def identity(self) -> GameIdentity:
@@ -234,14 +236,11 @@ class RaceArena:
         probability of coming there is then the same in all iterations, and advantages of several iterations can be
         averaged without importance weights. Whether it starts in front or behind is drawn, so it learns for both cars.
         """
-        # Car 0 comes to the step by random moves, as in external sampling (Lanctot et al. 2009): its own probability of
-        # coming there is then the same in all iterations, and their advantages can be averaged without importance
-        # weights.
         random = random_player(self.game, self.setting, 2)
         first, second = (self._player(network, exploration, seed) for seed in (0, 1))
-        arena = game_between(self.game, first, second)
+        game = game_between(self.game, first, second)
         moves = len(self.identity.moves)
-        branches = branch_games(arena, second, keys, step, [random], first, self.worth, moves)
+        branches = branch_games(game, second, keys, step, [random], first, self.payoff, moves)
         chances = first.probabilities(branches.observations)[:, :moves]
         baseline = (chances * branches.outcomes).sum(axis=1, keepdims=True)
         return {

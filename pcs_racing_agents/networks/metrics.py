@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows
 from pcs_racing_agents.networks.targets import PlayedTree, best_moves
-from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.results.tables import aligned
 from pcs_racing_agents.solvers import (
     ExactResult,
     GameTree,

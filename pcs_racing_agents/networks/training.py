@@ -21,7 +21,7 @@ from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.networks.targets import best_moves
 from pcs_racing_agents.networks.torch_layers import initial_layers, layers_from_torch, relu_forward, torch_alone
 from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.csv_files import write_csv
+from pcs_racing_agents.results.tables import write_csv
 
 Floats = NDArray[np.float32]
 

@@ -181,7 +181,7 @@ def _noise_edge(folds: Floats, rng: np.random.Generator) -> float:
     signs = np.repeat([1.0, -1.0], count // 2)[:, None].repeat(played.shape[1], axis=1)
     noise = np.zeros((policies, policies))
     largest = []
-    # As many folds are added as subtracted, in another order for each pair: what a pair is worth cancels out, and noise
+    # As many folds are added as subtracted, in another order for each pair: the payoff of a pair cancels out, and noise
     # of the same size is left.
     for _ in range(_NOISE_DRAWS):
         noise[pairs] = (rng.permuted(signs, axis=0) * played).mean(axis=0)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
-from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.results.races import CRASHES, FAULTS, WINNERS, Categorical, RaceRow, RaceTable, narrow
+from pcs_racing_agents.results.tables import read_csv
 
 NEEDED = ("ego", "opponent", "track", "race", "start_s", "side", "seed", "lead", "winner", "crash", "fault")
 """Columns that every results file has; the others tell details."""

@@ -17,7 +17,7 @@ METHODS = ("exact", *VARIANTS, "argmax-regret")
 decision rule of the paper: always the move of largest cumulative regret (of ``vanilla``)."""
 
 INDIFFERENT = 1e-9
-"""Moves whose worth differs by less, in units of the payoffs' range, are equally good."""
+"""Moves whose value differs by less, in units of the payoffs' range, are equally good."""
 
 
 class MethodRow(NamedTuple):
@@ -54,7 +54,7 @@ def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str
 def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: bool = False) -> float:
     """Share of the decisions at which a profile's likeliest move is a best one against the exact solution.
 
-    Decisions at which every move is worth the same do not count; 1 if there are no others. With ``on_path`` joint
+    Decisions at which all moves have the same value do not count; 1 if there are no others. With ``on_path`` joint
     histories count as often as the exact solution leads to them, else equally.
     """
     game = tree.averaged

@@ -22,7 +22,7 @@ class BestResponse(NamedTuple):
 
     value: float  #: What it then gets.
     strategy: list[Floats]  #: One pure best response for each level, shape (rows, M_k).
-    #: What each move is worth to it in expectation, if it goes on with best responses, shape (rows, M_k).
+    #: Value of each move to it in expectation, if it goes on with best responses, shape (rows, M_k).
     q: list[Floats]
 
 
@@ -151,7 +151,7 @@ def best_response(tree: GameTree, profile: Profile, player: int) -> BestResponse
     tree = tree.averaged
     profile = check_profile(tree, profile)
     sigma, reach = _at_nodes(tree, profile), reach_probabilities(tree, profile)
-    # What a node is worth to the player.
+    # Value of each node to the player.
     values = tree.payoffs.reshape(-1) if player == 0 else -tree.payoffs.reshape(-1)
     strategy, q = [], []
     for k in reversed(range(tree.depth)):

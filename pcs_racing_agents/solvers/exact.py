@@ -16,11 +16,11 @@ from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 class ExactResult(NamedTuple):
     """The solution of a tree whose players see all past moves."""
 
-    value: float  #: What the game is worth to car 0.
+    value: float  #: Value of the game to car 0.
     #: An equilibrium, and one in every subtree (subgame perfect). Where there are several it is one of them.
     profile: Profile
-    node_values: list[Floats]  #: What each joint history of levels 0 to m is worth to car 0, shape (rows,).
-    #: What each move is worth to its player against the equilibrium, shapes (rows, A_k) and (rows, B_k).
+    node_values: list[Floats]  #: Value of each joint history of levels 0 to m to car 0, shape (rows,).
+    #: Value of each move to its player against the equilibrium, shapes (rows, A_k) and (rows, B_k).
     q: list[tuple[Floats, Floats]]
     #: The same above the node's value: 0 for the moves of the equilibrium, below 0 for mistakes.
     advantages: list[tuple[Floats, Floats]]
@@ -59,7 +59,7 @@ def solve_exact(tree: GameTree) -> ExactResult:
 class SequenceSolution(NamedTuple):
     """An equilibrium of a tree."""
 
-    value: float  #: What the game is worth to car 0.
+    value: float  #: Value of the game to car 0.
     profile: Profile  #: An equilibrium; infosets that a player's own moves never lead to get the even distribution.
 
 

@@ -1,7 +1,6 @@
 """The paper's study in one command: archive, game trees, networks, agents, races, and a report, stage by stage."""
 
-from pcs_racing_agents.study.config import StudyConfig, load_study_config
 from pcs_racing_agents.study.run import STAGES, run_study
-from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.study.study import Study, StudyConfig, load_study_config
 
 __all__ = ["STAGES", "Study", "StudyConfig", "load_study_config", "run_study"]

@@ -12,7 +12,7 @@ from pcs_racing_agents.jobs.jobs import Job, open_job
 from pcs_racing_agents.learning.responses.best_reply import BestReply, best_reply, write_replies
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.robust import learn_psro, learn_robust, load_psro_settings, load_robust_settings
-from pcs_racing_agents.learning.self_play import RaceArena, learn_self_play, load_self_play_settings
+from pcs_racing_agents.learning.self_play import RaceSampler, learn_self_play, load_self_play_settings
 from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
 from pcs_racing_agents.results.race_files import write_results
 from pcs_racing_agents.results.races import RaceTable
@@ -56,10 +56,10 @@ def play_against_itself(study: Study) -> None:
             continue
         settings = load_self_play_settings(source)
         seeded = replace(settings, seed=settings.seed + study.config.seed + PLAYING_SEED)
-        arenas = [RaceArena(game, study.setting, seeded.worth) for game in study.games()]
+        samplers = [RaceSampler(game, study.setting, seeded.worth) for game in study.games()]
 
         def learn(job: Job, **told: Any) -> NetworkSet:
-            return learn_self_play(arenas, seeded, job, **told)  # noqa: B023 - called at once
+            return learn_self_play(samplers, seeded, job, **told)  # noqa: B023 - called at once
 
         learned = _learn(study, "self-play", name, plain_settings(seeded), learn)
         if name == "sampled-cfr":

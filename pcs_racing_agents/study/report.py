@@ -13,10 +13,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pcs_racing.base.files import write_atomically
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.race.replay_files import replay_page
+from pcs_racing.race.replay import replay_page
 from pcs_racing_agents.explain.situations import Situations, situations_text
 from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.text_table import Column, is_number, table_rows
+from pcs_racing_agents.results.tables import Column, is_number, table_rows
 from pcs_racing_agents.study.report_inputs import ExplainedRace, ReplyLoss, mean_scores, scores_and_losses, total_losses
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text

@@ -16,9 +16,8 @@ from pcs_racing_agents.explain.explain import explain_game
 from pcs_racing_agents.explain.words import story
 from pcs_racing_agents.jobs.folders import package_version
 from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.csv_files import read_csv
 from pcs_racing_agents.results.races import RaceTable
-from pcs_racing_agents.results.text_table import interval_text
+from pcs_racing_agents.results.tables import interval_text, read_csv
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.tournament.pairings import Pairing
 

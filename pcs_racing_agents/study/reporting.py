@@ -17,8 +17,7 @@ from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.pictures.curves import Curve
 from pcs_racing_agents.results.race_files import read_results, write_results
 from pcs_racing_agents.results.races import RaceTable, closeness_text, concatenate_races
-from pcs_racing_agents.results.text_table import table_rows
-from pcs_racing_agents.study.config import BEST_OPEN_LOOP
+from pcs_racing_agents.results.tables import table_rows
 from pcs_racing_agents.study.family_gains import COLUMNS as FAMILY_COLUMNS
 from pcs_racing_agents.study.family_gains import family_gains, write_family_gains
 from pcs_racing_agents.study.playing import PLAYING_SEED, RATING_SEED, REPLY_SEED, TABLE_SEED, StudyRaces, table_races
@@ -34,7 +33,7 @@ from pcs_racing_agents.study.report_inputs import (
     software,
     watch_race,
 )
-from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.study.study import BEST_OPEN_LOOP, Study
 from pcs_racing_agents.study.table import StudyTable, by_progress, make_table
 from pcs_racing_agents.study.table_text import (
     overview_rows,
@@ -224,7 +223,7 @@ def _curves(study: Study) -> dict[str, list[Curve]]:
     return {name: read_curves(file) for name, file in files.items() if file.is_file()}
 
 
-REWARDS = {"worth": "worth of a race", "won": "races won", "fault": "crashes by own fault"}
+REWARDS = {"worth": "payoff of a race", "won": "races won", "fault": "crashes by own fault"}
 
 
 def _reward_curves(study: Study) -> dict[str, list[Curve]]:

@@ -23,8 +23,7 @@ from pcs_racing.track.loading import load_track
 from pcs_racing_agents.jobs.folders import claim_folder, clear_half_written
 from pcs_racing_agents.learning.ppo.learner import check_packages
 from pcs_racing_agents.study import playing, preparing, reporting
-from pcs_racing_agents.study.config import StudyConfig
-from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.study.study import Study, StudyConfig
 from pcs_racing_agents.synthesis.config import load_archive_config
 
 DONE, SECONDS = "done.yaml", "seconds.txt"

@@ -1,22 +1,216 @@
-"""A study and its folder: the context of its stages."""
+"""A study: its declared settings, and its folder, the context of its stages."""
 
+import os
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.settings import Settings, checked, names, setting, tenths, text, whole
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.archive_files import load_archive
+from pcs_racing.game.archive_files import list_archives, load_archive
+from pcs_racing.game.config import EPSILON_RULE, GameConfig, check_lengths, load_game_config
 from pcs_racing.game.make import make_game
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.config import load_race_config
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import build, parse_agent
+from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.jobs.progress import Progress, show_progress
-from pcs_racing_agents.study.config import BEST_OPEN_LOOP, StudyConfig
+from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
+from pcs_racing_agents.learning.self_play import load_self_play_settings
+from pcs_racing_agents.networks.targets import get_target
+from pcs_racing_agents.synthesis.config import load_archive_config
+
+BEST_OPEN_LOOP = ("best-fixed", "best-schedule", "best-lead-plan")
+"""Open-loop agents, fitted on training races: the best fixed policy, the best sequence of moves, the best lead plan."""
+
+
+@dataclass(frozen=True)
+class StudyConfig(Settings):
+    """Settings of a study; they determine its results."""
+
+    race: str = setting("paper", text(), "Rules: a preset's name or a YAML file.")
+    epsilon: float | tuple[float, ...] = setting(0.5, EPSILON_RULE, "Length of a move, in normalised coordinates.")
+    moves: int = setting(None, whole(1, 100), "Moves of each car in a game; None takes the steps of the rules.")
+    step_seconds: float = setting(None, tenths(0.1, 600.0), "Time between two moves, s.")
+    first_steps: tuple[float, ...] = setting(
+        None, checked(check_lengths), "Lengths of the first steps, as in the rules of the game, s."
+    )
+    synthesis: str | None = setting(
+        None,
+        text(),
+        "Configuration of the synthesis; None uses an existing archive instead.",
+    )
+    archive: str = setting("default", text(), "Name or folder of the existing archive.")
+    circuits: tuple[str, ...] = setting(("Tarnfjord",), names(), "Circuits of the trees and of training.")
+    pairs: int = setting(12, whole(0, 100_000), "Game trees on each circuit; 0 for none.")
+    seeds: int = setting(1, whole(1, 1000), "Noise realisations in each tree; 1 without noise.")
+    training: str = setting("study", text(), "Settings of the networks' training.")
+    targets: tuple[str, ...] = setting(
+        ("regret", "normalised", "advantage", "static-q"), names(), "Targets of the networks, in this order."
+    )
+    responses: tuple[str, ...] = setting(
+        (), names(0), "Settings of the learned responses (pcs_racing_agents.learning.responses.ResponseSettings)."
+    )
+    response_pool: tuple[str, ...] = setting(
+        ("never-switch", "random-moves"), names(), "Opponents in the training of responses."
+    )
+    robust: str | None = setting(
+        None, text(), 'Settings of the agent "robust", which learns against the pool of the responses; None for none.'
+    )
+    psro: str | None = setting(
+        None, text(), 'Settings of the agent "psro", whose first response is to that pool; None for none.'
+    )
+    self_play: str | None = setting(None, text(), 'Settings of the agent "self-play"; None for none.')
+    sampled_cfr: str | None = setting(
+        None,
+        text(),
+        'Settings (self-play) of counterfactual regrets from sampled games: the network of "cfr-argmax" and '
+        '"cfr-regret-matching", in place of one from full game trees; None for none.',
+    )
+    fitting_games: int = setting(
+        100,
+        whole(2, 1_000_000),
+        "Games against each opponent on each circuit, to select the best open-loop agents; even.",
+    )
+    fixed_targets: int = setting(
+        16,
+        whole(0, 1_000_000),
+        "Candidate policies for the targets of best-fixed and best-lead-plan, spread over the archive; 0 for all.",
+    )
+    fitting_opponents: tuple[str, ...] = setting(("never-switch",), names(), "Opponents in those games.")
+    tracks: tuple[str, ...] = setting(("Tarnfjord",), names(), "Circuits of the table.")
+    opponents: tuple[str, ...] = setting(
+        ("never-switch", "random-policy", "lane-switcher"), names(), "Opponents of the table."
+    )
+    arms: tuple[str, ...] = setting(
+        ("never-switch", *BEST_OPEN_LOOP, "cfr-argmax"),
+        names(),
+        "Agents of the table; the first is the baseline. With the three best open-loop agents among them (best-fixed, "
+        "best-schedule, best-lead-plan) the table has the adaptivity gain; some without the others are refused.",
+    )
+    best: str = setting("cfr-argmax", text(), "The agent of main interest among them.")
+    egos: int = setting(20, whole(2, 1000), "Start policies of the ego in each cell.")
+    variants: int = setting(20, whole(2, 1000), "Variants of the opponent in each cell.")
+    lines: int = setting(5, whole(1, 1000), "Start lines of each cell; races start from both sides.")
+    further_tracks: tuple[str, ...] = setting((), names(0), "Additional circuits of the second table.")
+    further_opponents: tuple[str, ...] = setting((), names(0), "Additional opponents of the second table.")
+    further_arms: tuple[str, ...] = setting((), names(0), "Additional agents of the second table.")
+    further_lines: int = setting(0, whole(0, 1000), "Start lines of its cells; 0 for no second table.")
+    ppo: str | None = setting(
+        None,
+        text(),
+        "Settings (level duel) of a PPO baseline that is trained on the study's circuits, with its archive and "
+        'rules; None trains none, and the agent "ppo" is then the shipped one.',
+    )
+    replies: tuple[str, ...] = setting(
+        (), names(0), "Agents of the tables whose loss to a learned best reply is measured, on the training circuits."
+    )
+    reply: str = setting("best-reply", text(), "Settings of the best replies (responses): the learner's budget.")
+    reply_races: int = setting(
+        4000, whole(40, 1_000_000), "Races of each agent against its best reply, on all circuits together."
+    )
+    rated: tuple[str, ...] = setting((), names(0), "Agents of the round robin for the ratings.")
+    rating_races: int = setting(
+        100, whole(2, 2000), "Races of each pair of rated agents on each circuit of the table; even."
+    )
+    seed: int = setting(0, whole(0, 2**62), "Seed of all random draws.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.game  # noqa: B018 - checks race and epsilon
+        for name in self.targets:
+            get_target(name)
+        for name in (*self.responses, self.reply):
+            load_response_settings(name)
+        for load, source in (
+            (load_robust_settings, self.robust),
+            (load_psro_settings, self.psro),
+            (load_self_play_settings, self.self_play),
+            (load_self_play_settings, self.sampled_cfr),
+        ):
+            if source is not None:
+                load(source)
+        if self.sampled_cfr is not None and "regret" in self.targets and self.pairs > 0:
+            raise ConfigError(
+                f"sampled_cfr is {self.sampled_cfr!r} and targets hold 'regret'; name one source of the regrets"
+            )
+        for name in self.replies:
+            if name not in self.every_arm:
+                raise ConfigError(
+                    f"replies hold {name!r}; they must be agents of the tables, {', '.join(self.every_arm)}"
+                )
+        # Every circuit needs some start policies and lines for an interval of its own.
+        if self.replies and self.reply_races < 40 * len(self.circuits):
+            raise ConfigError(
+                f"reply_races is {self.reply_races}; give at least 40 for each of {len(self.circuits)} circuits"
+            )
+        if self.synthesis is not None:
+            load_archive_config(self.synthesis)
+        elif self.archive not in list_archives() and not os.path.isdir(self.archive):
+            raise ConfigError(
+                f"archive is {self.archive!r}; it must be a folder or one of {', '.join(list_archives())}"
+            )
+        if self.ppo is not None and load_ppo_settings(self.ppo).level != "duel":  # type: ignore[attr-defined]
+            raise ConfigError(f"ppo is {self.ppo!r}; these are no settings of level duel")
+        # With some of them only, the best of those that are there would be called the best open-loop agent.
+        missing = [name for name in BEST_OPEN_LOOP if name not in self.arms]
+        if 0 < len(missing) < len(BEST_OPEN_LOOP):
+            present = next(name for name in BEST_OPEN_LOOP if name in self.arms)
+            raise ConfigError(
+                f"arms hold {present!r} but not {missing[0]!r}; name all of {', '.join(BEST_OPEN_LOOP)} or none: the "
+                "adaptivity gain is over the one that won most training races"
+            )
+        if self.best not in self.arms:
+            raise ConfigError(f"best is {self.best!r}; it must be one of the arms, {', '.join(self.arms)}")
+        if 0 < self.pairs * len(self.circuits) < 3:
+            raise ConfigError(
+                f"pairs is {self.pairs}; networks need at least 3 trees: for training, validation and test"
+            )
+
+    @property
+    def tables(self) -> dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], int]]:
+        """Circuits, opponents, arms and start lines of each table, by name."""
+        tables = {"main": (self.tracks, self.opponents, self.arms, self.lines)}
+        if self.further_lines:
+            tables["further"] = (
+                (*self.tracks, *(name for name in self.further_tracks if name not in self.tracks)),
+                (*self.opponents, *(name for name in self.further_opponents if name not in self.opponents)),
+                (*self.arms, *(name for name in self.further_arms if name not in self.arms)),
+                self.further_lines,
+            )
+        return tables
+
+    @property
+    def every_track(self) -> tuple[str, ...]:
+        """All circuits that are used."""
+        return tuple(dict.fromkeys((*self.circuits, *self.tracks, *self.further_tracks)))
+
+    @property
+    def every_arm(self) -> tuple[str, ...]:
+        """All agents of the tables."""
+        return tuple(dict.fromkeys((*self.arms, *self.further_arms)))
+
+    @property
+    def game(self) -> GameConfig:
+        """Rules of the game; with the move "stay" if the race's rules have it."""
+        race = load_race_config(self.race)
+        own = {name: getattr(self, name) for name in ("epsilon", "moves", "step_seconds", "first_steps")}
+        return load_game_config(race, **own)
+
+
+def load_study_config(source: str | Path | StudyConfig | None = None, **changes: Any) -> StudyConfig:
+    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed."""
+    return load_config("study", StudyConfig(), source, **changes)
+
 
 NETWORK_AGENTS = {"cfr-argmax": "regret", "cfr-regret-matching": "regret", "nash": "nash", "ppo": "ppo"}
 """Targets of the networks of the zoo's agents."""

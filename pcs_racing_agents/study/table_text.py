@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import aligned, interval_text, markdown, with_interval
+from pcs_racing_agents.results.tables import aligned, interval_text, markdown, with_interval, write_csv
 from pcs_racing_agents.study.table import Difference, StudyTable, TableRow
 from pcs_racing_agents.tournament.statistics import Comparison
 

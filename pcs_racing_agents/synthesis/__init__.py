@@ -4,9 +4,8 @@ from pcs_racing_agents.synthesis.archive_run import make_archive
 from pcs_racing_agents.synthesis.archive_search import ArchiveProgress
 from pcs_racing_agents.synthesis.config import ArchiveConfig, list_archive_configs, load_archive_config
 from pcs_racing_agents.synthesis.diverse import select_diverse
-from pcs_racing_agents.synthesis.evaluate import Evaluation
+from pcs_racing_agents.synthesis.evaluate import Evaluation, Scenarios, draw_scenarios
 from pcs_racing_agents.synthesis.indicators import hypervolume
-from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
 from pcs_racing_agents.synthesis.search import Search, Synthesis
 from pcs_racing_agents.synthesis.synthesize import synthesize
 

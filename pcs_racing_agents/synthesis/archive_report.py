@@ -19,7 +19,7 @@ from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.folders import package_version
 from pcs_racing_agents.pictures.style import new_figure, picture, save_picture, tidy
-from pcs_racing_agents.results.csv_files import write_csv
+from pcs_racing_agents.results.tables import write_csv
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveProgress
 from pcs_racing_agents.synthesis.config import HEADROOM_SETTINGS, ArchiveConfig
 from pcs_racing_agents.synthesis.evaluate import Evaluation, summarise

@@ -4,7 +4,7 @@
    generation, and every policy is raced in the same scenarios (Algorithm 1 of the paper).
 2. **Choice.** The best of everything evaluated are raced again, in other scenarios. Policies that crash too often, that
    another one clearly beats, or that nearly coincide with another one are left out. As an option, candidates race each
-   other instead, and a pool that holds a game is kept (:mod:`pcs_racing_agents.synthesis.headroom_choice`).
+   other instead, and a pool that holds a game is kept (:mod:`pcs_racing_agents.synthesis.selection`).
 3. **Measurement.** What is left is raced in new scenarios once more; these races alone give the coordinates, since the
    best of many noisy values is too good to be true.
 4. **Judgement**, of a pool that was chosen for headroom only: its headroom in new races.
@@ -29,12 +29,17 @@ from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.synthesis.archive_report import write_archive
 from pcs_racing_agents.synthesis.archive_search import REFERENCE, ArchiveCallback, PolicyRaces
 from pcs_racing_agents.synthesis.config import ArchiveConfig
-from pcs_racing_agents.synthesis.evaluate import summarise
-from pcs_racing_agents.synthesis.headroom_choice import choose_for_headroom, judge_headroom
+from pcs_racing_agents.synthesis.evaluate import Scenarios, draw_scenarios, summarise
 from pcs_racing_agents.synthesis.indicators import hypervolume
 from pcs_racing_agents.synthesis.mo_cma_es import latin_hypercube
-from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
-from pcs_racing_agents.synthesis.selection import beaten, difference_errors, spread_first, thin_out
+from pcs_racing_agents.synthesis.selection import (
+    beaten,
+    choose_for_headroom,
+    difference_errors,
+    judge_headroom,
+    spread_first,
+    thin_out,
+)
 from pcs_racing_agents.synthesis.synthesize import synthesize
 
 Floats = NDArray[np.float64]

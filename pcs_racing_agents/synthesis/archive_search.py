@@ -20,9 +20,8 @@ from pcs_racing_agents.jobs.jobs import Job, run_races
 from pcs_racing_agents.jobs.progress import Progress
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.synthesis.config import ArchiveConfig
-from pcs_racing_agents.synthesis.evaluate import Evaluation, join, race_policies, summarise
+from pcs_racing_agents.synthesis.evaluate import Evaluation, Scenarios, join, race_policies, summarise
 from pcs_racing_agents.synthesis.pareto_archive import Scale
-from pcs_racing_agents.synthesis.scenarios import Scenarios
 from pcs_racing_agents.synthesis.search import Generation
 from pcs_racing_agents.synthesis.synthesize import Evaluated
 

@@ -39,10 +39,10 @@ def game_between(game: RaceGame, ego: Competitor, opponent: Competitor) -> RaceG
     """Return the game in which two competitors meet: with the move "stay", and with their planners."""
     planners = [car.planner if isinstance(car, Driver) else None for car in (ego, opponent)]
     config = game.config if game.config.stay else replace(game.config, stay=True)
-    arena = replace(game, config=config, ego_planner=planners[0], opponent_planner=planners[1])
+    game = replace(game, config=config, ego_planner=planners[0], opponent_planner=planners[1])
     for car in (ego, opponent):
-        check_competitor(arena, car)
-    return arena
+        check_competitor(game, car)
+    return game
 
 
 def race_columns(
@@ -72,9 +72,9 @@ def race_columns(
         raise InputError(
             f"egos are {', '.join(map(competitor_name, egos)) or 'nobody'}; give one or more, a driver only alone"
         )
-    arena = game_between(game, egos[0], opponent)
+    game = game_between(game, egos[0], opponent)
     for ego in egos[1:]:
-        check_competitor(arena, ego)
+        check_competitor(game, ego)
     # No conversion to whole numbers here: policies given as 2.7 or True would become others without a word.
     keys, variants = np.asarray(seeds), np.asarray(policies)
     if variants.shape != (len(starts), 2) or variants.dtype.kind not in "iu" or keys.shape != (len(starts),):
@@ -83,15 +83,15 @@ def race_columns(
             f"must be whole numbers of shape ({len(starts)}, 2) and ({len(starts)},)"
         )
     for car, competitor in enumerate((egos[0], opponent)):
-        count = variant_count(arena, competitor)
+        count = variant_count(game, competitor)
         wrong = np.flatnonzero((variants[:, car] < 0) | (variants[:, car] >= count))
         if len(wrong):
             raise InputError(
                 f"game {wrong[0]}: the {CARS[car]}'s variant is {variants[wrong[0], car]}; "
                 f"{competitor_name(competitor)!r} has variants 0 to {count - 1}"
             )
-    games = _drive(arena, egos, opponent, variants.astype(np.int64), starts, keys)
-    return [_columns(arena, games, k) for k in range(len(egos))]
+    games = _drive(game, egos, opponent, variants.astype(np.int64), starts, keys)
+    return [_columns(game, games, k) for k in range(len(egos))]
 
 
 class _SharedGames(NamedTuple):
@@ -104,7 +104,7 @@ class _SharedGames(NamedTuple):
 
 
 def _drive(
-    arena: RaceGame,
+    game: RaceGame,
     egos: Sequence[Competitor],
     opponent: Competitor,
     variants: Indices,
@@ -112,14 +112,14 @@ def _drive(
     keys: NDArray[Any],
 ) -> _SharedGames:
     """Drive the branches of all games, step by step."""
-    games, steps = len(variants), arena.config.moves
+    games, steps = len(variants), game.config.moves
     drivers = [
         [car.policies[i] for i in variants[:, place]] if isinstance(car, Driver) else None
         for place, car in enumerate((egos[0], opponent))
     ]
     # A driver's variant is no policy of the archive; -1 leaves its place to it.
     first = np.where([driver is None for driver in drivers], variants, -1)
-    state = arena.reset(keys, policies=first, starts=starts, egos=drivers[0], opponents=drivers[1])
+    state = game.reset(keys, policies=first, starts=starts, egos=drivers[0], opponents=drivers[1])
     # At first every ego's game k is row k of the state. A row is copied only when its egos part, so the state grows
     # with the number of different games; rows never join again, since what was driven differs from there on.
     branch = np.tile(np.arange(games), (len(egos), 1))
@@ -131,35 +131,35 @@ def _drive(
     memories: list[list[Any]] = [[None] * games for _ in egos]
     opponent_memories: list[Any] = [None] * games
     for step in range(steps):
-        over = arena.done(state)
+        over = game.done(state)
         if over.all():
             break
         running = ~over[branch]
-        seen = arena.observation(state)
+        seen = game.observation(state)
         own = np.zeros(branch.shape, np.int64)
         for k, ego in enumerate(egos):
             if not isinstance(ego, Driver):
-                own[k], memories[k] = _ask_ego(ego, arena, state, branch[k], seen, memories[k])
+                own[k], memories[k] = _ask_ego(ego, game, state, branch[k], seen, memories[k])
                 moves[k, running[k], 0, step] = own[k, running[k]]
         replies = np.zeros(state.games, np.int64)
         if drivers[1] is None:
-            replies = ask_moves(opponent, arena, state, 1, observation=seen[:, 1], memories=opponent_memories)
+            replies = ask_moves(opponent, game, state, 1, observation=seen[:, 1], memories=opponent_memories)
             moves[running, 1, step] = replies[branch][running]
         # Two egos with different moves that lead to the same policy go on together. Games that are over count as
         # policy 0: they are not driven, and must not multiply.
-        policies = np.where(running, arena.next_policy(state.policy[branch, 0], own), 0)
-        _, chosen, after = np.unique(branch * len(arena.archive) + policies, return_index=True, return_inverse=True)
+        policies = np.where(running, game.next_policy(state.policy[branch, 0], own), 0)
+        _, chosen, after = np.unique(branch * len(game.archive) + policies, return_index=True, return_inverse=True)
         parents = branch.reshape(-1)[chosen]
         both = np.stack([own.reshape(-1)[chosen], replies[parents]], axis=1)
         opponent_memories = _branched(opponent_memories, parents)
-        state = arena.apply(take_games(state, parents), both)
+        state = game.apply(take_games(state, parents), both)
         branch = after.reshape(branch.shape)
         path[running, :, step + 1] = state.policy[branch][running]
     return _SharedGames(state, branch, path, moves)
 
 
 def _ask_ego(
-    ego: Competitor, arena: RaceGame, state: GameState, rows: Indices, seen: NDArray[np.float32], memories: list[Any]
+    ego: Competitor, game: RaceGame, state: GameState, rows: Indices, seen: NDArray[np.float32], memories: list[Any]
 ) -> tuple[Indices, list[Any]]:
     """Moves of an ego in its games, which are some rows of a state, and what it remembers of each of them after it."""
     # ask_moves knows memories by the row of the state; several egos' games may lie in the same row, so each ego has
@@ -167,7 +167,7 @@ def _ask_ego(
     remembered: list[Any] = [None] * state.games
     for row, memory in zip(rows, memories, strict=True):
         remembered[row] = memory
-    moves = ask_moves(ego, arena, state, 0, rows=rows, observation=seen[:, 0], memories=remembered)
+    moves = ask_moves(ego, game, state, 0, rows=rows, observation=seen[:, 0], memories=remembered)
     return moves[rows], [remembered[row] for row in rows]
 
 
@@ -180,21 +180,21 @@ def _branched(memories: list[Any], parents: Indices) -> list[Any]:
     return [copy.deepcopy(memories[parent]) if parted[parent] else memories[parent] for parent in parents]
 
 
-def _columns(arena: RaceGame, games: _SharedGames, ego: int) -> Arrays:
+def _columns(game: RaceGame, games: _SharedGames, ego: int) -> Arrays:
     """Results of the games of one of several egos."""
     state = take_games(games.state, games.branch[ego])
     race = state.race
     return {
         "lead": race.lead,
-        "winner": arena.winner(state),
+        "winner": game.winner(state),
         # A race has one code. That of a contact of the cars is the higher one: it may end at a wall for one of them.
         "crash": race.crash.max(axis=1),
         # Faults that did not end a race are only counted in its state.
-        "fault": arena.fault(state).astype(np.int8),
+        "fault": game.fault(state).astype(np.int8),
         "overtakes": narrow(race.overtakes),
         "duration": np.asarray(race.tick * DT, np.float64),
         "path": narrow(games.path[ego]),
         "moves": narrow(games.moves[ego]),
         "noise": race.seed,
-        "observations": arena.observation(state),
+        "observations": game.observation(state),
     }

@@ -158,14 +158,14 @@ def cross_pairing(
         Must be equal for pairings that are compared.
     """
     cars = (as_competitor(ego), as_competitor(opponent))
-    arena = game_between(game, *cars)
+    meeting = game_between(game, *cars)
     check_whole("lines", lines, 1, 1000)
     # A wrong seed is refused here, in the words of the function that will use it, before anything is drawn with it.
     race_seeds(seed, 1)
-    first = _variants("egos", egos, variant_count(arena, cars[0]), seed, 3)
-    second = _variants("opponents", opponents, variant_count(arena, cars[1]), seed, 4)
-    rules = replace(arena.setup.config, start_lines=lines * LINE_SETS)
-    positions = start_lines(arena.track, rules, np.random.SeedSequence(seed, spawn_key=(0,)))
+    first = _variants("egos", egos, variant_count(meeting, cars[0]), seed, 3)
+    second = _variants("opponents", opponents, variant_count(meeting, cars[1]), seed, 4)
+    rules = replace(meeting.setup.config, start_lines=lines * LINE_SETS)
+    positions = start_lines(meeting.track, rules, np.random.SeedSequence(seed, spawn_key=(0,)))
     # The side changes fastest: races 2j and 2j + 1 are the two sides of one line, as in a schedule.
     grid = np.meshgrid(first, second, np.arange(lines), np.arange(2), indexing="ij")
     a, b, own_line, side = (axis.reshape(-1).astype(np.int64) for axis in grid)
@@ -186,7 +186,7 @@ def _variants(noun: str, requested: int | Sequence[int], available: int, seed: i
             raise InputError(f"{noun} is {requested}; a pairing needs at least one variant")
         generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,)))
         return np.sort(generator.permutation(available)[: int(requested)])
-    indices = check_whole_array(noun, requested, (None,), least=0, most=available - 1)
+    indices = check_whole_array(noun, requested, (None,), minimum=0, maximum=available - 1)
     if len(indices) == 0 or len(np.unique(indices)) < len(indices):
         raise InputError(f"{noun} is {requested!r}; it must be a number of variants, or a list of different ones")
     return indices

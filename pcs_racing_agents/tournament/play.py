@@ -208,10 +208,10 @@ def _resolve(entrant: Entrant, setting: Setting, seed: int) -> Any:
     return parse_agent(entrant, setting, seed=seed) if isinstance(entrant, str) else entrant
 
 
-def _check_distinct(noun: str, names: list[str], least: int) -> None:
-    if len(names) < least:
+def _check_distinct(noun: str, names: list[str], minimum: int) -> None:
+    if len(names) < minimum:
         count = f"there are {len(names)} {noun}" if len(names) != 1 else f"there is 1 {noun[:-1]}"
-        raise InputError(f"{count}; a tournament needs at least {least}")
+        raise InputError(f"{count}; a tournament needs at least {minimum}")
     repeated = {name for name in names if names.count(name) > 1}
     if repeated:
         raise InputError(f"{noun} must have different names; there is more than one {', '.join(sorted(repeated))}")

@@ -100,27 +100,27 @@ def record_game(
     pairing = Pairing(game, *cars, variants[None], start, np.array([seed], np.uint64), 0)
     (columns,) = pairing.race([cars[0]])
     path = columns["path"][0]
-    arena = game_between(game, *cars)
+    game = game_between(game, *cars)
     # A step without a policy follows a crash; two drivers have none in any step, and drive in a single one.
     driven = int((path >= 0).any(axis=0).sum()) or 1
-    theta = np.zeros((driven, 2, arena.setup.theta_size))
+    theta = np.zeros((driven, 2, game.setup.theta_size))
     for car, competitor in enumerate(cars):
         for step in range(driven):
             if isinstance(competitor, Driver):
                 parameters = competitor.policies[variants[car]].parameters
             else:
-                parameters = arena.archive.policy(int(path[car, step])).parameters
+                parameters = game.archive.policy(int(path[car, step])).parameters
             theta[step, car, : len(parameters)] = parameters
     replay = record_drive(
-        arena.setup,
+        game.setup,
         start,
         columns["noise"][0],
         theta,
         names=pairing.names,
-        ends=arena.config.end_ticks[: driven - 1].tolist(),
+        ends=game.config.end_ticks[: driven - 1].tolist(),
         candidates=candidates,
     )
-    return Recording(replay, race_table(pairing, columns), arena)
+    return Recording(replay, race_table(pairing, columns), game)
 
 
 def play_pairing(pairing: Pairing, **run: Unpack[Run]) -> RaceTable:

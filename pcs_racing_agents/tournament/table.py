@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
 from pcs_racing_agents.results.races import closeness_text
-from pcs_racing_agents.results.text_table import Column, aligned, table_rows
+from pcs_racing_agents.results.tables import Column, aligned, table_rows
 from pcs_racing_agents.tournament.play import Tournament
 from pcs_racing_agents.tournament.ratings import Ratings
 from pcs_racing_agents.tournament.round_robin import RoundRobin, drivers, round_robin

@@ -1,7 +1,6 @@
 """Game trees of races: the data of solvers and networks, simulated once and stored in files."""
 
-from pcs_racing_agents.trees.build import build_tree
-from pcs_racing_agents.trees.roots import choose_pairs
+from pcs_racing_agents.trees.build import build_tree, choose_pairs
 from pcs_racing_agents.trees.storage import StoredTrees, build_trees, load_trees
 from pcs_racing_agents.trees.tree import RaceTree, TreeStatistics
 

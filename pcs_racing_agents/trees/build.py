@@ -1,20 +1,87 @@
-"""Construction of a game tree by simulation, level by level, all nodes of a level in one batch."""
+"""Construction of a game tree by simulation, level by level, all nodes of a level in one batch; and its root."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.reward import reward
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.trees.driving import drive_children
-from pcs_racing_agents.trees.far import finish
-from pcs_racing_agents.trees.paths import PolicyPaths, check_size, policy_paths
-from pcs_racing_agents.trees.tree import RaceTree
+from pcs_racing_agents.trees.driving import drive_children, finish
+from pcs_racing_agents.trees.tree import PolicyPaths, RaceTree, check_size, policy_paths
+
+Indices = NDArray[np.int64]
+
+ATTEMPTS = 20  # as many as RaceGame.reset makes
+NOISY_SEEDS = 4
+
+
+class Root(NamedTuple):
+    """The root of a tree: policies, start and noise."""
+
+    policies: Indices  #: shape (2,)
+    start_s: float  #: Arc length of the start line, m.
+    side: int  #: 0 when car 0 starts on the left or in front.
+    seeds: NDArray[np.uint64]  #: shape (S,): Keys of the games.
+
+
+def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
+    """Choose pairs of starting policies, shape (count, 2).
+
+    The policies are a diverse choice of about ``2 sqrt(count)`` of the archive's (:func:`select_diverse`); no pair
+    comes twice before all of them have come once, whichever way round.
+
+    Parameters
+    ----------
+    count : int
+        1 to 100,000.
+    seed : int
+        Of the choice.
+    """
+    from pcs_racing_agents.synthesis.diverse import select_diverse
+
+    check_whole("pairs", count, 1, 100_000)
+    check_seed(seed, maximum=2**64)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+    size = min(len(archive), int(np.ceil(2.0 * np.sqrt(count))))
+    pool = select_diverse(archive, size, rng=rng)
+    every = np.stack(np.triu_indices(size), axis=1)
+    rounds = [rng.permutation(every) for _ in range(-(-count // len(every)))]
+    return pool[rng.permuted(np.concatenate(rounds)[:count], axis=1)]
+
+
+def default_seeds(game: RaceGame) -> int:
+    """Noise seeds of a root: one where there is no noise, four where there is."""
+    return NOISY_SEEDS if game.config.race.steering_noise > 0.0 else 1
+
+
+def draw_root(game: RaceGame, policies: Indices, seeds: int, rng: np.random.Generator) -> Root:
+    """Draw start line, side and noise for a pair of policies, so that neither car crashes before the first move.
+
+    The games of a root, one for each of the ``seeds``, differ in their noise alone.
+    """
+    # Like `RaceGame.reset`, it draws again where a car crashes, and gives up after some attempts: a pair that always
+    # crashes has a tree of nothing but crashes.
+    noisy = game.config.race.steering_noise > 0.0
+    start_s, side, kept = 0.0, 0, np.zeros(0, np.uint64)
+    for _ in range(ATTEMPTS):
+        start_s, side = float(rng.choice(game.start_lines)), int(rng.integers(2))
+        kept = np.zeros(0, np.uint64)
+        for _ in range(ATTEMPTS if noisy else 1):
+            keys = rng.integers(2**64, size=seeds - len(kept), dtype=np.uint64)
+            starts = Starts(np.full(len(keys), start_s), np.full(len(keys), side))
+            crashed = game.reset(keys, policies=policies, starts=starts).race.crashed
+            kept = np.concatenate([kept, keys[~crashed]])
+            if len(kept) == seeds:
+                return Root(policies, start_s, side, kept)
+    missing = rng.integers(2**64, size=seeds - len(kept), dtype=np.uint64)
+    return Root(policies, start_s, side, np.concatenate([kept, missing]))
 
 
 def build_tree(
@@ -29,7 +96,7 @@ def build_tree(
 
     Histories of moves that pass through the same policies are driven once, a crash ends its branch, and the last step
     of two cars that are out of each other's sight is put together from their single drives
-    (:mod:`pcs_racing_agents.trees.far`). None of that changes a bit of the result.
+    (:mod:`pcs_racing_agents.trees.driving`). None of that changes a bit of the result.
 
     Parameters
     ----------
@@ -104,7 +171,7 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
     moves, axes = game.config.moves, len(game.characteristics)
     races = root.race  # those of the level that go on
     row = np.where(races.crashed, -1, 0).reshape(1, 1)  # of each pair of paths in ``races``, -1 where it is over
-    worth = np.where(races.crashed, reward(game.config, races, 0), 0.0).reshape(1, 1)
+    payoffs = np.where(races.crashed, reward(game.config, races, 0), 0.0).reshape(1, 1)
     leads = [root.leads[:, 0].reshape(1, 1)]
     estimates = [root.estimates[:, :, 0].reshape(1, 1, 2, axes).astype(np.float32)]
     over = [row < 0]
@@ -113,7 +180,7 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
         # A pair of paths continues the race of the pair of their parents.
         # Paths of one car and of the other are independent: all pairs of them stand in a matrix.
         above = np.ix_(*(path.parent[k] for path in paths))
-        parents, worth = row[above], worth[above]
+        parents, payoffs = row[above], payoffs[above]
         at = np.nonzero(parents >= 0)
         rows = parents[at]
         policies = np.stack([path.policy[k][i] for path, i in zip(paths, at, strict=True)], axis=1)
@@ -123,12 +190,12 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
             ends, count = finish(game, races, rows, policies, share=share)
             crashed[at] = ends.crash.any(axis=1)
             # The end after a crash or after all moves: in both cases k moves were made.
-            worth[at] = reward(game.config, ends.as_races(), k)
+            payoffs[at] = reward(game.config, ends.as_races(), k)
             driven += count
             break
         below, measured = drive_children(game, races, rows, policies)
         crashed[at] = below.crashed
-        worth[at] = np.where(below.crashed, reward(game.config, below, k), 0.0)
+        payoffs[at] = np.where(below.crashed, reward(game.config, below, k), 0.0)
         leads.append(_scatter(below.lead, at, parents.shape))
         estimates.append(_scatter(measured.astype(np.float32), at, parents.shape))
         over.append(crashed)
@@ -141,7 +208,7 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
     # A pair of paths counts once for every joint history that goes along it.
     weights = [np.bincount(path.history[moves]) for path in paths]
     crashes = int(weights[0] @ crashed.astype(np.int64) @ weights[1])
-    return worth.astype(np.float32), leads, estimates, over, (driven, live, crashes)
+    return payoffs.astype(np.float32), leads, estimates, over, (driven, live, crashes)
 
 
 def _scatter(values: NDArray[Any], at: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]) -> NDArray[Any]:

@@ -2,6 +2,16 @@
 
 A thread drives its races from beginning to end. Threads that waited for each other whenever progress is noted, every
 0.1 s, would gain much less.
+
+The last step of games whose cars are out of each other's sight is driven only once for each car (:func:`finish`). A
+driver that promises a limited ``sight`` (:class:`pcs_racing.Planner`) drives the same whatever happens beyond it. From
+a moment at which the cars are that far apart, ``n`` policies of one car and ``n`` of the other make ``n * n`` races,
+but only ``2 n`` different drives: ``n`` races show them all. The others are put together from them, if the cars would
+not have come near each other and neither crashed; otherwise they are driven, too. The result is the same to the last
+bit. Steering noise changes nothing of that, since it depends on the race's seed, the car and the time alone.
+
+That holds for progress and crashes, which is what the end of a game counts. The minimum time to collision sees the
+other car at any distance, so steps in which it is measured are driven one by one.
 """
 
 from collections.abc import Callable
@@ -24,6 +34,11 @@ Floats = NDArray[np.float64]
 CHUNK = 64
 """Races that a thread drives at a time: about 30 ms of work, and 1.2 kB of state each."""
 
+MARGIN = 2.0
+"""Distance beyond the sight, m: more than the gap can change in the 0.1 s between two looks at it."""
+
+UNKNOWN, KNOWN, CRASHES = range(3)
+
 
 class RaceEnds(NamedTuple):
     """The ends of B races: those parts of a :class:`RaceState` that decide the payoff."""
@@ -44,7 +59,7 @@ class RaceEnds(NamedTuple):
         self.fault[rows] = ends.fault
 
     def as_races(self) -> RaceState:
-        """Return a state that holds these numbers, as :meth:`RaceGame.worth` wants it."""
+        """Return a state that holds these numbers, as :func:`pcs_racing.game.reward.reward` wants it."""
         return empty_state(len(self.progress), 0)._replace(**self._asdict())
 
 
@@ -109,3 +124,107 @@ def drive_to_the_end(
 
     _in_chunks(game, len(rows), drive)
     return ends, traces
+
+
+def finish(
+    game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, share: bool = True
+) -> tuple[RaceEnds, int]:
+    """Compute how the last step of the game ends, and how many races were driven for that.
+
+    ``parents``, ``rows``, ``policies``: as for :func:`pcs_racing_agents.trees.driving.drive_children`. ``share``:
+    whether to put races together where that is possible; it does not change the result.
+    """
+    sight = max(planner.sight for planner in game.setup.planners) + MARGIN
+    ends = RaceEnds.empty(len(rows))
+    length = game.track.length
+    apart = _apart(parents.lead, length) > sight if share else np.zeros(parents.races, np.bool_)
+    far = np.flatnonzero(apart[rows])
+    drives = _different_drives(parents, rows[far], policies[far])
+    status = np.full((2, int(drives.max(initial=-1)) + 1), UNKNOWN)
+    source = np.zeros_like(status)  # row of a known drive in ``known`` and ``traces``
+    known = np.zeros((0, 2))  # progress at the end of races that were driven
+    traces = np.zeros((0, 1, 2), np.float32)
+    waiting = np.arange(len(far))  # races whose end is not known yet
+    count = 0
+    not_shared = [np.flatnonzero(~apart[rows])]  # races that must be driven themselves
+    # Few races show every drive at least once; where a crash hid what the other car does, others are driven for it.
+    while len(waiting):
+        batch = waiting[_cover(drives[:, waiting], status)]
+        if len(batch) == 0:
+            break
+        batch_ends, batch_trace = drive_to_the_end(game, parents, rows[far[batch]], policies[far[batch]], trace=True)
+        ends.write(far[batch], batch_ends)
+        apart_throughout = _stay_apart(batch_trace[:, :, 0], batch_trace[:, :, 1], length, sight)
+        for car in range(2):
+            # A race stands still after a crash: what the other car would have done is not known then. Where the cars
+            # came near each other nothing is known of either, and another race may show it.
+            shown = drives[car, batch]
+            complete = apart_throughout & ~batch_ends.crash.any(axis=1)
+            status[car, shown[apart_throughout & (batch_ends.crash[:, car] != 0)]] = CRASHES
+            status[car, shown[complete]] = KNOWN
+            source[car, shown[complete]] = len(traces) + np.flatnonzero(complete)
+        known = np.concatenate([known, batch_ends.progress])
+        traces = batch_trace if len(traces) == 0 else np.concatenate([traces, batch_trace])
+        count += len(batch)
+        waiting = np.setdiff1d(waiting, batch, assume_unique=True)
+        crashing = (status[0, drives[0, waiting]] == CRASHES) | (status[1, drives[1, waiting]] == CRASHES)
+        not_shared.append(far[waiting[crashing]])
+        waiting = waiting[~crashing]
+    for first in range(0, len(waiting), 4096):  # bounded memory
+        block = waiting[first : first + 4096]
+        from0, from1 = (source[car, drives[car, block]] for car in range(2))
+        apart_in_block = _stay_apart(traces[from0, :, 0], traces[from1, :, 1], length, sight)
+        # Neither car crashes in its known drive: together they would not, either, unless they come near each other.
+        ends.progress[far[block]] = np.stack([known[from0, 0], known[from1, 1]], axis=1)
+        not_shared.append(far[block[~apart_in_block]])
+    rest = np.concatenate(not_shared)
+    ends.write(rest, drive_to_the_end(game, parents, rows[rest], policies[rest])[0])
+    return ends, count + len(rest)
+
+
+def _apart(lead: NDArray[np.floating], length: float) -> NDArray[np.floating]:
+    """Return the distance between cars along the track, the shorter way round, m."""
+    round_ = np.mod(lead, length)
+    return np.asarray(np.minimum(round_, length - round_))
+
+
+def _stay_apart(
+    first: NDArray[np.float32], second: NDArray[np.float32], length: float, sight: float
+) -> NDArray[np.bool_]:
+    """Whether two cars never come within sight of each other, for their progress over time, shapes (B, T)."""
+    return np.asarray((_apart(first - second, length) > sight).all(axis=1))
+
+
+def _different_drives(parents: RaceState, rows: Indices, policies: Indices) -> Indices:
+    """Return numbers of each car's drives, shape (2, B): equal ones have the same car, state and policy."""
+    numbers = np.zeros((2, len(rows)), np.int64)
+    if len(rows) == 0:
+        return numbers
+    used, which = np.unique(rows, return_inverse=True)
+    for car in range(2):
+        columns = [
+            array[used, car].reshape(len(used), -1)
+            for array in (parents.cars, parents.frenet, parents.progress, parents.command, parents.disturbance)
+        ]
+        columns += [array[used, car].reshape(len(used), -1) for array in (parents.path, parents.memory)]
+        shared = [parents.tick[used, None].view(np.float64), parents.seed[used, None].view(np.float64)]
+        table = np.ascontiguousarray(np.concatenate([*columns, *shared], axis=1))
+        state: dict[bytes, int] = {}
+        same = np.array([state.setdefault(row.tobytes(), len(state)) for row in table], np.int64)
+        keys = same[which] * (policies.max(initial=0) + 1) + policies[:, car]
+        numbers[car] = np.unique(keys, return_inverse=True)[1]
+    return numbers
+
+
+def _cover(drives: Indices, status: Indices) -> Indices:
+    """Select few races that contain every unknown drive: first those that contain two, then the others."""
+    unknown = [(status[car] == UNKNOWN).tolist() for car in range(2)]
+    pairs = list(zip(*drives.tolist(), strict=True))
+    selected = []
+    for both in (True, False):
+        for i, (first, second) in enumerate(pairs):
+            new0, new1 = unknown[0][first], unknown[1][second]
+            if (new0 and new1) if both else (new0 or new1):
+                unknown[0][first] = unknown[1][second] = False
+                selected.append(i)
+    return np.array(sorted(selected), np.int64)

@@ -20,8 +20,7 @@ from pcs_racing_agents.jobs.chunks import Arrays, chunk_file, read_chunk
 from pcs_racing_agents.jobs.folders import is_unchanged, read_job
 from pcs_racing_agents.jobs.jobs import TaskGroup, open_job, run_groups
 from pcs_racing_agents.jobs.progress import Progress
-from pcs_racing_agents.trees.build import build_tree, check_game
-from pcs_racing_agents.trees.roots import choose_pairs, default_seeds, draw_root
+from pcs_racing_agents.trees.build import build_tree, check_game, choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
 
 KIND = "game trees"
@@ -141,7 +140,7 @@ def stored_identity(settings: Mapping[str, Any]) -> GameIdentity:
 def _checked_pairs(archive: PolicyArchive, pairs: int | ArrayLike, seed: int) -> NDArray[np.int64]:
     if is_whole(pairs):
         return choose_pairs(archive, int(pairs), seed)
-    array = check_whole_array("pairs", pairs, (None, 2), least=0, most=len(archive) - 1)
+    array = check_whole_array("pairs", pairs, (None, 2), minimum=0, maximum=len(archive) - 1)
     if len(array) == 0:
         raise InputError("pairs are empty; give at least one")
     return array

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game.competitor_names import NEVER_SWITCH
+from pcs_racing.game.competitor import NEVER_SWITCH
 from pcs_racing_agents.results.races import RaceTable
 
 OUTCOMES = (

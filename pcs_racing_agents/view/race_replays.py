@@ -15,8 +15,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.packing import COARSE, FINE, pack, pack_paths, pack_segments
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.race.replay import Replay
-from pcs_racing.race.replay_files import plain_parts
+from pcs_racing.race.replay import Replay, plain_parts
 from pcs_racing_agents.agents.observing import opponent, step_count
 from pcs_racing_agents.explain.explain import mark_moves
 from pcs_racing_agents.explain.pcs_picture import in_units, plane
@@ -65,13 +64,13 @@ class RaceRepeater:
         recording = record_game(
             pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(row.race), candidates=False
         )
-        played, arena = recording.played, recording.game
+        played, game = recording.played, recording.game
         self.results.check_lead(number, played.lead[0])
-        replay = mark_moves(recording.replay, played, arena.move_names, arena.config.ends)
+        replay = mark_moves(recording.replay, played, game.move_names, game.config.ends)
         if self.space is None:
-            self.space = space_values(arena.archive, arena.move_names)
+            self.space = space_values(game.archive, game.move_names)
         self.circuits.setdefault(row.track, circuit_values(replay))
-        axes = len(arena.archive.characteristics)
+        axes = len(game.archive.characteristics)
         steps = range(step_count(played.observations[:, 0], axes))
         # Steps after a crash are zeros in an observation; the last number of a step says whether it is over.
         blocks = played.observations[0, :, :-1].reshape(2, len(steps), -1)
@@ -80,10 +79,10 @@ class RaceRepeater:
         estimates = np.where(blocks[..., -1:] > 0.5, estimates.astype(np.float64), np.nan)
         values = race_values(replay)
         values["space"] = {
-            "ends": arena.config.ends,
+            "ends": game.config.ends,
             "policies": played.path[0].tolist(),
             "made": played.moves.codes[0].tolist(),
-            "seen": _places(self.space, in_units(arena.archive, estimates)[..., list(plane(arena.archive))]),
+            "seen": _places(self.space, in_units(game.archive, estimates)[..., list(plane(game.archive))]),
         }
         return RepeatedRace(number, row.track, values)
 

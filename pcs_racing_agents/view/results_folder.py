@@ -25,8 +25,7 @@ from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.jobs.folders import read_job
 from pcs_racing_agents.results.race_files import read_results
 from pcs_racing_agents.results.races import RaceRow, RaceTable
-from pcs_racing_agents.study.config import StudyConfig
-from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.study.study import Study, StudyConfig
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, draw_schedule, schedule_pairing
 
 MANIFEST = "job.yaml"

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.packing import pack
-from pcs_racing.race.replay_files import safe_json
+from pcs_racing.race.replay import safe_json
 from pcs_racing_agents.results.races import Categorical, RaceTable
 from pcs_racing_agents.view.race_choice import SelectedRace
 from pcs_racing_agents.view.race_replays import RepeatedRace

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.race.replay_files import safe_json
+from pcs_racing.race.replay import safe_json
 from pcs_racing_agents.view.race_replays import RaceRepeater
 
 MOST_KEPT = 200  # answers kept in memory, some 40 kB each

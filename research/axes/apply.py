@@ -14,8 +14,7 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.jobs import Run
-from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
-from pcs_racing_agents.synthesis.scenarios import draw_scenarios
+from pcs_racing_agents.synthesis.evaluate import draw_scenarios, race_policies, summarise
 from research.axes.behaviour import run_blocks
 from research.axes.learn import spread_over
 from research.axes.learned import LearnedCharacteristics, register_learned

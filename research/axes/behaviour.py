@@ -14,8 +14,14 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Run, run_races
 from pcs_racing_agents.payoffs.policy_pool import race_scores
-from pcs_racing_agents.synthesis.evaluate import PolicyTask, join, race_policies, race_segments
-from pcs_racing_agents.synthesis.scenarios import Scenarios, draw_scenarios
+from pcs_racing_agents.synthesis.evaluate import (
+    PolicyTask,
+    Scenarios,
+    draw_scenarios,
+    join,
+    race_policies,
+    race_segments,
+)
 from research.axes.learned import LearnedCharacteristics, register_learned
 
 Floats = NDArray[np.float64]

@@ -14,8 +14,7 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.jobs.jobs import Run
 from pcs_racing_agents.payoffs.policy_pool import race_scores
 from pcs_racing_agents.synthesis.archive_run import draw_policies
-from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
-from pcs_racing_agents.synthesis.scenarios import draw_scenarios
+from pcs_racing_agents.synthesis.evaluate import draw_scenarios, race_policies, summarise
 from research.axes.behaviour import run_blocks
 
 Floats = NDArray[np.float64]

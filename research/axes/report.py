@@ -8,8 +8,7 @@ import numpy as np
 
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing_agents.pictures.style import COLOURS, EDGE, new_figure, picture, tidy
-from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.results.tables import aligned, write_csv
 from research.axes.coordinates import COORDINATES
 from research.axes.learn import JUDGED, Learning
 from research.axes.learned import LearnedAxis, LearnedCharacteristics

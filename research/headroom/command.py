@@ -11,8 +11,7 @@ from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.payoffs.policy_pool import slot_payoffs
 from pcs_racing_agents.pictures.style import save_picture
-from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.results.tables import aligned, write_csv
 from research.headroom.lead_plans import lead_plan_payoffs, lead_plan_value, make_lead_plans, plan_members
 from research.headroom.report import (
     LEAD_NOTE,

@@ -11,8 +11,7 @@ from pcs_racing_agents.cli.headroom import NOTE as SHORT_NOTE
 from pcs_racing_agents.cli.headroom import headroom_row, mean_row, write_payoffs
 from pcs_racing_agents.payoffs.headroom import CyclicPlane, Headroom, cyclic_planes, headroom, ratings, transitive_share
 from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
-from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.results.tables import aligned, write_csv
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from research.headroom.lead_plans import LeadPlanValue
 from research.headroom.slots import SlotHeadroom, slot_headroom

@@ -18,8 +18,7 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.jobs import Run, run_races
-from pcs_racing_agents.results.csv_files import write_csv
-from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.results.tables import aligned, write_csv
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 from research.matches.behaviours import Behaviours
 from research.matches.play import FixedChoice, KnownOpponentChoice, play_matches

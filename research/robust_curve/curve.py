@@ -21,9 +21,8 @@ from pcs_racing_agents.learning.responses.learner import ResponseSettings
 from pcs_racing_agents.learning.robust import RobustSettings, learn_robust
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.pictures.style import COLOURS, SOFT, new_figure, picture, tidy
-from pcs_racing_agents.results.csv_files import write_csv
 from pcs_racing_agents.results.races import RaceTable
-from pcs_racing_agents.results.text_table import aligned, interval_text
+from pcs_racing_agents.results.tables import aligned, interval_text, write_csv
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
 

@@ -14,7 +14,7 @@ from pcs_racing.planners.lidar_networks import read_lidar_driver
 from pcs_racing.race.races import start_lines
 from pcs_racing_agents.agents.observing import own
 from pcs_racing_agents.agents.setting import make_setting
-from pcs_racing_agents.benchmark.entrants import load_entrant
+from pcs_racing_agents.agents.zoo import load_entrant
 
 EXAMPLES = REPOSITORY / "examples"
 

@@ -26,7 +26,7 @@ from pcs_racing_agents.agents.fits import Fit, load_fit
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.networks.settings import load_train_settings
-from pcs_racing_agents.study.config import StudyConfig
+from pcs_racing_agents.study.study import StudyConfig
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays

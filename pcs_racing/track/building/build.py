@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import MapError
-from pcs_racing.track.building.curves import MAX_LENGTH, first_crossing
-from pcs_racing.track.building.splines import LineSamples, clean_closed, sample_closed
+from pcs_racing.track.building.curves import MAX_LENGTH, LineSamples, clean_closed, first_crossing, sample_closed
 from pcs_racing.track.building.walls import corner_lists, seen_lists, simplify, trace_outlines
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, LINE_COLUMNS, PSI, RIGHT, SIN, SPEED, TrackArrays, X, Y
 from pcs_racing.track.grid import cast, distance_to_walls, flood, lookup_grid, way_out

@@ -18,8 +18,8 @@ def checked_grid(
         raise MapError(
             f"{label}: the grid is {grid.dtype} of shape {grid.shape}; it must be a boolean array of at least 8 x 8"
         )
-    check_number(f"{label}: resolution", resolution, most=1.0, above=0.0, error=MapError)
-    corner = check_array(f"{label}: origin", origin, (2,), least=-1e6, most=1e6, error=MapError)
+    check_number(f"{label}: resolution", resolution, maximum=1.0, above=0.0, error=MapError)
+    corner = check_array(f"{label}: origin", origin, (2,), minimum=-1e6, maximum=1e6, error=MapError)
     return grid, float(resolution), corner
 
 

@@ -9,8 +9,14 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import headings, lengths
 from pcs_racing.base.errors import MapError, require
 from pcs_racing.track.building.clearance import checked_grid, corridor, room_at, wall_clearance
-from pcs_racing.track.building.curves import checked_curve, curve_length, first_crossing, resample, smooth
-from pcs_racing.track.building.splines import sample_closed
+from pcs_racing.track.building.curves import (
+    checked_curve,
+    curve_length,
+    first_crossing,
+    resample,
+    sample_closed,
+    smooth,
+)
 from pcs_racing.track.grid import distance_to_walls
 
 CLEARANCE = 0.305

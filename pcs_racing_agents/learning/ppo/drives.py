@@ -164,11 +164,11 @@ class DriveTask:
             for config in self.rules:
                 result = run_races(track, policy, opponents, config, seed=EVALUATION_SEED, threads=1)
                 winner, blamed = result.winner, result.own_crash[:, 0]
-                worth = np.where(winner == 0, 1.0, np.where((winner == 1) | blamed, -1.0, 0.0))
+                payoffs = np.where(winner == 0, 1.0, np.where((winner == 1) | blamed, -1.0, 0.0))
                 for k, name in enumerate(names):
                     rows = np.arange(k * races, (k + 1) * races)
                     scores[Matchup(track.name, config.name, name)] = score_races(
-                        worth[rows], winner[rows], take(result.state, rows)
+                        payoffs[rows], winner[rows], take(result.state, rows)
                     )
         return scores
 

@@ -146,8 +146,8 @@ def play_duels(batch: GameBatch, network: RegretNetwork, seed: int) -> MatchupSc
     # The same seed gives every network the same starts, policies and noise: evaluations can be compared.
     rngs = [seeding.np_random(seed + i)[0] for i in range(batch.episodes)]
     batch.restart(np.arange(batch.episodes), rngs)
-    worth = np.zeros(batch.episodes)
+    payoffs = np.zeros(batch.episodes)
     for _ in range(batch.game.config.moves):
-        worth = batch.step(network.choose(batch.seen[:, 0])[:, None], rngs).rewards
+        payoffs = batch.step(network.choose(batch.seen[:, 0])[:, None], rngs).rewards
     state = batch.started()
-    return score_races(worth, batch.game.winner(state), state.race)
+    return score_races(payoffs, batch.game.winner(state), state.race)

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.state import RaceState
 from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.csv_files import read_csv, write_csv
-from pcs_racing_agents.results.text_table import aligned
+from pcs_racing_agents.results.tables import aligned, read_csv, write_csv
 
 
 class Matchup(NamedTuple):
@@ -26,9 +25,9 @@ class MatchupScore(NamedTuple):
     """Result of the races of a matchup; the shares add up to 1 with ties and crashes that neither car wins."""
 
     races: int
-    #: Mean objective of the evaluation: in duels the utility of a game; in drives 1 for a win, -1 for a loss or a crash
+    #: Mean payoff: in duels the utility of a game; in drives 1 for a win, -1 for a loss or a crash
     #: by own fault.
-    worth: float
+    worth: float  # the name in the files of shipped networks
     error: float  #: Standard error of ``worth``.
     won: float  #: ``won``, ``lost``: Shares of the races.
     lost: float
@@ -37,13 +36,13 @@ class MatchupScore(NamedTuple):
     lead: float  #: Mean lead at the end, m.
 
 
-def score_races(worth: NDArray[np.float64], winner: NDArray[np.int8], race: RaceState) -> MatchupScore:
-    """Return the score of races from their objective and their winner (0 for the learner), shapes (B,), and ends."""
-    count = len(worth)
+def score_races(payoffs: NDArray[np.float64], winner: NDArray[np.int8], race: RaceState) -> MatchupScore:
+    """Return the score of races from their payoffs and their winner (0 for the learner), shapes (B,), and ends."""
+    count = len(payoffs)
     return MatchupScore(
         races=count,
-        worth=float(np.mean(worth)),
-        error=float(np.std(worth, ddof=1) / np.sqrt(count)) if count > 1 else float("nan"),
+        worth=float(np.mean(payoffs)),
+        error=float(np.std(payoffs, ddof=1) / np.sqrt(count)) if count > 1 else float("nan"),
         won=float(np.mean(winner == 0)),
         lost=float(np.mean(winner == 1)),
         crashed=float(np.mean(race.crashed)),
@@ -65,7 +64,7 @@ def mean_score(scores: Mapping[Matchup, MatchupScore], weights: Mapping[str, int
 
 def score_table(scores: Mapping[Matchup, MatchupScore], weights: Mapping[str, int]) -> str:
     """Return a text table: a line for each circuit and rules (mean over opponents), and one for all."""
-    table = [["", "worth", "+-", "won", "lost", "crashed", "at fault", "lead"]]
+    table = [["", "payoff", "+-", "won", "lost", "crashed", "at fault", "lead"]]
     groups = list(dict.fromkeys((matchup.track, matchup.race) for matchup in scores))
     for group in [*groups, None]:
         mean = mean_score(
@@ -119,9 +118,9 @@ def read_evaluations(file: Path) -> list[EvaluationCurve]:
 
 
 def evaluation_curves(curves: Sequence[EvaluationCurve], weights: Mapping[str, int]) -> dict[str, list[Curve]]:
-    """Return worth, wins and faults over millions of steps, as panels of a picture with a line for each seed."""
+    """Return payoffs, wins and faults over millions of steps, as panels of a picture with a line for each seed."""
     panels: dict[str, list[Curve]] = {}
-    for key, title in (("worth", "worth of a race"), ("won", "races won"), ("fault", "crashes by own fault")):
+    for key, title in (("worth", "payoff of a race"), ("won", "races won"), ("fault", "crashes by own fault")):
         for curve in curves:
             means = [mean_score(scores, weights) for scores in curve.scores]
             error = np.array([mean.error for mean in means]) if key == "worth" else None

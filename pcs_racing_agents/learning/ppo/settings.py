@@ -38,7 +38,7 @@ class PPOSettings(Settings):
     steps: int = setting(1_000_000, whole(1, 10**12), "Maximum number of environment steps for each seed.")
     seeds: tuple[int, ...] = setting(
         (0,),
-        wholes(0, 2**31 - 1, fewest=1, different=True),
+        wholes(0, 2**31 - 1, shortest=1, different=True),
         "Seeds; one policy is trained with each, and the best is kept.",
     )
     envs: int = setting(64, whole(1, 100_000), "Parallel races for each circuit and set of rules.")

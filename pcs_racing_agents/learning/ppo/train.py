@@ -43,7 +43,7 @@ from pcs_racing_agents.learning.ppo.learner import (
     own_randomness,
 )
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, PPOSettings, load_ppo_settings
-from pcs_racing_agents.results.csv_files import write_csv
+from pcs_racing_agents.results.tables import write_csv
 
 LearningTask = DuelTask | DriveTask
 
@@ -65,14 +65,14 @@ class SeedRecord:
         """Every evaluation so far."""
         return EvaluationCurve(self.seed, tuple(self.steps), tuple(self.scores))
 
-    def worth(self, evaluation: int) -> float:
-        """Return the mean worth in an evaluation."""
+    def payoff(self, evaluation: int) -> float:
+        """Return the mean payoff in an evaluation."""
         return mean_score(self.scores[evaluation], self.weights).worth
 
     @property
     def best_at(self) -> int:
         """Index of the best evaluation, of equals the first."""
-        return max(range(len(self.scores)), key=self.worth)
+        return max(range(len(self.scores)), key=self.payoff)
 
     def add(self, steps: int, scores: dict[Matchup, MatchupScore], layers: DenseLayers) -> None:
         """Add an evaluation, and keep the weights if none was better."""
@@ -117,7 +117,7 @@ class PPOResult:
     settings: PPOSettings
     task: LearningTask
     curves: tuple[EvaluationCurve, ...]  #: Of each seed.
-    layers: DenseLayers  #: The policy: of all evaluations of all seeds the one of highest worth.
+    layers: DenseLayers  #: The policy: of all evaluations of all seeds the one of highest payoff.
     seed: int  #: That it is from.
     steps: int  #: After which it was evaluated.
     #: That evaluation. It is biased upwards: the best of many, in the same races every time.
@@ -180,7 +180,7 @@ def train_ppo(
     def update_done(record: SeedRecord) -> None:
         if progress is not None:
             made = min(int(record.updates[-1][0]), settings.steps)
-            label = f"seed {record.seed}, worth {record.worth(-1):.3f}"
+            label = f"seed {record.seed}, payoff {record.payoff(-1):.3f}"
             progress(steps_of_seeds + made, len(settings.seeds) * settings.steps, label)
 
     train = partial(train_seed, task, update_done if elsewhere is None else None)
@@ -189,7 +189,7 @@ def train_ppo(
         runs = [
             SeedRecord.from_arrays(seed, task, result) for seed, result in zip(settings.seeds, results, strict=True)
         ]
-        run = max(runs, key=lambda run: run.worth(run.best_at))  # of equals the first
+        run = max(runs, key=lambda run: run.payoff(run.best_at))  # of equals the first
         curves = tuple(run.curve for run in runs)
         _write_updates(runs, job.folder / "updates.csv")
         assert run.best is not None  # there is an evaluation before the first update

@@ -21,8 +21,8 @@ from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.networks import Rows
 
-WORTH = ("win", "utility")
-"""Values of an outcome: 1 for a race won, 0.5 for a tie and 0 otherwise ("win"), or the game's utility."""
+PAYOFFS = ("win", "utility")
+"""Payoffs of a game: 1 for a race won, 0.5 for a tie and 0 otherwise ("win"), or the game's utility."""
 
 BLOCK = 256
 """Games branched in one task: about a second of work."""
@@ -80,11 +80,11 @@ class Branches(NamedTuple):
     game: NDArray[np.int64]  #: shape (R,): Index of the game; games that were over before are absent.
 
 
-def outcome(game: RaceGame, state: GameState, worth: str = "win") -> NDArray[np.float64]:
+def outcome(game: RaceGame, state: GameState, payoff: str = "win") -> NDArray[np.float64]:
     """Return the value of games that are over for car 0, shape (B,)."""
-    if worth not in WORTH:
-        raise InputError(f"worth is {worth!r}; it must be one of {', '.join(WORTH)}")
-    if worth == "utility":
+    if payoff not in PAYOFFS:
+        raise InputError(f"payoff is {payoff!r}; it must be one of {', '.join(PAYOFFS)}")
+    if payoff == "utility":
         return game.reward(state)[:, 0]
     winner = game.winner(state)
     tie = np.where(state.race.crashed, 0.0, 0.5)
@@ -98,7 +98,7 @@ def branch_games(
     step: int,
     behaviours: Sequence[Competitor],
     continuation: Competitor,
-    worth: str = "win",
+    payoff: str = "win",
     count: int | None = None,
 ) -> Branches:
     """Play games up to a step, branch them into all moves, and play all branches to their end.
@@ -115,8 +115,8 @@ def branch_games(
         Competitors in car 0 before the branching; they take turns, game by game.
     continuation : Competitor
         Competitor in car 0 afterwards.
-    worth : {"win", "utility"}
-        Value of an outcome.
+    payoff : {"win", "utility"}
+        What a game counts.
     count : int, optional
         Number of moves to try, from the first on; by default all.
     """
@@ -147,7 +147,7 @@ def branch_games(
     while not game.done(state).all():
         moves = ask_moves(continuation, game, state, 0)
         state = game.step(state, np.stack([moves, ask_moves(opponent, game, state, 1)], axis=1))
-    return Branches(observations, outcome(game, state, worth)[branch], running)
+    return Branches(observations, outcome(game, state, payoff)[branch], running)
 
 
 def _different_branches(

@@ -25,7 +25,7 @@ from pcs_racing_agents.jobs.chunks import Arrays
 from pcs_racing_agents.jobs.configuration import load_config
 from pcs_racing_agents.jobs.jobs import Job, Workers
 from pcs_racing_agents.learning.responses.branches import (
-    WORTH,
+    PAYOFFS,
     GameBlock,
     block_rows,
     branch_games,
@@ -45,7 +45,8 @@ ROWS_PER_EPOCH = 50_000
 class LearnerSettings(Settings):
     """What is learned from branched games, and how networks are fitted to it."""
 
-    worth: str = setting("win", choice(WORTH), "Value of an outcome: a race won, or the game's utility.")
+    # The name of this setting is in the files of shipped networks.
+    worth: str = setting("win", choice(PAYOFFS), "Payoff of a game: a race won, or the game's utility.")
     hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Units of each hidden layer of a network.")
     learning_rate: float = setting(3e-3, number(1e-8, 10.0), "Initial learning rate of Adam.")
     weight_decay: float = setting(1e-3, number(0.0, 10.0), "Weight decay of AdamW.")
@@ -130,7 +131,7 @@ def learn_response(
     starts = _starts(settings.starts, len(pool), shares)
     identity = game_identity(games[0])
     random_moves = random_player(games[0], setting, settings.seed)
-    arenas = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
+    played = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
     for game in games:
         if game_identity(game) != identity:
             raise InputError(f"the game on {game.track.name!r} differs from the first in archive, moves or rules")
@@ -155,7 +156,7 @@ def learn_response(
                 for j, count in enumerate(starts)
                 for block in game_blocks(settings.seed, (i, j, step, round_), count)
             ]
-            work = partial(_branch, arenas, pool, behaviours, continuation, settings.worth, len(identity.moves))
+            work = partial(_branch, played, pool, behaviours, continuation, settings.worth, len(identity.moves))
             part_name = f"{part}round-{round_}-step-{step}"
             branched = job.run(part_name, work, blocks, **workers)
             for arrays, block in zip(branched, blocks, strict=True):
@@ -181,16 +182,16 @@ def _starts(total: int, opponents: int, shares: Sequence[float] | None) -> list[
 
 
 def _branch(
-    arenas: Sequence[Sequence[RaceGame]],
+    played: Sequence[Sequence[RaceGame]],
     pool: Sequence[Competitor],
     behaviours: Sequence[Competitor],
     continuation: Competitor,
-    worth: str,
+    payoff: str,
     count: int,
     block: GameBlock,
 ) -> Arrays:
     i, j, step, _ = block.place
-    branches = branch_games(arenas[i][j], pool[j], block.keys, step, behaviours, continuation, worth, count)
+    branches = branch_games(played[i][j], pool[j], block.keys, step, behaviours, continuation, payoff, count)
     # The mean of all moves is that of the situation, which tells nothing about which move to make.
     advantages = branches.outcomes - branches.outcomes.mean(axis=1, keepdims=True)
     return {"observations": branches.observations, "advantages": advantages, "game": branches.game}

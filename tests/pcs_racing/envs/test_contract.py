@@ -276,7 +276,7 @@ MATCHES = [
     ],
 )
 def test_vector_and_scalar_environment_agree_to_the_last_bit(kind, arguments, count, steps, least_ends, monkeypatch):
-    monkeypatch.setattr(drive_batch, "WORTH_A_THREAD", 10.0)  # two threads for short steps, too
+    monkeypatch.setattr(drive_batch, "US_OF_A_THREAD", 10.0)  # two threads for short steps, too
     envs = make_many(kind, count, threads=2, autoreset_mode="SAME_STEP", **arguments)
     assert kind is not DriveEnv or envs.batch.threads == 2
     single = [make(kind, **arguments) for _ in range(count)]

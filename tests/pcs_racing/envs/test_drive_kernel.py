@@ -264,7 +264,7 @@ def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_
     rows = np.arange(64)
     batch.restart(rows, [np.random.default_rng(k) for k in rows])
     places = {tuple(np.round(cars[:, :2].ravel(), 3)) for cars in batch.state.cars}
-    assert len(places) == 2 * 3 == batch.course(0).grid.races
+    assert len(places) == 2 * 3 == batch.circuit(0).grid.races
     assert sorted(set(batch.drawn)) == [0, 1]
     np.testing.assert_array_equal(batch.theta[:, 1, 1], np.where(batch.drawn == 0, 1.0, 2.0))
     assert len(set(batch.state.seed)) == 64

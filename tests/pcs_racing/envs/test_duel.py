@@ -196,7 +196,7 @@ def test_the_first_step_is_filmed_as_it_was_driven(seed):
         env.reset(seed=seed, options=options)
         ((race, theta),) = env.batch.last_step(0).pieces
         assert race.tick == 0
-        conditions = env.batch.variety.conditions(np.zeros(1, np.int64))
+        conditions = env.batch.randomization.conditions(np.zeros(1, np.int64))
         advance(env.game.setup, race, theta, int(env.game.config.end_ticks[0]), conditions=conditions)
         np.testing.assert_array_equal(race.cars, env.batch.state.race.cars)
 

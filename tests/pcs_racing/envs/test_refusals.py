@@ -219,10 +219,10 @@ def begun(kind, **arguments):
         ((MatchEnv,), lambda state: begun(MatchEnv, races=2), "another number of races"),
         ((DriveEnv,), changed(1, lambda drawn: np.array([2])), r"opponents array\(\[2\]\) are not among the 1"),
         ((DriveEnv,), lambda state: begun(DriveEnv, opponent=None), "not one of 1 races with these planners"),
-        ((DriveEnv,), changed(4, lambda variety: (variety[0], np.zeros(3), *variety[2:])), "cars are not of this"),
+        ((DriveEnv,), changed(4, lambda drawn: (drawn[0], np.zeros(3), *drawn[2:])), "cars are not of this"),
         (
             (DriveEnv,),
-            changed(4, lambda variety: ((np.array([9]), *variety[0][1:]), *variety[1:])),
+            changed(4, lambda drawn: ((np.array([9]), *drawn[0][1:]), *drawn[1:])),
             "circuits .* are not those",
         ),
     ],

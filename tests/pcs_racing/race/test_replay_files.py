@@ -6,8 +6,7 @@ import pytest
 from recorded_races import race_on_a_circle
 from refusal import refused
 
-from pcs_racing.race.replay import ReplayEvent
-from pcs_racing.race.replay_files import read_replay, save_replay
+from pcs_racing.race.replay import ReplayEvent, read_replay, save_replay
 
 GOOD = race_on_a_circle(candidates=3)
 NASTY = '</script><b>bold</b><script>document.title="owned"</script><!--replay--><!--title-->&amp;"\'\u2028'

@@ -13,7 +13,7 @@ import pcs_racing_agents
 from pcs_racing import UnknownNameError, make_game
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
-from pcs_racing.game.competitor_names import competitor_names, make_competitor
+from pcs_racing.game.competitor import competitor_names, make_competitor
 from pcs_racing_agents.agents.drivers import planner_driver
 
 SHORT = {"step_seconds": 0.4}

@@ -11,7 +11,7 @@ from pcs_racing.envs.drive import DriveEnv
 from pcs_racing_agents.agents import as_competitor, make
 from pcs_racing_agents.agents.sb3_files import actor_of, load_model, load_sb3_policy, save_model
 from pcs_racing_agents.agents.setting import make_setting
-from pcs_racing_agents.benchmark.entrants import load_entrant
+from pcs_racing_agents.agents.zoo import load_entrant
 
 sb3, torch, gym = (pytest.importorskip(name) for name in ("stable_baselines3", "torch", "gymnasium"))
 RIVAL = "lattice:pace=0.3"

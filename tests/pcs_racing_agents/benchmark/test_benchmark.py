@@ -15,9 +15,9 @@ from zoo_games import toy_archive
 
 from pcs_racing import save_archive
 from pcs_racing_agents.agents import make
+from pcs_racing_agents.agents.zoo import load_entrant
 from pcs_racing_agents.benchmark.card import Card, board_page, board_rows, read_card, read_cards, write_card
 from pcs_racing_agents.benchmark.card_values import CardScore, Gain, HiddenScore, ReplyLoss
-from pcs_racing_agents.benchmark.entrants import load_entrant
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
 from pcs_racing_agents.benchmark.scoring import decision_cost, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main

@@ -4,7 +4,7 @@ import csv
 
 import pytest
 
-from pcs_racing.race.replay_files import read_replay
+from pcs_racing.race.replay import read_replay
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.tournament.play import record_row
 from pcs_racing_agents.view.results_folder import open_results

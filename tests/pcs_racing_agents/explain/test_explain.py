@@ -112,7 +112,7 @@ def test_a_move_is_compared_with_staying_and_counted_in_what_values_mean(race, s
     assert why(race, drawn) == "worth 0.080 of a win less than aggressiveness +"
     assert why(race, drawn._replace(move=4)) == "its network has no value for stay"
     kept = why(race, step._replace(next_policy=step.policy))
-    assert kept == "it keeps the policy, so it is worth what staying is worth"
+    assert kept == "it keeps the policy, so its value is that of staying"
     assert why(race, step._replace(values=None)) == ""
     assert value_unit(network_of(setting, worth="win"), "lead") == Unit(1.0, "of a win")
     assert value_unit(network_of(setting), "win") == Unit(0.5, "of a win")

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from refusal import refused
-from tree_arena import TreeArena
+from tree_sampler import TreeSampler
 
 from pcs_racing import load_race_config, make_game
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.learning.self_play import ExploringStrategy, RaceArena, learn_self_play, load_self_play_settings
+from pcs_racing_agents.learning import self_play
+from pcs_racing_agents.learning.self_play import RaceSampler, learn_self_play, load_self_play_settings
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.solvers import exploitability, uniform_profile
 
@@ -30,9 +31,9 @@ def _with_torch():
     pytest.importorskip("torch", reason="torch is not installed")
 
 
-def learned(arenas, settings, folder) -> NetworkSet:
+def learned(samplers, settings, folder) -> NetworkSet:
     with open_job(folder, "self-play", {"seed": settings.seed}) as job:
-        return learn_self_play(arenas, settings, job)
+        return learn_self_play(samplers, settings, job)
 
 
 def first(networks: NetworkSet, count: int) -> NetworkSet:
@@ -42,33 +43,33 @@ def first(networks: NetworkSet, count: int) -> NetworkSet:
 @pytest.fixture(scope="module")
 def poker(tmp_path_factory):
     pytest.importorskip("torch", reason="torch is not installed")
-    arena = TreeArena(kuhn_poker())
+    sampler = TreeSampler(kuhn_poker())
     settings = load_self_play_settings(iterations=24, starts=192, epochs=10, patience=10, weights="uniform", **TABLE)
-    return arena, learned([arena], settings, tmp_path_factory.mktemp("poker") / "run")
+    return sampler, learned([sampler], settings, tmp_path_factory.mktemp("poker") / "run")
 
 
 def test_in_kuhn_poker_the_average_strategy_becomes_unexploitable(poker):
-    arena, networks = poker
-    uniform = exploitability(arena.tree, uniform_profile(arena.tree)).exploitability
-    lost = [exploitability(arena.tree, arena.average(first(networks, n))).exploitability for n in (2, 24)]
+    sampler, networks = poker
+    uniform = exploitability(sampler.tree, uniform_profile(sampler.tree)).exploitability
+    lost = [exploitability(sampler.tree, sampler.average(first(networks, n))).exploitability for n in (2, 24)]
     assert lost[0] < uniform
     assert lost[1] < 0.3 * lost[0]
     assert lost[1] < 0.06
-    found = exploitability(arena.tree, arena.average(networks))
+    found = exploitability(sampler.tree, sampler.average(networks))
     assert found.value == pytest.approx(-1.0 / 18.0, abs=0.03)
 
 
 def test_the_last_iteration_alone_is_no_equilibrium(tmp_path):
     """In matching pennies the iterations go round in circles; only their average is even."""
-    arena = TreeArena(PENNIES)
+    sampler = TreeSampler(PENNIES)
     settings = load_self_play_settings(iterations=24, starts=64, epochs=10, patience=10, **TABLE)
-    networks = learned([arena], settings, tmp_path / "pennies")
+    networks = learned([sampler], settings, tmp_path / "pennies")
     lost = [
-        exploitability(PENNIES, arena.average(NetworkSet("one", (network,), np.ones(1), "argmax"))).exploitability
+        exploitability(PENNIES, sampler.average(NetworkSet("one", (network,), np.ones(1), "argmax"))).exploitability
         for network in networks.networks
     ]
     assert np.mean(lost) > 0.5
-    assert exploitability(PENNIES, arena.average(networks)).exploitability < 0.35
+    assert exploitability(PENNIES, sampler.average(networks)).exploitability < 0.35
 
 
 @pytest.fixture(scope="module")
@@ -77,26 +78,26 @@ def race(oval, archive):
     return make_game(oval, archive, rules, stay=False, moves=2, step_seconds=1.6, threads=1)
 
 
-def test_the_weights_are_those_of_linear_cfr_and_arenas_of_different_games_are_refused(race, oval, archive, tmp_path):
+def test_the_weights_are_those_of_linear_cfr_and_other_games_are_refused(race, oval, archive, tmp_path):
     offered = make_game(oval, archive, race.config, stay=True, threads=1)
-    networks = learned([RaceArena(offered, make_setting(archive, offered.config))], SHORT, tmp_path / "one")
+    networks = learned([RaceSampler(offered, make_setting(archive, offered.config))], SHORT, tmp_path / "one")
     assert networks.identity.moves[-1] == "stay"
     assert (networks.decision, len(networks.networks)) == ("regret-matching", 2)
     np.testing.assert_allclose(networks.weights, [0.4, 0.6])
     longer = make_game(race.track, archive, race.config, moves=3)
-    arenas = [RaceArena(one, make_setting(archive, one.config)) for one in (race, longer)]
+    samplers = [RaceSampler(one, make_setting(archive, one.config)) for one in (race, longer)]
     with open_job(tmp_path / "x", "self-play", {}) as job:
-        refused("arena 1", learn_self_play, arenas, SHORT, job)
+        refused("game 1", learn_self_play, samplers, SHORT, job)
         refused("at least one", learn_self_play, [], SHORT, job)
 
 
 def test_exploration_leaves_moves_a_chance_and_random_play_has_no_advantages(race, archive, setting, network, seen):
-    arena = RaceArena(race, make_setting(archive, race.config))
+    sampler = RaceSampler(race, make_setting(archive, race.config))
     keys = np.arange(1, 9, dtype=np.uint64)
-    rows = arena.traverse(None, 0.1, 1, keys)
+    rows = sampler.traverse(None, 0.1, 1, keys)
     np.testing.assert_allclose(rows["advantages"].sum(axis=1), 0.0, atol=1e-12)
-    parts = [arena.traverse(None, 0.1, 1, keys[k : k + 4]) for k in (0, 4)]
+    parts = [sampler.traverse(None, 0.1, 1, keys[k : k + 4]) for k in (0, 4)]
     np.testing.assert_array_equal(rows["advantages"], np.concatenate([part["advantages"] for part in parts]))
-    chances = ExploringStrategy(network, 0.1, len(setting.moves))(seen[0])
+    chances = self_play.ExploringStrategy(network, 0.1, len(setting.moves))(seen[0])
     assert chances.min() >= 0.1 / len(network.moves) - 1e-12
     np.testing.assert_allclose(chances.sum(axis=1), 1.0)

@@ -20,11 +20,11 @@ def slow_agreement(tree, exact, profile, on_path):
         if k == tree.depth:
             return
         for player in (0, 1):
-            worth = exact.q[k][player][node]
-            if worth.max() - worth.min() > 1e-9 * span:
+            values = exact.q[k][player][node]
+            if values.max() - values.min() > 1e-9 * span:
                 weight = reach if on_path else 1.0
                 decisions += weight
-                agreed += weight * (worth[profile[k][player][node].argmax()] >= worth.max() - 1e-9 * span)
+                agreed += weight * (values[profile[k][player][node].argmax()] >= values.max() - 1e-9 * span)
         first, second = exact.profile[k]
         for a, b in np.ndindex(tree.moves[k]):
             child = (node * tree.moves[k][0] + a) * tree.moves[k][1] + b

@@ -12,7 +12,7 @@ from toy_races import toy_races
 from toy_report import NASTY, toy_report
 
 from pcs_racing import make_game
-from pcs_racing.race.replay_files import read_replay
+from pcs_racing.race.replay import read_replay
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.study import report

@@ -20,13 +20,12 @@ from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network, load_network_set
-from pcs_racing_agents.results.csv_files import read_csv
+from pcs_racing_agents.results.tables import read_csv
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
-from pcs_racing_agents.study.config import BEST_OPEN_LOOP
 from pcs_racing_agents.study.playing import RATING_SEED
 from pcs_racing_agents.study.reporting import best_open_loop
 from pcs_racing_agents.study.run import seconds_counted, stage_seconds, stages_to_run
-from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.study.study import BEST_OPEN_LOOP, Study
 
 
 def settings_file(name: str, text: str) -> str:

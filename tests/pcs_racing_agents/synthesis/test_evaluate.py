@@ -15,8 +15,7 @@ from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import SUMS
 from pcs_racing_agents.synthesis import evaluate as evaluation
-from pcs_racing_agents.synthesis.evaluate import evaluate, race_policies, race_segments, summarise
-from pcs_racing_agents.synthesis.scenarios import draw_scenarios
+from pcs_racing_agents.synthesis.evaluate import draw_scenarios, evaluate, race_policies, race_segments, summarise
 
 SHORT = load_race_config("contest", duration=4.0)
 AXES = ("pace", "restraint")

@@ -12,7 +12,7 @@ from pcs_racing_agents.payoffs.headroom import headroom
 from pcs_racing_agents.payoffs.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.synthesis.archive_run import make_archive
 from pcs_racing_agents.synthesis.config import ArchiveConfig, load_archive_config
-from pcs_racing_agents.synthesis.headroom_choice import best_of_each_interval
+from pcs_racing_agents.synthesis.selection import best_of_each_interval
 
 pytest.importorskip("cma")
 pytest.importorskip("moocore")

@@ -11,7 +11,7 @@ from pcs_racing import CONTEST, InputError, PolicyArchive, RaceGame, Starts, mak
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing_agents.trees import build_tree
 from pcs_racing_agents.trees import driving as _driving
-from pcs_racing_agents.trees.paths import check_size, own_histories, policy_paths
+from pcs_racing_agents.trees.tree import check_size, own_histories, policy_paths
 
 
 def same(tree, other, but: tuple[str, ...] = ()) -> None:

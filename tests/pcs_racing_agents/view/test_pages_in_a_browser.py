@@ -10,14 +10,13 @@ from toy_report import toy_report
 from zoo_games import CONFIG
 
 from pcs_racing import make_game
-from pcs_racing.race.replay_files import read_replay, save_replay
+from pcs_racing.race.replay import read_replay, save_replay
 from pcs_racing_agents import make
 from pcs_racing_agents.benchmark.card import board_page, read_cards, write_card
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.study.report import write_page
 from pcs_racing_agents.study.report_inputs import ExplainedRace
-from pcs_racing_agents.view.person_drive import drive_page, make_person_drive
-from pcs_racing_agents.view.person_race import PersonRaces, play_page
+from pcs_racing_agents.view.person_race import PersonRaces, drive_page, make_person_drive, play_page
 
 CARDS = [REPOSITORY / "benchmarks" / "bench_v2"]
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from pcs_racing_agents import make
-from pcs_racing_agents.view.person_drive import drive_page, make_person_drive
+from pcs_racing_agents.view.person_race import drive_page, make_person_drive
 
 
 def told(races, path, status=200):

@@ -8,7 +8,7 @@ import pytest
 from refusal import refused
 
 from pcs_racing.base.packing import unpack
-from pcs_racing.race.replay_files import read_replay
+from pcs_racing.race.replay import read_replay
 from pcs_racing_agents.results.race_files import race_table, read_results
 from pcs_racing_agents.tournament.play import record_row
 from pcs_racing_agents.view.race_replays import PLACES, RaceRepeater, circuit_values, race_values

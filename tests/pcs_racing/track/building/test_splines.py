@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcs_racing.track.building.splines import clean_closed, sample_closed, solve_cyclic
+from pcs_racing.track.building.curves import clean_closed, sample_closed, solve_cyclic
 
 
 @given(n=st.integers(3, 30), seed=st.integers(0, 2**32 - 1))

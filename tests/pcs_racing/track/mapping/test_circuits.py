@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError
 from pcs_racing.track.building.clearance import wall_clearance
-from pcs_racing.track.building.curves import first_crossing, resample, signed_area
+from pcs_racing.track.building.curves import first_crossing, resample, sample_closed, signed_area
 from pcs_racing.track.building.raceline import raceline_rows
-from pcs_racing.track.building.splines import sample_closed
 from pcs_racing.track.mapping.circuits import braking_zones, generate_circuit, straights, walls_to_grid
 from pcs_racing.track.mapping.shapes import STYLES, rounded
 

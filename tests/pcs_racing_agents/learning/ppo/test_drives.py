@@ -39,7 +39,7 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
     seen, _ = envs.reset(seed=5)
     batch = envs.batch
     seeds, rivals = batch.state.seed.copy(), batch.theta[:, 1].copy()
-    grid = batch.course(0).grid
+    grid = batch.circuit(0).grid
     places = [int(np.flatnonzero((grid.cars == car).all(axis=(1, 2)))[0]) for car in batch.state.cars]
 
     from pcs_racing.race.races import advance

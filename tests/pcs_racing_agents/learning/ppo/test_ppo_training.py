@@ -107,9 +107,9 @@ def test_seeds_differ_the_best_is_kept_and_an_executor_changes_no_weight(setting
     assert both.curves[0] == trained["drive"].curves[0]
     assert_same_result(chunk_of(tmp_path), chunk_of(trained["drive"].folder.parent))
     assert both.curves[1].scores != both.curves[0].scores
-    worths = [max(mean_score(s, settings["drive"].opponents).worth for s in curve.scores) for curve in both.curves]
-    assert both.seed == int(np.argmax(worths))
-    assert mean_score(both.scores, settings["drive"].opponents).worth == max(worths)
+    payoffs = [max(mean_score(s, settings["drive"].opponents).worth for s in curve.scores) for curve in both.curves]
+    assert both.seed == int(np.argmax(payoffs))
+    assert mean_score(both.scores, settings["drive"].opponents).worth == max(payoffs)
     assert reports[-1][:2] == (1280, 1280)
     assert [news[0] for news in reports] == sorted(news[0] for news in reports)
     assert len(reports) == 11  # at the beginning, after every update, and after every seed
@@ -221,10 +221,10 @@ def test_curves_are_kept_and_other_files_are_none(settings, trained, tmp_path):
     assert lines[0].startswith("seed,steps,approx_kl")
     assert [line.split(",")[1] for line in lines[1:]] == ["160", "320", "480", "640"]
     panels = evaluation_curves(result, settings["drive"].opponents)
-    assert list(panels) == ["worth of a race", "races won", "crashes by own fault"]
-    (worth,) = panels["worth of a race"]
-    assert (worth.label, worth.x.tolist()) == ("seed 0", [0.0, 0.00032, 0.00064])
-    assert worth.y[1] == mean_score(result[0].scores[1], settings["drive"].opponents).worth
+    assert list(panels) == ["payoff of a race", "races won", "crashes by own fault"]
+    (payoff,) = panels["payoff of a race"]
+    assert (payoff.label, payoff.x.tolist()) == ("seed 0", [0.0, 0.00032, 0.00064])
+    assert payoff.y[1] == mean_score(result[0].scores[1], settings["drive"].opponents).worth
     for text in ["seed,steps\n0,1\n", "no curve at all\nx\n"]:
         (tmp_path / "curve.csv").write_text(text)
         refused("curve", read_evaluations, tmp_path / "curve.csv")

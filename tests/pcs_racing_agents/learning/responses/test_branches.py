@@ -31,7 +31,7 @@ def game(setting):
 def test_a_branch_is_what_comes_of_playing_its_moves(game, setting):
     keys = race_seeds(3, 4)
     stay = never_switch(setting)
-    result = branch_games(game, random_moves(setting, seed=1), keys, 1, [stay], stay, worth="utility")
+    result = branch_games(game, random_moves(setting, seed=1), keys, 1, [stay], stay, payoff="utility")
     # The same by hand: stay, then the move, against the same opponent.
     rival = random_moves(setting, seed=1)
     for move in range(len(game.move_names)):
@@ -53,7 +53,7 @@ def test_moves_that_lead_to_the_same_policy_are_driven_once(game, setting):
             return np.full(len(observation), len(setting.moves) - 1), None
 
     keys, stay = race_seeds(3, 60), never_switch(setting)
-    result = branch_games(game, stay, keys, 0, [stay], Stays(), worth="utility")
+    result = branch_games(game, stay, keys, 0, [stay], Stays(), payoff="utility")
     after = game.next_policy(game.reset(keys).policy[:, :1], np.arange(len(game.move_names)))[result.game]
     assert asked[0] <= sum(len(np.unique(policies)) for policies in after) < after.size
     for policies, outcomes in zip(after, result.outcomes, strict=True):
@@ -70,9 +70,9 @@ def test_branches_do_not_depend_on_the_batch_and_a_driver_may_be_the_opponent(ga
     np.testing.assert_array_equal(whole.outcomes, np.concatenate([piece.outcomes for piece in parts]))
     np.testing.assert_array_equal(whole.observations, np.concatenate([piece.observations for piece in parts]))
     rival = planner_driver(setting, name="lane-switcher")
-    arena = game_between(game, never_switch(setting), rival)
-    result = branch_games(arena, rival, race_seeds(0, 3), 0, [never_switch(setting)], never_switch(setting))
-    assert result.outcomes.shape == (len(result.game), len(arena.move_names))
+    game = game_between(game, never_switch(setting), rival)
+    result = branch_games(game, rival, race_seeds(0, 3), 0, [never_switch(setting)], never_switch(setting))
+    assert result.outcomes.shape == (len(result.game), len(game.move_names))
     assert np.isin(result.outcomes, (0.0, 0.5, 1.0)).all()
 
 
@@ -88,7 +88,7 @@ def test_a_win_is_1_a_tie_a_half_and_a_crash_that_pays_neither_car_0(game):
 def test_impossible_requests_are_refused(game, setting, tmp_path):
     stay = never_switch(setting)
     refused("step is 2", branch_games, game, stay, race_seeds(0, 1), 2, [stay], stay)
-    refused("worth is 'glory'", outcome, game, game.reset(games=1), "glory")
+    refused("payoff is 'glory'", outcome, game, game.reset(games=1), "glory")
     other = make_game("Tarnfjord", setting.archive, load_game_config(setting.config, moves=3))
     with open_job(tmp_path / "c", "response", {}) as job:
         refused("one of each", learn_response, [game], [], setting, ResponseSettings(), job)

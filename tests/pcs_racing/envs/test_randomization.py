@@ -13,8 +13,7 @@ from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing.envs.obstacles import Obstacles
-from pcs_racing.envs.randomization import Randomization, load_randomization
-from pcs_racing.envs.variety import EpisodeOptions, Variety
+from pcs_racing.envs.randomization import EpisodeOptions, EpisodeRandomization, Randomization, load_randomization
 from pcs_racing.race import random_circuits
 from pcs_racing.race.config import PRESETS
 from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits, random_circuit
@@ -166,15 +165,15 @@ def test_a_steering_delay_shifts_the_commands(oval, opponent):
 
 
 def test_what_is_drawn_is_what_is_driven():
-    variety = Variety(3, EpisodeOptions(track="Pipkin", randomize=RANGES))
-    variety.draw(np.arange(3), [np.random.default_rng(i) for i in range(3)])
+    batch = EpisodeRandomization(3, EpisodeOptions(track="Pipkin", randomize=RANGES))
+    batch.draw(np.arange(3), [np.random.default_rng(i) for i in range(3)])
     for row in range(3):
-        values = {name: variety.drawn[name][row] for name in RANGES}
+        values = {name: batch.drawn[name][row] for name in RANGES}
         cars = [VehicleParams(
             mu=values["friction"], m=values["mass"], inertia=0.04712 * values["mass"] / 3.74,
             steer_delay=values["steering_delay"], steer_noise=values["steering_noise"],
         ).as_row()] * 2  # fmt: skip
-        np.testing.assert_allclose(variety.vehicles[row], cars, rtol=1e-12)
+        np.testing.assert_allclose(batch.vehicles[row], cars, rtol=1e-12)
         assert values["steering_delay"] in (0.0, 0.02, 0.04, 0.06, 0.08, 0.1)
 
 

@@ -1,11 +1,11 @@
-"""Tables of races are read line by line; what is no such table is refused."""
+"""Tables are laid out as plain text and Markdown, and read line by line; what is no table is refused."""
 
 import os
 
 import pytest
 from refusal import refused
 
-from pcs_racing_agents.results.csv_files import csv_cell, read_csv, write_csv
+from pcs_racing_agents.results.tables import aligned, csv_cell, markdown, read_csv, write_csv
 
 
 def written(tmp_path, text):
@@ -49,3 +49,10 @@ def test_pipes_and_devices_that_never_end_are_refused(tmp_path):
     (tmp_path / "zero.csv").symlink_to("/dev/zero")
     for name in ("pipe.csv", "zero.csv"):
         refused("no ordinary file", read_csv, tmp_path / name)
+
+
+def test_words_begin_and_numbers_end_below_each_other():
+    rows = [("agent", "races", "note"), ("a", "5", "x|y"), ("bcd", "12", "")]
+    assert aligned(rows) == ["agent  races  note", "a          5  x|y", "bcd       12"]
+    assert aligned(rows, left=3)[1:] == ["a      5      x|y", "bcd    12"]
+    assert markdown(rows) == ["| agent | races | note |", "| --- | --- | --- |", r"| a | 5 | x\|y |", "| bcd | 12 |  |"]

@@ -3,7 +3,7 @@
 import numpy as np
 from random_layers import random_layers
 
-from pcs_racing.base.layers import convolve, recur
+from pcs_racing.planners.lidar_networks import convolve, recur
 
 
 def test_a_convolution_is_a_dense_layer_on_every_window():

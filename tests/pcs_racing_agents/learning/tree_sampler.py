@@ -1,4 +1,4 @@
-"""Small game trees as arenas of self-play, and the average strategy on them, whose exploitability is exact."""
+"""Samples of small game trees for self-play, and the average strategy on them, whose exploitability is exact."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from pcs_racing_agents.solvers import GameTree, uniform_profile
 
 
 @dataclass(frozen=True, eq=False)
-class TreeArena:
+class TreeSampler:
     """External sampling on a game tree; what a player observes is which of all infosets it is in.
 
     Games with an even number are traversed by player 0, the others by player 1. Both have one network.
