@@ -41,7 +41,6 @@ autodoc_typehints_format = "short"
 napoleon_google_docstring = False
 napoleon_use_param = False
 napoleon_use_rtype = False
-napoleon_custom_sections = [("Attributes", "params_style")]
 
 html_theme = "furo"
 html_title = f"pcs-racing {release}"

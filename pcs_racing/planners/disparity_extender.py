@@ -18,7 +18,7 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arctangent
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, scan, steer_for
+from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, farthest, scan, steer_for
 
 PARAMETERS = (
     Parameter("disparity", 0.05, 1.0, 0.3, "difference of the ranges of two neighbouring beams that is an edge, m"),
@@ -59,11 +59,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     ranges, extended = scratch[SCAN_SIZE - BEAMS : SCAN_SIZE], scratch[SCAN_SIZE:SCRATCH]
     extend_disparities(ranges, theta[DISPARITY], 0.5 * view[_view.OWN_WIDTH] + theta[TOLERANCE], extended)
     first, last = beam_at(-0.5 * np.pi), beam_at(0.5 * np.pi)
-    best = BEAMS // 2
-    for k in range(first, last + 1):
-        if extended[k] > extended[best] or (extended[k] == extended[best] and abs(ANGLES[k]) < abs(ANGLES[best])):
-            best = k
-    steering = theta[GAIN] * ANGLES[best]
+    steering = theta[GAIN] * ANGLES[farthest(extended, ANGLES, first, last + 1)]
     # What is beside or behind the car on the side to which it turns.
     begin, end = (last, BEAMS) if steering > 0.0 else (0, first + 1)
     for k in range(begin, end):

@@ -20,7 +20,7 @@ import numpy as np
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arctangent
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, scan, steer_for
+from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, farthest, scan, steer_for
 
 PARAMETERS = (
     Parameter("bubble", 0.15, 0.8, 0.3, "radius of the bubble around the nearest point, m"),
@@ -86,20 +86,12 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         if k < first or k > last or abs(k - nearest) <= spread:
             ranges[k] = 0.0
     begin, end = longest_gap(ranges)
-    best = begin
-    for k in range(begin, end):
-        longer = choice[k] > choice[best]
-        if longer or (choice[k] == choice[best] and abs(ANGLES[k]) < abs(ANGLES[best])):
-            best = k
-    steering = theta[GAIN] * ANGLES[best]
-    turn = abs(steering)
-    speed = (
-        theta[STRAIGHT]
-        if turn < theta[STRAIGHT_ANGLE]
-        else theta[BEND]
-        if turn < theta[CORNER_ANGLE]
-        else theta[CORNER]
-    )
+    steering = theta[GAIN] * ANGLES[farthest(choice, ANGLES, begin, end)]
+    speed = theta[CORNER]
+    if abs(steering) < theta[STRAIGHT_ANGLE]:
+        speed = theta[STRAIGHT]
+    elif abs(steering) < theta[CORNER_ANGLE]:
+        speed = theta[BEND]
     steer_for(view, steering, speed, NO_LIMIT, path)
 
 

@@ -50,7 +50,6 @@ SHARES = (1.0, 0.85, 0.65, 0.4)  # the last one where there is nobody to follow
 SETS = OFFSETS * DURATIONS * SPEEDS
 CHECKS = 10  # points of a trajectory at which it is checked
 SIGHT = 20.0  # m within which the opponent is predicted
-ON_LINE = 0.15  # m from the race line within which a wall is as near as it is to the line
 SOON = 0.5  # s within which the air beside the opponent may still be missing
 MOST_ACCELERATION, MOST_BRAKING = 10.0, 7.0  # m/s^2 along the track
 
@@ -150,7 +149,7 @@ def _possible(track, theta, view, duration, number, seen, scratch):  # type: ign
         if a > MOST_ACCELERATION or a < -MOST_BRAKING or v < 0.0:
             return False
         sample = track.line[line_index(track, view[_view.OWN_S] + s)]
-        if abs(d) > ON_LINE and (d > sample[_frenet.LEFT] - keep or -d > sample[_frenet.RIGHT] - keep):
+        if abs(d) > _line.ON_LINE and (d > sample[_frenet.LEFT] - keep or -d > sample[_frenet.RIGHT] - keep):
             return False
         kappa = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * d, 0.25)
         if abs(kappa * v * v + _bend(c, t)) > grip:
@@ -200,9 +199,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     found = False
     duration, kind = SHORTEST, 0
     for _ in range(SETS):
-        best = 0
-        for i in range(1, SETS):
-            best = i if scratch[_COST + i] < scratch[_COST + best] else best
+        best = int(np.argmin(scratch[_COST : _COST + SETS]))
         scratch[_COST + best] = np.inf
         number, kind = best // (SPEEDS * OFFSETS), best // OFFSETS % SPEEDS
         duration = SHORTEST + number * DURATION_STEP

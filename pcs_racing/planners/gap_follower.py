@@ -19,8 +19,7 @@ from pcs_racing.base.elementary import arcsine, sine_cosine, tangent
 from pcs_racing.car.lidar import Beams
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.scanning import WORK, scan_beams
-from pcs_racing.planners.view import PATH_POINTS
+from pcs_racing.planners.scanning import WORK, farthest, scan_beams, sine_tables, write_arc
 
 BEAMS = 108
 FIELD_OF_VIEW = np.pi
@@ -42,10 +41,8 @@ SLOWEST = 1.0  # m/s, to creep out of a dead end
 SIDE_BEAMS = BEAMS // 6  # the outer 30 degrees on each side
 LEAN = 0.4  # rad per metre that a side is too near
 _ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
-_plain = getattr(sine_cosine, "py_func", sine_cosine)  # calling compiled code would slow down every import
-_SIN, _COS = (np.array(values) for values in zip(*map(_plain, _ANGLES), strict=True))
-# Of the angle between two beams that are so many apart.
-_APART_SIN, _APART_COS = (np.array(values) for values in zip(*map(_plain, STEP * np.arange(BEAMS)), strict=True))
+_SIN, _COS = sine_tables(_ANGLES)
+_APART_SIN, _APART_COS = sine_tables(STEP * np.arange(BEAMS))  # of the angle between two beams that are so many apart
 
 # Scratch: the lidar's own working memory, the ranges, and the free distances.
 _FREE = WORK + BEAMS
@@ -72,13 +69,7 @@ def free_distances(ranges, bubble, free):  # type: ignore[no-untyped-def]
 @compiled
 def widest_gap(free, depth):  # type: ignore[no-untyped-def]
     """Direction of the middle of the gap around the longest free distance (rad), and that distance (m)."""
-    best = 0
-    for k in range(1, BEAMS):
-        # Of equally long ones (at the lidar's limit) the one nearest to straight ahead.
-        longer = free[k] > free[best]
-        as_long = free[k] == free[best] and abs(_ANGLES[k]) < abs(_ANGLES[best])
-        if longer or as_long:
-            best = k
+    best = farthest(free, _ANGLES, 0, BEAMS)
     enough = depth * free[best]
     right = best
     while right > 0 and free[right - 1] >= enough:
@@ -103,8 +94,6 @@ def lean(ranges, side_air):  # type: ignore[no-untyped-def]
 @compiled
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
     """Scan, choose a direction and write the arc that turns into it."""
-    x0 = view[_view.OWN_X]
-    y0 = view[_view.OWN_Y]
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
     ranges = scratch[WORK:_FREE]
     free = scratch[_FREE:SCRATCH]
@@ -119,16 +108,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     ahead = free[BEAMS // 2]
     speed = np.sqrt(2.0 * theta[BRAKING] * min(ahead, longest))
     speed = min(speed, np.sqrt(theta[LATERAL] / max(abs(kappa), 1e-6)), theta[TOP_SPEED])
-    for j in range(PATH_POINTS):
-        s = 1.5 * reach * j / (PATH_POINTS - 1)
-        bend = 0.5 * kappa * s
-        sine, _ = sine_cosine(bend)
-        chord = s * sine / bend if bend != 0.0 else s
-        sine, cosine = sine_cosine(course + bend)
-        path[j, _view.PATH_X] = x0 + chord * cosine
-        path[j, _view.PATH_Y] = y0 + chord * sine
-        path[j, _view.PATH_SPEED] = max(speed, SLOWEST)
-        path[j, _view.PATH_KAPPA] = kappa
+    write_arc(view, course, kappa, 1.5 * reach, max(speed, SLOWEST), path)
 
 
 GAP_FOLLOWER = Planner(name="gap-follower", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH)

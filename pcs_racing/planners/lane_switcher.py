@@ -17,6 +17,7 @@ wall instead of 0.3 m: race lines with 0.15 m of air leave little room for cutti
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.planners import view as _view
+from pcs_racing.planners.line_following import sharpest_bend
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pure_pursuit import (
     FOLLOW_GAIN,
@@ -28,7 +29,7 @@ from pcs_racing.planners.pure_pursuit import (
     side_air,
     within_walls,
 )
-from pcs_racing.planners.pursuit import calm_speed, steady_course
+from pcs_racing.planners.pursuit import calm_speed, pursuit_arc
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import project, to_cartesian
@@ -107,10 +108,7 @@ def _room(track, s, side, reach):  # type: ignore[no-untyped-def]
 @compiled
 def _in_zone(track, s, reach):  # type: ignore[no-untyped-def]
     """Whether the race line is free of corners for so many metres."""
-    sharpest = 0.0
-    for k in range(4 * reach):
-        sharpest = max(sharpest, abs(track.line[line_index(track, s + 0.25 * k), _frenet.KAPPA]))
-    return sharpest <= CORNER
+    return sharpest_bend(track, s, reach, 0.25) <= CORNER
 
 
 @compiled
@@ -196,7 +194,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     step = 1.5 * _lookahead(theta, view[_view.OWN_V]) / (PATH_POINTS - 1)
     for j in range(PATH_POINTS):
         s = s0 + j * step
-        x, y, _ = to_cartesian(track, s, within_walls(track, s, memory[_PLACE]))
+        x, y, _ = to_cartesian(track, s, within_walls(track, s, memory[_PLACE], WALL_MARGIN))
         path[j, _view.PATH_X] = x
         path[j, _view.PATH_Y] = y
         path[j, _view.PATH_SPEED] = _speed(track, theta, view, memory, s)
@@ -211,14 +209,11 @@ def control(track, theta, view, memory, scratch, path, command):  # type: ignore
     s = s0 + _lookahead(theta, v)
     crossed = 0.02 * CROSSING_SPEED
     memory[_PLACE] += min(max(_lane_d(track, memory, memory[_LANE], s) - memory[_PLACE], -crossed), crossed)
-    x, y, _ = to_cartesian(track, s, within_walls(track, s, memory[_PLACE]))
-    course = steady_course(view, track.line[line_index(track, s), _frenet.KAPPA])
-    dx = x - view[_view.OWN_X]
-    dy = y - view[_view.OWN_Y]
-    sine, cosine = sine_cosine(course)
-    error = 2.0 * (dy * cosine - dx * sine) / max(dx * dx + dy * dy, 1e-6)
+    x, y, _ = to_cartesian(track, s, within_walls(track, s, memory[_PLACE], WALL_MARGIN))
+    ahead = track.line[line_index(track, s), _frenet.KAPPA]
+    error = pursuit_arc(view, x, y, ahead)
     kappa = track.line[line_index(track, s0), _frenet.KAPPA]
-    if max(abs(kappa), abs(track.line[line_index(track, s), _frenet.KAPPA])) > CORNER:
+    if max(abs(kappa), abs(ahead)) > CORNER:
         steer = theta[GAIN_CORNER] * error
     else:
         share = min(max(v / FAST, 0.0), 1.0)

@@ -570,9 +570,11 @@ def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
 
 
 @inner_kernel
-def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack, aside, aside_slope, path):  # type: ignore[no-untyped-def]
-    """Write the beginning of the chosen move, and the way back onto it, with a speed that its bends allow."""
+def _write_path(line, ds, length, view, scratch, g, f, cap, grip, attacks, aside, aside_slope, path):  # type: ignore[no-untyped-def]
+    """Write the beginning of the move ``g`` at the speed ``f``, and the way back onto it, as fast as bends allow."""
     per_ds = 1.0 / ds
+    at_scale = scratch[_SCALE + f]
+    most = cap if f == FOLLOWS else np.inf
     braking = min(BRAKING * grip / GRIP, MOST_BRAKING)  # as the profile brakes at this scale, if the car may
     s0 = view[_view.OWN_S]
     v = view[_view.OWN_V]
@@ -605,12 +607,12 @@ def _write_path(line, ds, length, view, scratch, g, at_scale, cap, grip, attack,
         x, y, _ = offset(line, ds, length, at, d + _fade_out(w, aside, aside_slope))
         path[j, _view.PATH_X] = x
         path[j, _view.PATH_Y] = y
-        if attack:
+        if attacks and f == ATTACKS:
             row, share = _metre_at(driven)
             speed = _speed_ahead(scratch, ATTACKS, row, share)
         else:
             speed = at_scale * line[i, _frenet.SPEED]
-        path[j, _view.PATH_SPEED] = min(speed, np.sqrt(square), cap)
+        path[j, _view.PATH_SPEED] = min(speed, np.sqrt(square), most)
         path[j, _view.PATH_KAPPA] = bent + back
         square += 2.0 * braking * step
 
@@ -728,26 +730,14 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
             continue
         scratch[_LEAST + c] = np.inf
         if meets:
-            driven_at = c // GOALS
+            falls_back = c // GOALS == FOLLOWS
+            unsure = 0.0 if falls_back else UNSURE
+            wrong = WRONG_WAY if gives_way != falls_back else 1.0  # in a pinch one falls back and the other goes on
+            later_on = 0.0 if falls_back else later
             cost += _meet_opponent(
-                scratch,
-                driven_at,
-                c % GOALS,
-                s0,
-                gap,
-                d - view[_view.OPP_D],
-                long_reach,
-                0.0 if driven_at == FOLLOWS else UNSURE,
-                body + margin,
-                body,
-                reject_steps,
-                WRONG_WAY
-                if gives_way != (driven_at == FOLLOWS)
-                else 1.0,  # in a pinch one falls back and the other goes on
-                later if driven_at != FOLLOWS else 0.0,
-                w_proximity,
-                best + slack - cost,
-            )
+                scratch, c // GOALS, c % GOALS, s0, gap, d - view[_view.OPP_D], long_reach, unsure, body + margin, body,
+                reject_steps, wrong, later_on, w_proximity, best + slack - cost,
+            )  # fmt: skip
         scratch[_COSTS + c] = cost
         if cost < best:
             best = cost
@@ -759,21 +749,8 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
     memory[_M_GOAL] = scratch[_GOAL_D + best_goal]
     memory[_M_A] = scratch[_A + best_goal]
     memory[_M_B] = scratch[_B + best_goal]
-    at_scale = scratch[_SCALE + best_speed]
     _write_path(
-        line,
-        track.ds,
-        track.length,
-        view,
-        scratch,
-        best_goal,
-        at_scale,
-        cap if best_speed == FOLLOWS else np.inf,
-        grip,
-        attacks and best_speed == ATTACKS,
-        aside,
-        aside_slope,
-        path,
+        line, track.ds, track.length, view, scratch, best_goal, best_speed, cap, grip, attacks, aside, aside_slope, path
     )
 
 

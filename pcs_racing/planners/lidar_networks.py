@@ -39,7 +39,7 @@ from pcs_racing.planners import residual as _residual
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.line_following import lane_step, speed_scale
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.scanning import FIELD_OF_VIEW, MAX_RANGE, WORK, scan_beams
+from pcs_racing.planners.scanning import FIELD_OF_VIEW, MAX_RANGE, WORK, scan_beams, sine_tables
 from pcs_racing.planners.trained import DRIVER_FORMAT
 from pcs_racing.planners.view import PATH_POINTS
 
@@ -97,8 +97,7 @@ SLOWEST = 0.5  # m/s
 KINDS, MOST = ("weight", "bias"), 100.0
 _STEP = FIELD_OF_VIEW / (BEAMS - 1)
 _ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
-_plain = getattr(sine_cosine, "py_func", sine_cosine)  # calling compiled code would slow down every import
-_SIN, _COS = (np.array(values) for values in zip(*map(_plain, _ANGLES), strict=True))
+_SIN, _COS = sine_tables(_ANGLES)
 
 UNITS = 48  # of the recurrent network
 LAYERS = {
@@ -203,16 +202,8 @@ def save_lidar_driver(
 ) -> Path:
     """Write a driver into a folder, which is made if need be.
 
-    Parameters
-    ----------
-    folder : str or Path
-    network : str
-        One of :data:`LAYERS`.
-    layers : sequence of (weight, bias)
-        Of each of its layers, shapes (out, in) and (out,).
-    name : str
-    training : mapping
-        How it was trained: texts and numbers by name.
+    ``network`` is one of :data:`LAYERS`, ``layers`` are weight (out, in) and bias (out,) of each of its layers, and
+    ``training`` says how it was trained: texts and numbers by name.
     """
     pairs = enumerate(layers)
     tensors = {f"layers.{i}.{kind}": a for i, pair in pairs for kind, a in zip(KINDS, pair, strict=True)}

@@ -11,7 +11,7 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter
-from pcs_racing.planners.pure_pursuit import IN_THE_WAY, line_index, side_air, within_walls
+from pcs_racing.planners.pure_pursuit import IN_THE_WAY, WALL_MARGIN, line_index, side_air, within_walls
 from pcs_racing.planners.pursuit import BRAKING, steady_course
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
@@ -87,7 +87,7 @@ def follow_line(track, theta, view, gap, sight, lane):  # type: ignore[no-untype
     """
     beside = -0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) < gap < theta[_GAP]
     waits = beside and side_air(view) > 0.0 and abs(view[_view.OPP_D]) < abs(view[_view.OWN_D])
-    d = within_walls(track, view[_view.OWN_S], view[_view.OWN_D]) if waits else 0.0
+    d = within_walls(track, view[_view.OWN_S], view[_view.OWN_D], WALL_MARGIN) if waits else 0.0
     lane[:LANE_POINTS] = d
     # Of the car where it is, and of the race line.
     air = min(side_air(view), abs(view[_view.OPP_D]) - 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]))
@@ -96,11 +96,11 @@ def follow_line(track, theta, view, gap, sight, lane):  # type: ignore[no-untype
 
 
 @kernel
-def sharpest_bend(track, s, reach):  # type: ignore[no-untyped-def]
-    """Largest curvature of the race line within so many metres after an arc length, 1/m."""
+def sharpest_bend(track, s, reach, step):  # type: ignore[no-untyped-def]
+    """Largest curvature of the race line at places a step apart, within a reach after an arc length (all m), 1/m."""
     sharpest = 0.0
-    for k in range(int(2.0 * reach)):
-        sharpest = max(sharpest, abs(track.line[line_index(track, s + 0.5 * k), _frenet.KAPPA]))
+    for k in range(int(reach / step)):
+        sharpest = max(sharpest, abs(track.line[line_index(track, s + step * k), _frenet.KAPPA]))
     return sharpest
 
 
@@ -122,8 +122,7 @@ def hold_off(track, view, keep, lane):  # type: ignore[no-untyped-def]
     """Move a lane to where it leaves ``keep`` (m) to the walls, or as much as the race line does."""
     step = lane_step(view)
     for j in range(LANE_POINTS):
-        sample = track.line[line_index(track, view[_view.OWN_S] + j * step)]
-        lane[j] = min(max(lane[j], min(keep - sample[_frenet.RIGHT], 0.0)), max(sample[_frenet.LEFT] - keep, 0.0))
+        lane[j] = within_walls(track, view[_view.OWN_S] + j * step, lane[j], keep)
 
 
 @kernel
@@ -215,18 +214,9 @@ def _keep_off_walls(track, s0, step, lane):  # type: ignore[no-untyped-def]
 
 @kernel
 def ease_onto(track, view, scale, cap, lane, path):  # type: ignore[no-untyped-def]
-    """Write a path that eases from the car onto a lane.
+    """Write a path that eases from the car onto a lane, with a factor of the speed profile and a ``cap`` (m/s).
 
-    Parameters
-    ----------
-    track, view, path
-        As a planner gets them.
-    scale : float
-        Factor of the speed profile.
-    cap : float
-        Speed not to exceed, m/s.
-    lane : ndarray, shape (LANE_SIZE,)
-        Distances from the race line, m, `lane_step` apart, the first one beside the car. They are moved off walls.
+    The lane, shape (LANE_SIZE,), is moved off walls.
     """
     line, ds, length = track.line, track.ds, track.length
     s0 = view[_view.OWN_S]

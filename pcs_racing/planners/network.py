@@ -144,8 +144,6 @@ def network_planner(
 
     Parameters
     ----------
-    name : str
-        Name of the planner.
     hidden : sequence of int
         Widths of the hidden layers, each at least 1; may be empty.
     weights : array_like, shape (driver_weight_count(hidden),), optional
@@ -182,18 +180,10 @@ def network_planner(
 
 
 def check_driver(name: str, sizes: Sequence[int], weights: ArrayLike | None, hold: int) -> None:
-    """Check that a network can drive.
+    """Check that a network can drive; its name is for messages.
 
-    Parameters
-    ----------
-    name : str
-        For messages.
-    sizes : sequence of int
-        :attr:`pcs_racing.base.dense.DenseLayers.sizes`.
-    weights : array_like
-        All of them, :meth:`pcs_racing.base.dense.DenseLayers.flat`.
-    hold : int
-        Simulation steps for which a decision holds.
+    ``sizes`` and ``weights`` are those of :class:`pcs_racing.base.dense.DenseLayers`, its ``sizes`` and ``flat()``. A
+    decision holds for ``hold`` simulation steps.
     """
     if (sizes[0], sizes[-1]) != (len(INPUTS), OUTPUTS):
         raise InputError(

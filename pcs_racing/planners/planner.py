@@ -22,25 +22,13 @@ from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, hold_command
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a policy's parameter vector.
+    """One number of a policy's parameter vector."""
 
-    Attributes
-    ----------
-    name : str
-        Unique within its planner.
-    low, high : float
-        Bounds, ``low < high``; a policy outside them is refused.
-    default : float
-        The value of a sensible driver.
-    meaning : str
-        What it does, with the unit ("log10 weight of ..." for weights on a log scale).
-    """
-
-    name: str
-    low: float
-    high: float
-    default: float
-    meaning: str
+    name: str  #: Unique within its planner.
+    low: float  #: Lower bound; a policy outside the bounds is refused.
+    high: float  #: Upper bound, above ``low``.
+    default: float  #: The value of a sensible driver.
+    meaning: str  #: What it does, with the unit ("log10 weight of ..." for weights on a log scale).
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
@@ -53,52 +41,35 @@ class Parameter:
 class Planner:
     """A family of policies: compiled driving code and the parameters that tell its members apart.
 
-    Attributes
-    ----------
-    name : str
-        Name under which it is registered.
-    parameters : tuple of Parameter
-        What ``theta`` holds, in order.
-    plan : callable
-        ``plan(track, theta, view, memory, scratch, path) -> None``, ten times a second: writes ``path`` (12, 4).
-    control : callable
-        ``control(track, theta, view, memory, scratch, path, command) -> None``, fifty times a second: writes the target
-        steering angle (rad) and speed (m/s).
-    memory_size : int
-        Numbers that the planner keeps from call to call; they belong to the race's state and start at 0.
-    scratch_size : int
-        Numbers that it may scribble on within a call; their contents are undefined at the start of each call.
-    drive : callable or None
-        For planners in plain Python: ``drive(track, theta, view, memory) -> (steer, speed)``, fifty times a second, in
-        place of ``plan`` and ``control``. It gets the :class:`pcs_racing.Track` itself, and may keep what it remembers
-        in ``memory`` (``memory_size`` numbers).
-    candidates : callable or None
-        ``candidates(track, theta, view, memory) -> (points (C, P, 2), costs (C,))`` for pictures; rejected candidates
-        cost infinity.
-    variants : Mapping of str to Mapping or tuple of float
-        Named parameter vectors beside "default", or the values in which each differs from the defaults.
-    sight : float
-        Distance in m, counted along the track the shorter way round, beyond which ``plan`` and ``control`` do the same
-        whatever the opponent does there. Infinite unless the planner promises it. Game trees then need not drive every
-        pair of moves of two cars that are far apart.
-
-    Notes
-    -----
     ``track`` is a :class:`pcs_racing.track.frenet.TrackArrays`; ``view`` holds the numbers of
     :data:`pcs_racing.planners.view.VIEW`. All other arguments are float64 arrays. The functions must return nothing,
     should not raise (what one raises ends all races of the batch), and must depend on nothing but their arguments: that
     is what makes a race a value that can be saved and restored.
     """
 
-    name: str
-    parameters: tuple[Parameter, ...]
+    name: str  #: Name under which it is registered.
+    parameters: tuple[Parameter, ...]  #: What ``theta`` holds, in order.
+    #: ``plan(track, theta, view, memory, scratch, path) -> None``, ten times a second: writes ``path`` (12, 4).
     plan: Callable[..., None] = leave_path
+    #: ``control(track, theta, view, memory, scratch, path, command) -> None``, fifty times a second: writes the target
+    #: steering angle (rad) and speed (m/s).
     control: Callable[..., None] = follow_path
+    #: Numbers that the planner keeps from call to call; they belong to the race's state and start at 0.
     memory_size: int = 0
+    #: Numbers that it may scribble on within a call; their contents are undefined at the start of each call.
     scratch_size: int = 0
+    #: For planners in plain Python: ``drive(track, theta, view, memory) -> (steer, speed)``, fifty times a second, in
+    #: place of ``plan`` and ``control``. It gets the :class:`pcs_racing.Track` itself, and may keep what it remembers
+    #: in ``memory`` (``memory_size`` numbers).
     drive: Callable[..., tuple[float, float]] | None = None
+    #: ``candidates(track, theta, view, memory) -> (points (C, P, 2), costs (C,))`` for pictures; rejected candidates
+    #: cost infinity.
     candidates: Callable[..., tuple[NDArray[np.float64], NDArray[np.float64]]] | None = None
+    #: Named parameter vectors beside "default", or the values in which each differs from the defaults.
     variants: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    #: Distance in m, counted along the track the shorter way round, beyond which ``plan`` and ``control`` do the same
+    #: whatever the opponent does there. Infinite unless the planner promises it. Game trees then need not drive every
+    #: pair of moves of two cars that are far apart.
     sight: float = float("inf")
 
     def __post_init__(self) -> None:
@@ -160,17 +131,9 @@ class Planner:
         return tuple(name for name in self.parameter_names if name not in fixed)
 
     def complete(self, names: Sequence[str], values: ArrayLike) -> NDArray[np.float64]:
-        """Parameter vectors of policies of which some parameters are given; the others keep their defaults.
+        """Parameter vectors (K, P) of policies of which some parameters are given; the others keep their defaults.
 
-        Parameters
-        ----------
-        names : sequence of str
-            The parameters that are given.
-        values : array_like, shape (K, len(names))
-
-        Returns
-        -------
-        ndarray, shape (K, P)
+        ``values``, shape (K, len(names)), are those of the parameters ``names``.
         """
         given = np.asarray(values, np.float64)
         theta = np.tile(self.default, (len(given), 1))
@@ -206,21 +169,11 @@ class Planner:
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """A planner with one parameter vector.
+    """A planner with one parameter vector."""
 
-    Attributes
-    ----------
-    planner : Planner
-        The family it belongs to.
-    parameters : ndarray, shape (P,)
-        Its parameter vector; read-only.
-    name : str
-        What tables and replays call it.
-    """
-
-    planner: Planner
-    parameters: NDArray[np.float64]
-    name: str
+    planner: Planner  #: The family it belongs to.
+    parameters: NDArray[np.float64]  #: shape (P,): Its parameter vector; read-only.
+    name: str  #: What tables and replays call it.
 
     def __post_init__(self) -> None:
         theta = np.array(self.parameters, dtype=np.float64)

@@ -61,10 +61,10 @@ def gives_way(view, gap):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def within_walls(track, s, d):  # type: ignore[no-untyped-def]
-    """Distance from the race line nearest to ``d`` that leaves ``WALL_MARGIN`` to the walls, m."""
+def within_walls(track, s, d, keep):  # type: ignore[no-untyped-def]
+    """Distance from the race line nearest to ``d`` that leaves ``keep`` to the walls where the line does, m."""
     line = track.line[line_index(track, s)]
-    return min(max(d, min(WALL_MARGIN - line[_frenet.RIGHT], 0.0)), max(line[_frenet.LEFT] - WALL_MARGIN, 0.0))
+    return min(max(d, min(keep - line[_frenet.RIGHT], 0.0)), max(line[_frenet.LEFT] - keep, 0.0))
 
 
 @compiled
@@ -83,7 +83,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         gap = gap_ahead(track, view)
         waits = gives_way(view, gap)
         if waits:
-            d1 = within_walls(track, s0 + length, d0)
+            d1 = within_walls(track, s0 + length, d0, WALL_MARGIN)
         if waits or (gap > 0.0 and side_air(view) < IN_THE_WAY):
             most = max(view[_view.OPP_V] + FOLLOW_GAIN * (gap - theta[FOLLOW_DISTANCE]), 0.0)
     for j in range(PATH_POINTS):

@@ -4,22 +4,7 @@ import numpy as np
 
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
-from pcs_racing.planners.view import (
-    OWN_PSI,
-    OWN_V,
-    OWN_X,
-    OWN_Y,
-    PATH_KAPPA,
-    PATH_SPEED,
-    PATH_X,
-    PATH_Y,
-    REAR_AXLE,
-    REAR_SLIP,
-    STEER_MAX,
-    UNDERSTEER,
-    UNDERSTEER_GAIN,
-    WHEELBASE,
-)
+from pcs_racing.planners import view as _view
 
 COMMAND_SLOTS = 2  # memory that :func:`hold_command` reads: steering angle and speed
 
@@ -41,48 +26,35 @@ def hold_command(track, theta, view, memory, scratch, path, command):  # type: i
 
 @kernel(forceinline=True)
 def steady_course(view, kappa):  # type: ignore[no-untyped-def]
-    """Direction in which the car would move in a steady bend: its heading plus the slip that belongs to it, rad.
+    """Direction (rad) in which the car would move in a steady bend ``kappa`` (1/m): its heading plus the slip there.
 
     The slip of the moment says less: it lags the steering. A driver that steers by it weaves, above 6.5 m/s ever more:
     the linearised car and its pursuit have eigenvalues outside the unit circle there (``benchmarks/driving.py``).
-
-    Parameters
-    ----------
-    view : ndarray
-        The driver's view.
-    kappa : float
-        Curvature of the bend, 1/m.
     """
-    return view[OWN_PSI] + kappa * (view[REAR_AXLE] - view[REAR_SLIP] * view[OWN_V] * view[OWN_V])
+    v = view[_view.OWN_V]
+    return view[_view.OWN_PSI] + kappa * (view[_view.REAR_AXLE] - view[_view.REAR_SLIP] * v * v)
+
+
+@kernel(forceinline=True)
+def pursuit_arc(view, x, y, kappa):  # type: ignore[no-untyped-def]
+    """Curvature (1/m) of the arc to a point (m) that starts along `steady_course` in a bend ``kappa`` (1/m)."""
+    dx = x - view[_view.OWN_X]
+    dy = y - view[_view.OWN_Y]
+    sine, cosine = sine_cosine(steady_course(view, kappa))
+    return 2.0 * (dy * cosine - dx * sine) / max(dx * dx + dy * dy, 1e-6)
 
 
 @kernel(forceinline=True)
 def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untyped-def]
-    """Steering angle of pure pursuit towards a point.
+    """Steering angle (rad) of pure pursuit towards a point (m) where the path has the curvature ``kappa`` (1/m).
 
-    The arc starts along the car's steady course (`steady_course`). The car's understeer makes up for the slip of the
-    tyres in steady cornering; under braking the load shifts to the front and it turns into oversteer.
-
-    Parameters
-    ----------
-    view : ndarray
-        The driver's view.
-    x, y : float
-        Point to drive through, m.
-    kappa : float
-        Curvature of the path there, 1/m.
-    acceleration : float
-        Longitudinal acceleration that the driver is about to ask for, m/s^2.
+    The car's understeer makes up for the slip of the tyres in steady cornering; under braking the load shifts to the
+    front and it turns into oversteer: ``acceleration`` (m/s^2) is what the driver is about to ask for.
     """
-    course = steady_course(view, kappa)
-    dx = x - view[OWN_X]
-    dy = y - view[OWN_Y]
-    sine, cosine = sine_cosine(course)
-    across = -dx * sine + dy * cosine
-    arc = 2.0 * across / max(dx * dx + dy * dy, 1e-6)
-    understeer = view[UNDERSTEER] + view[UNDERSTEER_GAIN] * acceleration
-    steer = arctangent(view[WHEELBASE] * arc) + understeer * view[OWN_V] * view[OWN_V] * kappa
-    return min(max(steer, -view[STEER_MAX]), view[STEER_MAX])
+    arc = pursuit_arc(view, x, y, kappa)
+    understeer = view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration
+    steer = arctangent(view[_view.WHEELBASE] * arc) + understeer * view[_view.OWN_V] * view[_view.OWN_V] * kappa
+    return min(max(steer, -view[_view.STEER_MAX]), view[_view.STEER_MAX])
 
 
 @kernel(forceinline=True)
@@ -109,38 +81,38 @@ def follow_path(track, theta, view, memory, scratch, path, command):  # type: ig
     The look-ahead grows from 0.3 m by 0.1 m per m/s; the speed is the path's at the point reached in a tenth of a
     second.
     """
-    x = view[OWN_X]
-    y = view[OWN_Y]
-    v = view[OWN_V]
+    x = view[_view.OWN_X]
+    y = view[_view.OWN_Y]
+    v = view[_view.OWN_V]
     last = path.shape[0] - 1
     # The path starts where the car was when it planned; skip what lies behind by now.
     i = 0
-    near = (path[0, PATH_X] - x) ** 2 + (path[0, PATH_Y] - y) ** 2
+    near = (path[0, _view.PATH_X] - x) ** 2 + (path[0, _view.PATH_Y] - y) ** 2
     while i < last:
-        there = (path[i + 1, PATH_X] - x) ** 2 + (path[i + 1, PATH_Y] - y) ** 2
+        there = (path[i + 1, _view.PATH_X] - x) ** 2 + (path[i + 1, _view.PATH_Y] - y) ** 2
         if there > near:
             break
         near = there
         i += 1
     reach = 0.3 + 0.1 * v
     preview = 0.1 * v
-    goal_x = path[last, PATH_X]
-    goal_y = path[last, PATH_Y]
-    kappa = path[last, PATH_KAPPA]
-    speed = path[last, PATH_SPEED]
+    goal_x = path[last, _view.PATH_X]
+    goal_y = path[last, _view.PATH_Y]
+    kappa = path[last, _view.PATH_KAPPA]
+    speed = path[last, _view.PATH_SPEED]
     speed_found = False
     before = near
     for j in range(i, last):
-        after = (path[j + 1, PATH_X] - x) ** 2 + (path[j + 1, PATH_Y] - y) ** 2
+        after = (path[j + 1, _view.PATH_X] - x) ** 2 + (path[j + 1, _view.PATH_Y] - y) ** 2
         if not speed_found and after >= preview * preview:
             w = _share_of_gap(before, after, preview)
-            speed = path[j, PATH_SPEED] + w * (path[j + 1, PATH_SPEED] - path[j, PATH_SPEED])
+            speed = path[j, _view.PATH_SPEED] + w * (path[j + 1, _view.PATH_SPEED] - path[j, _view.PATH_SPEED])
             speed_found = True
         if after >= reach * reach:
             w = _share_of_gap(before, after, reach)
-            goal_x = path[j, PATH_X] + w * (path[j + 1, PATH_X] - path[j, PATH_X])
-            goal_y = path[j, PATH_Y] + w * (path[j + 1, PATH_Y] - path[j, PATH_Y])
-            kappa = path[j, PATH_KAPPA]
+            goal_x = path[j, _view.PATH_X] + w * (path[j + 1, _view.PATH_X] - path[j, _view.PATH_X])
+            goal_y = path[j, _view.PATH_Y] + w * (path[j + 1, _view.PATH_Y] - path[j, _view.PATH_Y])
+            kappa = path[j, _view.PATH_KAPPA]
             break
         before = after
     speed, acceleration = calm_speed(v, speed)

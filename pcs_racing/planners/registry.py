@@ -25,12 +25,8 @@ _places: dict[str, str] = dict(SHIPPED)
 def register_planner(planner: Planner | str, *, name: str | None = None) -> None:
     """Register a planner under its name in this process; registering the same one again changes nothing.
 
-    Parameters
-    ----------
-    planner : Planner or str
-        The planner, or where it is (``"package.module:PLANNER"``), to be imported when it is first needed.
-    name : str, optional
-        Its name; needed for a place, as a planner brings its own.
+    A place (``"package.module:PLANNER"``) needs a ``name``, and is imported when that is first used; a planner brings
+    its own.
     """
     if isinstance(planner, Planner):
         name = planner.name
@@ -69,11 +65,8 @@ def get_planner(name: str) -> Planner:
 def parse_policy(text: str) -> Policy:
     """Return the policy of a text: the name of a planner, which may be followed by a variant or by parameters.
 
-    Parameters
-    ----------
-    text : str
-        ``"lattice"``, ``"lattice:pace=0.8,side_margin=0.2"`` (the rest as in the default) or ``"lane-switcher:3"``. It
-        becomes the policy's name.
+    Texts are ``"lattice"``, ``"lattice:pace=0.8,side_margin=0.2"`` (the rest as in the default) or
+    ``"lane-switcher:3"``, and become the policy's name.
     """
     if not isinstance(text, str):
         raise InputError(f"policy {text!r} must be text such as 'lattice:pace=0.8'")

@@ -1,6 +1,9 @@
-"""What drivers with nothing but a lidar share: the scan, and the arc that a direction in it stands for."""
+"""What drivers with nothing but a lidar share: the scan, its farthest beam, and the arc that a direction stands for."""
+
+from collections.abc import Iterable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing.base.elementary import sine_cosine, tangent
@@ -9,14 +12,21 @@ from pcs_racing.planners import view as _view
 from pcs_racing.planners.pursuit import steady_course
 from pcs_racing.planners.view import PATH_POINTS
 
+
+def sine_tables(angles: Iterable[float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sines and cosines of angles (rad), without compiled code: calling that would slow down every import."""
+    plain = getattr(sine_cosine, "py_func", sine_cosine)
+    sines, cosines = zip(*map(plain, angles), strict=True)
+    return np.array(sines), np.array(cosines)
+
+
 BEAMS = 271
 FIELD_OF_VIEW = 4.7  # rad, that of the lidar of most cars; they have 1080 beams, of which every fourth is taken here
 MAX_RANGE = 15.0  # m
 STEP = FIELD_OF_VIEW / (BEAMS - 1)
 ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 """Directions of the beams in rad, from right to left; 0 is straight ahead."""
-_plain = getattr(sine_cosine, "py_func", sine_cosine)  # calling compiled code would slow down every import
-SIN, COS = (np.array(values) for values in zip(*map(_plain, ANGLES), strict=True))
+SIN, COS = sine_tables(ANGLES)
 WORK = WORK_SHAPE[0] * WORK_SHAPE[1]
 SCAN_SIZE = WORK + BEAMS
 """Numbers of scratch that a scan takes: the lidar's own working memory, and the ranges at the end."""
@@ -46,13 +56,22 @@ def beam_at(angle):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def steer_for(view, steering, speed, lateral, path):  # type: ignore[no-untyped-def]
-    """Write the arc of a steering angle (rad), at a speed (m/s) that keeps to a lateral acceleration (m/s^2)."""
-    limit = view[_view.STEER_MAX]
-    kappa = tangent(min(max(steering, -limit), limit)) / view[_view.WHEELBASE]
-    speed = min(speed, np.sqrt(lateral / max(abs(kappa), 1e-6)))
-    length = 0.5 + 0.25 * view[_view.OWN_V]
-    course = steady_course(view, kappa)  # where the pursuit begins its own arc: it steers what was asked for
+def farthest(ranges, angles, first, end):  # type: ignore[no-untyped-def]
+    """Beam of the longest range, from the beam ``first`` to the one before ``end``.
+
+    Of equally long ones (at the lidar's limit) it is the one nearest to straight ahead.
+    """
+    best = first
+    for k in range(first + 1, end):
+        as_long = ranges[k] == ranges[best] and abs(angles[k]) < abs(angles[best])
+        if ranges[k] > ranges[best] or as_long:
+            best = k
+    return best
+
+
+@kernel
+def write_arc(view, course, kappa, length, speed, path):  # type: ignore[no-untyped-def]
+    """Write an arc that starts along a course (rad): its curvature (1/m), its length (m), and one speed (m/s)."""
     for j in range(PATH_POINTS):
         s = length * j / (PATH_POINTS - 1)
         bend = 0.5 * kappa * s
@@ -63,3 +82,13 @@ def steer_for(view, steering, speed, lateral, path):  # type: ignore[no-untyped-
         path[j, _view.PATH_Y] = view[_view.OWN_Y] + chord * sine
         path[j, _view.PATH_SPEED] = speed
         path[j, _view.PATH_KAPPA] = kappa
+
+
+@kernel
+def steer_for(view, steering, speed, lateral, path):  # type: ignore[no-untyped-def]
+    """Write the arc of a steering angle (rad), at a speed (m/s) that keeps to a lateral acceleration (m/s^2)."""
+    limit = view[_view.STEER_MAX]
+    kappa = tangent(min(max(steering, -limit), limit)) / view[_view.WHEELBASE]
+    speed = min(speed, np.sqrt(lateral / max(abs(kappa), 1e-6)))
+    course = steady_course(view, kappa)  # where the pursuit begins its own arc: it steers what was asked for
+    write_arc(view, course, kappa, 0.5 + 0.25 * view[_view.OWN_V], speed, path)

@@ -55,11 +55,11 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
-def lay_spline(theta, first, stretch, scratch):  # type: ignore[no-untyped-def]
+def lay_spline(theta, stretch, scratch):  # type: ignore[no-untyped-def]
     """Lay the natural cubic spline that is 1 at the apex and 0 at the other points: points and second derivatives."""
     for k in range(KNOTS):
         sign = -1.0 if k < 3 else 1.0
-        scratch[_AT + k] = 0.0 if k == 3 else sign * stretch * theta[first + (k if k < 3 else k - 1)]
+        scratch[_AT + k] = 0.0 if k == 3 else sign * stretch * theta[FIRST_POINT + (k if k < 3 else k - 1)]
     scratch[_MOMENT] = scratch[_FACTOR] = scratch[_MOMENT + KNOTS - 1] = 0.0
     for k in range(1, KNOTS - 1):
         before = scratch[_AT + k] - scratch[_AT + k - 1]
@@ -110,7 +110,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     opp_d = view[_view.OPP_D]
     gap = gap_ahead(track, view) + theta[PREDICTION] * (view[_view.OPP_V] - view[_view.OWN_V])
     stretch = min(1.0 + view[_view.OWN_V] / TOP_SPEED, 1.5)
-    lay_spline(theta, FIRST_POINT, stretch, scratch)
+    lay_spline(theta, stretch, scratch)
     now = gap_ahead(track, view)
     blocks = abs(opp_d) - 0.5 * view[_view.OPP_WIDTH] < theta[IN_THE_WAY] + 0.5 * view[_view.OWN_WIDTH]
     passing = memory[_SIDE] != 0.0 and gap > -scratch[_AT + KNOTS - 1]
@@ -118,7 +118,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     side = 0.0
     cap = np.inf
     if blocks and (
-        passing or (0.0 < now < theta[LOOKAHEAD] and _line.sharpest_bend(track, s0, SECTOR_REACH) < theta[SECTOR])
+        passing or (0.0 < now < theta[LOOKAHEAD] and _line.sharpest_bend(track, s0, SECTOR_REACH, 0.5) < theta[SECTOR])
     ):
         here = track.line[line_index(track, s0 + gap)]
         roomier = 1.0 if here[_frenet.LEFT] - opp_d > here[_frenet.RIGHT] + opp_d else -1.0

@@ -32,13 +32,8 @@ DRIVER_FORMAT = ArtifactFormat(
 def trained_planner(name: str, layers: DenseLayers, hold: int) -> Planner:
     """Return a planner without parameters whose commands are the outputs of a network.
 
-    Parameters
-    ----------
-    name : str
-    layers : DenseLayers
-        16 inputs, any hidden layers, 2 outputs; ``tanh`` behind each layer.
-    hold : int
-        Simulation steps of 0.01 s for which a decision holds, an even number.
+    The network has 16 inputs, any hidden layers and 2 outputs, with a ``tanh`` behind each layer. A decision holds for
+    ``hold`` simulation steps of 0.01 s, an even number.
     """
     flat = layers.flat().astype(np.float64)
     check_driver(name, layers.sizes, flat, hold)
@@ -46,15 +41,9 @@ def trained_planner(name: str, layers: DenseLayers, hold: int) -> Planner:
 
 
 def save_driver(folder: str | Path, layers: DenseLayers, *, name: str, hold: int, training: Mapping[str, Any]) -> Path:
-    """Write a driver into a folder, which is made if need be.
+    """Write a driver, as :func:`trained_planner` takes it, into a folder, which is made if need be.
 
-    Parameters
-    ----------
-    folder : str or Path
-    layers, name, hold
-        As for :func:`trained_planner`.
-    training : mapping
-        How it was trained: texts and numbers by name.
+    ``training`` says how it was trained: texts and numbers by name.
     """
     check_driver(name, layers.sizes, layers.flat(), hold)
     fields = {

@@ -123,9 +123,7 @@ def hazard_scan(
     return np.array(hazards)
 
 
-def calibrate(
-    track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: int = 0, threads: int | None = None
-) -> CalibrationReport:
+def calibrate(track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: int = 0) -> CalibrationReport:
     """Find the speed range of a circuit for a race configuration, and the places to start from.
 
     Pace 1 is the scale at which a car alone crashes in 50 % of 40 s, and pace 0 lies 0.40 below. Without steering noise
@@ -138,7 +136,7 @@ def calibrate(
     """
     noisy = config.steering_noise > 0.0
     allowed = HAZARD_WITH_NOISE if noisy else HAZARD_WITHOUT_NOISE
-    hazard = np.maximum.accumulate(hazard_scan(track, config, cars=cars, seed=seed, threads=threads, enough=allowed))
+    hazard = np.maximum.accumulate(hazard_scan(track, config, cars=cars, seed=seed, enough=allowed))
     scales = np.array(SCALES[: len(hazard)])
     if hazard[0] > allowed:
         raise InputError(
@@ -148,8 +146,7 @@ def calibrate(
     high = min(_crossing(scales, hazard, allowed), FRICTION_SCALE)
     low = high - (WIDTH_WITH_NOISE if noisy else WIDTH_WITHOUT_NOISE)
     speed_range = (round(float(low), 2), round(float(high), 2))
-    settings = _scan_settings(config, speed_range)
-    fit = fit_places(track, config, settings, _spacings(config), threads=threads)
+    fit = fit_places(track, config, _scan_settings(config, speed_range), _spacings(config))
     return CalibrationReport(
         track.name,
         config.name,

@@ -133,22 +133,22 @@ def _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles,
 
 
 @inner_kernel(forceinline=True)
-def _opponent(length, frenet, race, car, number):  # type: ignore[no-untyped-def]
-    """The car that a driver sees: the nearest one along the track, of two the other one, alone itself."""
-    return 1 - car if number == 2 else nearest_car(length, frenet, race, car)
+def _fill_other(line, ds, length, cars, frenet, progress, race, car, number, vehicles, view):  # type: ignore[no-untyped-def]
+    """Write the opponent that a driver sees into a view: of two cars the other one, else the nearest on the track."""
+    if number == 1:
+        _fill_nobody(length, vehicles[car], view)
+    else:
+        other = 1 - car if number == 2 else nearest_car(length, frenet, race, car)
+        _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles, view)
 
 
 @kernel
 def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignore[no-untyped-def]
     """Write what the driver of ``car`` sees (:data:`pcs_racing.planners.view.VIEW`) into ``view``."""
-    line, ds, length, tick = track.line, track.ds, track.length, state.tick[race]
+    cars, frenet, number = state.cars, state.frenet, state.cars.shape[1]
     _fill_fixed(vehicles[car], settings, view)
-    other = _opponent(length, state.frenet, race, car, state.frenet.shape[1])
-    _fill_own(tick, state.cars, state.frenet, race, car, view)
-    if other == car:
-        _fill_nobody(length, vehicles[car], view)
-    else:
-        _fill_opponent(line, ds, state.cars, state.frenet, state.progress, race, car, other, vehicles, view)
+    _fill_own(state.tick[race], cars, frenet, race, car, view)
+    _fill_other(track.line, track.ds, track.length, cars, frenet, state.progress, race, car, number, vehicles, view)
 
 
 @inner_kernel(forceinline=True)
@@ -289,11 +289,7 @@ def advance_races(  # type: ignore[no-untyped-def]
                         path, memory, command = paths[race, car], memories[race, car], commands[race, car]
                         work[ASKED], work[ASKED + 1] = race, car
                         _fill_own(tick, cars, frenet, race, car, view)
-                        if number == 1:
-                            _fill_nobody(length, vehicles[race, car], view)
-                        else:
-                            other = _opponent(length, frenet, race, car, number)
-                            _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles[race], view)
+                        _fill_other(line, ds, length, cars, frenet, progress, race, car, number, vehicles[race], view)
                         if tick % PLAN_EVERY == 0:
                             call_plan(drivers[2 * car], track, theta[race, car], view, memory, scratch, path)
                         control = drivers[2 * car + 1]

@@ -42,8 +42,6 @@ def views(cars: int) -> tuple[str, ...]:
     return ("track", "both", *(f"car_{car}" for car in range(max(2, cars))))
 
 
-VIEWS = views(2)
-
 _CLOSE = 9.0  # m across the smaller side of the frame when a car is followed
 _LEAST_CLOSE = 32.0  # pixels per metre then, however small the frame
 _TEXT_HEIGHT = 32.0  # pixels at the top that a line of text takes

@@ -63,7 +63,7 @@ def _race_from(
     places: Floats,
     pairs: Floats,
     first_key: int,
-    threads: int | None,
+    threads: int | None = None,
 ) -> tuple[RaceState, Floats]:
     """Race every pair from every place, from both sides: the ends, and the lead of the car on the left, m.
 
@@ -107,7 +107,7 @@ def drive_away(
 
 
 def fit_places(
-    track: Track, config: RaceConfig, settings: KernelSettings, spacings: Sequence[float], *, threads: int | None = None
+    track: Track, config: RaceConfig, settings: KernelSettings, spacings: Sequence[float]
 ) -> tuple[float, Places, float]:
     """Find where a circuit is fit to start from, with the first of some distances across the track (m) that works.
 
@@ -116,7 +116,7 @@ def fit_places(
     start lines to draw from the places that favour the left, 0.5 where cars start one behind the other.
     """
     for spacing in spacings:
-        crashes, favour = drive_away(track, config, settings, spacing, threads=threads)
+        crashes, favour = drive_away(track, config, settings, spacing)
         together = np.mean([np.roll(crashes, shift) for shift in range(-NEIGHBOURS, NEIGHBOURS + 1)], axis=0)
         abreast = config.start == "side-by-side"
         sides = {"left": favour > 0.0, "right": favour < 0.0} if abreast else {"front": np.full(len(favour), True)}
@@ -130,9 +130,7 @@ def fit_places(
                 places = {name: stretches_of(here) for name, here in found.items() if here.any()}
                 share = 0.5
                 if len(places) == 2:
-                    gains = [
-                        _gain(track, config, settings, spacing, places[side], threads) for side in ("left", "right")
-                    ]
+                    gains = [_gain(track, config, settings, spacing, places[side]) for side in ("left", "right")]
                     share = _left_share(*gains)
                 return float(spacing), places, share
     tried = ", ".join(f"{spacing:g}" for spacing in spacings)
@@ -143,20 +141,13 @@ def fit_places(
     )
 
 
-def _gain(
-    track: Track,
-    config: RaceConfig,
-    settings: KernelSettings,
-    spacing: float,
-    stretches: Stretches,
-    threads: int | None,
-) -> float:
+def _gain(track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, stretches: Stretches) -> float:
     """Share of whole races from some places that the car on the left wins, less a half."""
     places = places_of(stretches)
     places = places[np.linspace(0, len(places) - 1, min(len(places), BALANCE_PLACES)).astype(np.intp)]
     paces = np.random.default_rng(1).uniform(size=(BALANCE_PAIRS, 2))
     pairs = np.array([[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces])
-    state, left = _race_from(track, config, settings, spacing, places, pairs, 0, threads)
+    state, left = _race_from(track, config, settings, spacing, places, pairs, 0)
     left = left[~state.crashed]
     return float((left > 0.0).mean()) - 0.5 if len(left) else 0.0
 

@@ -142,8 +142,7 @@ def test_trailing_keeps_the_gap(oval, view_at):
 
 def test_the_spline_is_the_natural_cubic_one_without_its_undershoots():
     scratch = np.zeros(SCRATCH)
-    first = SPLINER.parameter_names.index("pre_apex_0")
-    python(lay_spline)(SPLINER.default, first, 1.2, scratch)
+    python(lay_spline)(SPLINER.default, 1.2, scratch)
     knots = 1.2 * np.array([-4.0, -3.0, -1.5, 0.0, 2.0, 3.0, 4.0])
     expected = CubicSpline(knots, [0, 0, 0, 1, 0, 0, 0], bc_type="natural")
     for x in np.linspace(-5.5, 5.5, 111):
