@@ -1,6 +1,6 @@
 """Many races at the level of steering and speed, advanced together: the batch behind the Drive environments."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
@@ -78,7 +78,6 @@ class DriveBatch:
     """
 
     reset_options: tuple[str, ...] = ("start", "poses", "obstacles")  #: That :meth:`restart` takes.
-    film_rate: int | None = None  #: Frames for each second in :meth:`film`: here a step is a single frame.
 
     def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
         check_batch_size(episodes, threads)
@@ -183,10 +182,10 @@ class DriveBatch:
         self._paid = np.zeros((races, self.cars), np.int8)
         self.vehicles = self.randomization.vehicles
         self._limits = max(car.steer_max for car in setup.vehicles[: self.players]), float(options.top_speed)
-        self._laps = np.inf if options.laps is None else float(options.laps)
         paid = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
         fault_loses = setup.config.crash_rule == "fault-loses"
-        self._weights = (*(float(getattr(options, name)) for name in paid), fault_loses, self._laps)
+        laps = np.inf if options.laps is None else float(options.laps)
+        self._weights = (*(float(getattr(options, name)) for name in paid), fault_loses, laps)
         self._rows = np.arange(races)
         randomization = self.randomization
         self._uniform = not randomization.circuits.several  # until an obstacle stands somewhere
@@ -244,12 +243,7 @@ class DriveBatch:
             for (circuit, some), grid in zip(groups, grids, strict=True):
                 self._check_clear(circuit.setup, rows[some], take(grid, places[some]))
         for (circuit, some), grid in zip(groups, grids, strict=True):
-            for row in rows[some]:
-                arrays = self.randomization.track(int(row)).arrays
-                # Races with obstacles have arrays of their own, and are stepped apart from the others.
-                own = arrays is not circuit.inputs.arrays
-                self._inputs[row] = circuit.inputs._replace(arrays=arrays) if own else circuit.inputs
-                self._uniform &= not own
+            self._set_inputs(rows[some], circuit.inputs)
             restart(self.state, grid, rows[some], places[some], seeds[some])
         if self._moving is not None:
             self._moving.restart(rows, self.state, self.theta)
@@ -261,9 +255,14 @@ class DriveBatch:
         if len(wrong):
             raise InputError(f"episode {rows[wrong[0]]}: a car starts in one of the obstacles")
 
-    def forget(self, rows: NDArray[np.int64]) -> None:
-        """Let what lasts for several episodes begin anew, as the generators of some episodes do."""
-        self.randomization.circuits.forget(rows)
+    def _set_inputs(self, rows: Rows, inputs: KernelInputs) -> None:
+        """Say what some races on the same circuit are driven on, from now on."""
+        for row in rows:
+            arrays = self.randomization.track(int(row)).arrays
+            # Races with obstacles have arrays of their own, and are stepped apart from the others.
+            own = arrays is not inputs.arrays
+            self._inputs[row] = inputs._replace(arrays=arrays) if own else inputs
+            self._uniform &= not own
 
     def _draw_opponent(self, row: int, generator: np.random.Generator) -> None:
         if self._edges is None:
@@ -417,7 +416,7 @@ class DriveBatch:
         over = state.crashed | (state.tick >= config.ticks)
         if self.options.laps is not None:
             lengths = np.array([one.arrays.length for one in self._inputs])
-            over |= state.progress.max(axis=1) >= self._laps * lengths
+            over |= state.progress.max(axis=1) >= self.options.laps * lengths
         if not over.any():
             return result
         rows = np.flatnonzero(over)
@@ -434,7 +433,7 @@ class DriveBatch:
         info = race_info(self.state, race, car)
         over = any(self.state.crash[race].tolist()) or self.state.tick.item(race) >= self.setup.config.ticks
         if self.options.laps is not None:
-            over = over or self.state.progress[race].max() >= self._laps * self._inputs[race].arrays.length
+            over = over or self.state.progress[race].max() >= self.options.laps * self._inputs[race].arrays.length
         info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
         cars = self.state.cars[race]
@@ -457,12 +456,6 @@ class DriveBatch:
         renderer.show(self.randomization.track(race), half_sizes(self.vehicles[race]))
         return renderer.render(cars, plans=plans if self.rivals else None, names=names, text=text)
 
-    def film(
-        self, renderer: Renderer, environment: int, ticks: int | None = None, step: Any = None
-    ) -> Iterator[NDArray[np.uint8] | None]:
-        """Draw nothing: a step is short enough to be a single frame."""
-        yield from ()
-
     def get_state(self) -> tuple[Any, ...]:
         """Copies of the races, of the opponents' indices and parameters, and of the moves they made."""
         moving = None if self._moving is None else self._moving.get_state()
@@ -479,17 +472,14 @@ class DriveBatch:
         if np.shape(drawn) != (self.episodes,) or not ((drawn >= 0) & (drawn < count)).all():
             raise InputError(f"the state's opponents {drawn!r} are not among the {len(self.opponents)} that there are")
         self.randomization.set_state(randomization)
-        for row in range(self.episodes):
-            inputs = self.circuit(int(self.randomization.circuits.number[row])).inputs
-            arrays = self.randomization.track(row).arrays
-            self._inputs[row] = inputs if arrays is inputs.arrays else inputs._replace(arrays=arrays)
-            self._uniform &= self._inputs[row] is self._inputs[0]
+        for number, rows in self.randomization.groups(self._rows):
+            self._set_inputs(rows, self.circuit(number).inputs)
         # Into the own arrays: the state that was given stays as it is.
         for name, own in self.state._asdict().items():
             own[...] = getattr(races, name)
         self.drawn[:], self.theta[:] = drawn, theta
         if self._moving is not None:
-            self._moving.set_state(moving, self.state)
+            self._moving.set_state(moving)
 
     def close(self) -> None:
         """Free the threads."""

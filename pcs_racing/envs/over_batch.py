@@ -22,12 +22,6 @@ if TYPE_CHECKING:  # so that an environment imports its own batch alone
 Batch = Union["DriveBatch", "GameBatch"]
 """What environments are views of."""
 
-FILM = "rgb_array_list"
-"""Render mode in which `render` returns all frames since it was last called, of steps that last many."""
-
-WINDOW_TICKS = 16
-"""Simulation steps between two frames that a window shows of a long step: at 25 a second, four times as fast."""
-
 REBUILDING = ("track", "opponent")
 """Options of a reset that stand for arguments of the environment."""
 
@@ -74,7 +68,7 @@ class Declared:
         """Return the arguments of the batch, those that are not given included, and those of the environment itself."""
         own = kind.__signature__.parameters.keys() - self.defaults.keys() - {"settings"}
         more = () if self.more is None else (one.name for one in fields(self.more))
-        known = dict.fromkeys([*kind.__signature__.parameters, *self.defaults, *more])
+        known = dict.fromkeys([*kind.__signature__.parameters, *more])
         known.pop("settings", None)
         # Before Python binds them: its own error would not say which name was meant.
         for name in named:
@@ -127,7 +121,7 @@ def _listed(kind: Any) -> list[str]:
 class OverBatch:
     """What an environment over a batch knows of it, how it was made and is copied, and its frames."""
 
-    batch_type: ClassVar[type[Any]]
+    batch_type: ClassVar[type[Batch]]
     declared: ClassVar[Declared]  #: Arguments of the batch.
     __signature__: ClassVar[Signature]  #: What Python shows as the class's arguments.
     players: int = 1  #: Environments that belong to the same episode: 2 for both cars of a race.
@@ -197,8 +191,7 @@ class OverBatch:
     @property
     def track(self) -> Track:
         """The circuit."""
-        track: Track = self.batch.track
-        return track
+        return self.batch.track
 
     # Resets
 
@@ -263,19 +256,12 @@ class OverBatch:
         return self._renderer
 
     def _show_step(self) -> None:
-        """Show the first environment's last step in the window."""
-        renderer = self._open_renderer()
-        # A window shows what is drawn; a step too short for a film is a single frame.
-        frames = 0
-        for _ in self.batch.film(renderer, 0, WINDOW_TICKS):
-            frames += 1
-        if frames == 0:
-            self.batch.draw(renderer, 0)
+        """Show how the first environment's last step ended in the window."""
+        self.batch.draw(self._open_renderer(), 0)
 
     def _frames_per_second(self) -> int:
         """Frame rate of what `render` returns, or the window shows."""
-        whole_steps = self.render_mode in (FILM, "human") and self.batch.film_rate is not None
-        return self.batch.film_rate or 1 if whole_steps else self.batch.frame_rate
+        return self.batch.frame_rate
 
     def _close_renderer(self) -> None:
         """Close the window, if there is one."""

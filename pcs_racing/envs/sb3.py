@@ -219,7 +219,7 @@ class SB3VecEnv(VecEnv):
         return group
 
     def _masks(self) -> NDArray[np.bool_]:
-        if not all(isinstance(group, DuelVectorEnv | MatchVectorEnv) for group in self.groups):
+        if not all(isinstance(group, DuelVectorEnv) for group in self.groups):
             raise AttributeError("the control level has no action masks")
         return np.concatenate([group.action_masks() for group in self.groups])
 

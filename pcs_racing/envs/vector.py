@@ -88,8 +88,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         # What is no whole number goes on as it is, so that the batch's own check names it.
         episodes = self.num_envs // self.players if is_whole(self.num_envs) else self.num_envs
         given, players = self._players(arguments)
-        batch: Batch = self.batch_type(episodes, threads=self.threads, players=players, **given)
-        return batch
+        return self.batch_type(episodes, threads=self.threads, players=players, **given)
 
     def _use(self, batch: Batch, arguments: dict[str, Any]) -> None:
         super()._use(batch, arguments)
@@ -116,7 +115,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             raise InputError("all environments share track and opponent; they can't be changed with a reset_mask")
         # Kept only when all episodes have begun: after a refused reset the former seeds are in force.
         generators, seeds = self._renewed_generators(seed)
-        batch.forget(np.flatnonzero([one is not None for one in seeds]))
+        batch.randomization.circuits.forget(np.flatnonzero([one is not None for one in seeds]))
         batch.restart(rows, [generators[i] for i in rows], given)
         self._change_to(batch, arguments)
         self._generators = generators
