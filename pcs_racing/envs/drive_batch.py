@@ -109,9 +109,8 @@ class DriveBatch:
         self.setup = RaceSetup(
             self.randomization.circuits.track(0), config, tuple(planners), self.randomization.cars, delay
         )
-        self._ticks = options.ticks
         #: Steps of an episode that does not end early.
-        self.horizon = -(-self.setup.config.ticks // self._ticks)
+        self.horizon = -(-self.setup.config.ticks // options.ticks)
         #: Steps in a second of racing.
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
@@ -126,7 +125,10 @@ class DriveBatch:
                 f"{environments} environments observe {len(self.elements)} numbers each; take fewer environments or "
                 f"beams: {MOST_NUMBERS} numbers are the limit"
             )
-        self._sight = self._make_sight()
+        noise = self.randomization.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
+        sight = make_sight(options, self.cars, players, self.setup.track)
+        # What the players observe; its ``ahead`` belongs to a circuit.
+        self._sight = sight._replace(end_tick=self.setup.config.ticks, noise=noise)
         self._prepare_races(threads)
         low, high = (bound * self._sight.gain + self._sight.shift for bound in (self._sight.low, self._sight.high))
         self.observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
@@ -144,13 +146,6 @@ class DriveBatch:
     def track(self) -> Track:
         """The circuit of the first race."""
         return self.randomization.track(0)
-
-    def _make_sight(self) -> Sight:
-        """What the players observe; ``ahead`` belongs to a circuit."""
-        options = self.options
-        noise = self.randomization.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
-        sight = make_sight(options, self.cars, self.players, self.setup.track)
-        return sight._replace(end_tick=self.setup.config.ticks, noise=noise)
 
     def _make_circuit(self, number: int) -> CircuitSetup:
         setup = replace(self.setup, track=self.randomization.circuits.track(number))
@@ -192,7 +187,7 @@ class DriveBatch:
         self._varied = bool(randomization.codes or randomization.drawn or randomization.obstacles)
         self._in_python = any(planner.drive is not None for planner in setup.planners)
         scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
-        enough_for = int(races * (0.5 * max(2, self.cars) * TICK_US * self._ticks + scans) / US_OF_A_THREAD)
+        enough_for = int(races * (0.5 * max(2, self.cars) * TICK_US * options.ticks + scans) / US_OF_A_THREAD)
         #: Threads that share a step: no more than have enough to do.
         self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
         size = max(1, *(planner.scratch_size for planner in setup.planners))
@@ -316,7 +311,7 @@ class DriveBatch:
 
     def step(self, actions: NDArray[np.float64], generators: Generators = ()) -> BatchStep:
         """Drive every race one step on."""
-        races, ticks = self.episodes, self._ticks
+        races, ticks = self.episodes, self.options.ticks
         results = self._results()
         if self._in_python:
             # The kernel then pays and observes, but does not drive: 0 ticks.
@@ -354,7 +349,7 @@ class DriveBatch:
         # Races on the same circuit stand side by side, so that a call of the kernel takes a run of them.
         runs = [(0, last - first)] if self._uniform or first == last else runs_of(self._inputs[first:last])
         for low, high in runs:
-            inputs = self._inputs[first + low] if first < last else self._inputs[0]
+            inputs = self._inputs[first + low]
             arguments = (
                 inputs.arrays,
                 self.state,
@@ -383,11 +378,7 @@ class DriveBatch:
 
     def _advance_in_python(self, ticks: int) -> None:
         """Drive every race on against an opponent in plain Python."""
-        circuits = (
-            self.randomization.circuits.number
-            if self.randomization.circuits.several
-            else np.zeros(self.episodes, np.int64)
-        )
+        circuits = self.randomization.circuits.number
         for first, last in runs_of(circuits.tolist()):
             part = RaceState._make(array[first:last] for array in self.state)
             conditions = self.randomization.conditions(np.arange(first, last))

@@ -152,7 +152,7 @@ class GameBatch:
     @property
     def track(self) -> Track:
         """The circuit of the first episode."""
-        return self.game.track if self.state is None else self.randomization.track(0)
+        return self.randomization.track(0)
 
     def _make_game(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
         archive, rules, opponent, threads = self._made_of

@@ -11,7 +11,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import ANYTHING, flag, setting, whole
 from pcs_racing.envs.batch import BatchStep, Generators, Rows
 from pcs_racing.envs.game_batch import GameBatch, GameOptions, check_shapes
-from pcs_racing.envs.infos import Result, codes, of_players, one_info
+from pcs_racing.envs.infos import Result, codes, of_players
 from pcs_racing.game.competitor import Chooser
 from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, ask_choices, put_matches
 from pcs_racing.race.races import start_races
@@ -217,7 +217,10 @@ class MatchBatch(GameBatch):
 
     def info(self, environment: int) -> dict[str, Any]:
         """Info of one player: plain numbers, and the mask as an array."""
-        return one_info(self.infos(), environment)
+        return {
+            name: values[environment] if values.ndim > 1 else values[environment].item()
+            for name, values in self.infos().items()
+        }
 
     # The batch as a value
 

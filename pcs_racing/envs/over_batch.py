@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from inspect import Parameter, Signature, signature
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, Union
@@ -42,11 +42,7 @@ class Declared:
     @cached_property
     def defaults(self) -> dict[str, Any]:
         """Value of each argument that is not given."""
-        declared = {
-            one.name: one.default if one.default_factory is MISSING else one.default_factory()
-            for one in fields(self.options)
-        }
-        return declared | dict(self.changed)
+        return {one.name: one.default for one in fields(self.options)} | dict(self.changed)
 
     def signature(self, begin: Callable[..., Any], players: int) -> Signature:
         """Signature of a class: the batch's arguments, and those of its method ``begin`` except ``arguments``."""
