@@ -11,7 +11,7 @@ from pettingzoo.utils import parallel_to_aec
 
 from pcs_racing.envs.game_batch import DrivenStep, GameBatch, GameOptions
 from pcs_racing.envs.opponents import Opponent
-from pcs_racing.envs.over_batch import Declared, OverBatch, described
+from pcs_racing.envs.over_batch import Declared, OverBatch
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.characteristics import get_characteristics
@@ -53,8 +53,7 @@ class OverGames(OverBatch):
         return FILM_RATE if self.render_mode in (FILM, "human") else self.batch.frame_rate
 
 
-@described(_TABLE)
-class DuelEnv(OverGames, ScalarEnv):
+class DuelEnv(OverGames, ScalarEnv, observation_table=_TABLE):
     """Play the game of moves in Policy Characteristic Space against an opponent.
 
     ## Description
@@ -192,8 +191,7 @@ class SelfPlayVectorEnv(DuelVectorEnv):
     players = 2
 
 
-@described(_TABLE)
-class HeadToHeadEnv(OverGames, ParallelBatchEnv):
+class HeadToHeadEnv(OverGames, ParallelBatchEnv, observation_table=_TABLE):
     """Two cars race each other; their players change, move by move, how aggressive and how restrained they drive.
 
     ## Description

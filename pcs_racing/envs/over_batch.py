@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from inspect import Parameter, Signature, signature
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, Union
+from typing import TYPE_CHECKING, Any, ClassVar, Self, Union
 
 from gymnasium.envs.registration import EnvSpec
 
@@ -25,7 +25,6 @@ Batch = Union["DriveBatch", "GameBatch"]
 REBUILDING = ("track", "opponent")
 """Options of a reset that stand for arguments of the environment."""
 
-_Class = TypeVar("_Class")
 _BY_PLACE, _BY_NAME = Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY
 
 
@@ -89,33 +88,24 @@ LOOKS = {
 """What arguments mean that no batch has."""
 
 
-def described(table: str = "") -> Callable[[type[_Class]], type[_Class]]:
-    """Put the table of an observation, made of its elements, and the arguments into the docstring of a class."""
-
-    def decorate(kind: type[_Class]) -> type[_Class]:
-        if kind.__doc__ is not None:  # as with ``python -OO``
-            arguments = "\n".join(["Parameters", "----------", *_listed(kind)])
-            for mark, text in (("{observation_table}", table), ("{arguments}", arguments)):
-                kind.__doc__ = kind.__doc__.replace(mark, text.replace("\n", "\n    "))
-        return kind
-
-    return decorate
-
-
-def _listed(kind: Any) -> list[str]:
-    """The arguments of a class, and what they mean."""
+def _listed(kind: Any) -> str:
+    """The arguments of a class, and what they mean: a section of its docstring."""
     declared, parameters = kind.declared, kind.__signature__.parameters
-    lines = listed_settings(declared.options)
+    lines = ["Parameters", "----------", *listed_settings(declared.options)]
     for name, meaning in LOOKS.items():
         if name in parameters:
             lines += listed_argument(name, type_name(parameters[name].annotation), meaning)
     if declared.more is not None:
         lines += listed_settings(declared.more, *declared.defaults, *declared.without, defaults=True)
-    return lines
+    return "\n".join(lines)
 
 
 class OverBatch:
-    """What an environment over a batch knows of it, how it was made and is copied, and its frames."""
+    """What an environment over a batch knows of it, how it was made and is copied, and its frames.
+
+    Into the docstring of a class go, where it says so in braces, its arguments and the ``observation_table`` that it is
+    defined with.
+    """
 
     batch_type: ClassVar[type[Batch]]
     declared: ClassVar[Declared]  #: Arguments of the batch.
@@ -130,10 +120,15 @@ class OverBatch:
     _spec: EnvSpec | None = None
     _renderer: Renderer | None = None
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, observation_table: str = "", **options: Any) -> None:
         super().__init_subclass__(**options)
         if hasattr(cls, "declared"):
             cls.__signature__ = cls.declared.signature(cls._begin, cls.players)
+            doc = cls.__doc__ or ""  # there is none with ``python -OO``
+            if "{arguments}" in doc:
+                for mark, text in (("{observation_table}", observation_table), ("{arguments}", _listed(cls))):
+                    doc = doc.replace(mark, text.replace("\n", "\n    "))
+                cls.__doc__ = doc
 
     def __init__(self, *given: Any, **named: Any) -> None:
         arguments, own = self.declared.sort(type(self), given, named)
