@@ -13,15 +13,14 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import setting, whole
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions, drive_elements, rivals_of
-from pcs_racing.envs.over_batch import Declared, described
+from pcs_racing.envs.over_batch import Declared
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.observation import observation_table
 from pcs_racing.race.state import MOST_CARS
 
 
-@described(observation_table(drive_elements(DriveOptions(beams=1))))
-class DriveEnv(ScalarEnv):
+class DriveEnv(ScalarEnv, observation_table=observation_table(drive_elements(DriveOptions(beams=1)))):
     """Drive one car against motion planners, or alone.
 
     ## Description
@@ -155,7 +154,6 @@ class _SeveralAgents:
         return own, cars - opponents
 
 
-@described()
 class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     """Two to eight cars race each other; each agent steers one, fifty times a second.
 

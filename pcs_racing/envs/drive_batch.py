@@ -1,6 +1,6 @@
 """Many races at the level of steering and speed, advanced together: the batch behind the Drive environments."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache
@@ -78,7 +78,6 @@ class DriveBatch:
     """
 
     reset_options: tuple[str, ...] = ("start", "poses", "obstacles")  #: That :meth:`restart` takes.
-    film_rate: int | None = None  #: Frames for each second in :meth:`film`: here a step is a single frame.
 
     def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
         check_batch_size(episodes, threads)
@@ -110,9 +109,8 @@ class DriveBatch:
         self.setup = RaceSetup(
             self.randomization.circuits.track(0), config, tuple(planners), self.randomization.cars, delay
         )
-        self._ticks = options.ticks
         #: Steps of an episode that does not end early.
-        self.horizon = -(-self.setup.config.ticks // self._ticks)
+        self.horizon = -(-self.setup.config.ticks // options.ticks)
         #: Steps in a second of racing.
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
@@ -127,7 +125,10 @@ class DriveBatch:
                 f"{environments} environments observe {len(self.elements)} numbers each; take fewer environments or "
                 f"beams: {MOST_NUMBERS} numbers are the limit"
             )
-        self._sight = self._make_sight()
+        noise = self.randomization.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
+        sight = make_sight(options, self.cars, players, self.setup.track)
+        # What the players observe; its ``ahead`` belongs to a circuit.
+        self._sight = sight._replace(end_tick=self.setup.config.ticks, noise=noise)
         self._prepare_races(threads)
         low, high = (bound * self._sight.gain + self._sight.shift for bound in (self._sight.low, self._sight.high))
         self.observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
@@ -145,13 +146,6 @@ class DriveBatch:
     def track(self) -> Track:
         """The circuit of the first race."""
         return self.randomization.track(0)
-
-    def _make_sight(self) -> Sight:
-        """What the players observe; ``ahead`` belongs to a circuit."""
-        options = self.options
-        noise = self.randomization.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
-        sight = make_sight(options, self.cars, self.players, self.setup.track)
-        return sight._replace(end_tick=self.setup.config.ticks, noise=noise)
 
     def _make_circuit(self, number: int) -> CircuitSetup:
         setup = replace(self.setup, track=self.randomization.circuits.track(number))
@@ -183,17 +177,17 @@ class DriveBatch:
         self._paid = np.zeros((races, self.cars), np.int8)
         self.vehicles = self.randomization.vehicles
         self._limits = max(car.steer_max for car in setup.vehicles[: self.players]), float(options.top_speed)
-        self._laps = np.inf if options.laps is None else float(options.laps)
         paid = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
         fault_loses = setup.config.crash_rule == "fault-loses"
-        self._weights = (*(float(getattr(options, name)) for name in paid), fault_loses, self._laps)
+        laps = np.inf if options.laps is None else float(options.laps)
+        self._weights = (*(float(getattr(options, name)) for name in paid), fault_loses, laps)
         self._rows = np.arange(races)
         randomization = self.randomization
         self._uniform = not randomization.circuits.several  # until an obstacle stands somewhere
         self._varied = bool(randomization.codes or randomization.drawn or randomization.obstacles)
         self._in_python = any(planner.drive is not None for planner in setup.planners)
         scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
-        enough_for = int(races * (0.5 * max(2, self.cars) * TICK_US * self._ticks + scans) / US_OF_A_THREAD)
+        enough_for = int(races * (0.5 * max(2, self.cars) * TICK_US * options.ticks + scans) / US_OF_A_THREAD)
         #: Threads that share a step: no more than have enough to do.
         self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
         size = max(1, *(planner.scratch_size for planner in setup.planners))
@@ -244,12 +238,7 @@ class DriveBatch:
             for (circuit, some), grid in zip(groups, grids, strict=True):
                 self._check_clear(circuit.setup, rows[some], take(grid, places[some]))
         for (circuit, some), grid in zip(groups, grids, strict=True):
-            for row in rows[some]:
-                arrays = self.randomization.track(int(row)).arrays
-                # Races with obstacles have arrays of their own, and are stepped apart from the others.
-                own = arrays is not circuit.inputs.arrays
-                self._inputs[row] = circuit.inputs._replace(arrays=arrays) if own else circuit.inputs
-                self._uniform &= not own
+            self._set_inputs(rows[some], circuit.inputs)
             restart(self.state, grid, rows[some], places[some], seeds[some])
         if self._moving is not None:
             self._moving.restart(rows, self.state, self.theta)
@@ -261,9 +250,14 @@ class DriveBatch:
         if len(wrong):
             raise InputError(f"episode {rows[wrong[0]]}: a car starts in one of the obstacles")
 
-    def forget(self, rows: NDArray[np.int64]) -> None:
-        """Let what lasts for several episodes begin anew, as the generators of some episodes do."""
-        self.randomization.circuits.forget(rows)
+    def _set_inputs(self, rows: Rows, inputs: KernelInputs) -> None:
+        """Say what some races on the same circuit are driven on, from now on."""
+        for row in rows:
+            arrays = self.randomization.track(int(row)).arrays
+            # Races with obstacles have arrays of their own, and are stepped apart from the others.
+            own = arrays is not inputs.arrays
+            self._inputs[row] = inputs._replace(arrays=arrays) if own else inputs
+            self._uniform &= not own
 
     def _draw_opponent(self, row: int, generator: np.random.Generator) -> None:
         if self._edges is None:
@@ -317,7 +311,7 @@ class DriveBatch:
 
     def step(self, actions: NDArray[np.float64], generators: Generators = ()) -> BatchStep:
         """Drive every race one step on."""
-        races, ticks = self.episodes, self._ticks
+        races, ticks = self.episodes, self.options.ticks
         results = self._results()
         if self._in_python:
             # The kernel then pays and observes, but does not drive: 0 ticks.
@@ -355,7 +349,7 @@ class DriveBatch:
         # Races on the same circuit stand side by side, so that a call of the kernel takes a run of them.
         runs = [(0, last - first)] if self._uniform or first == last else runs_of(self._inputs[first:last])
         for low, high in runs:
-            inputs = self._inputs[first + low] if first < last else self._inputs[0]
+            inputs = self._inputs[first + low]
             arguments = (
                 inputs.arrays,
                 self.state,
@@ -384,11 +378,7 @@ class DriveBatch:
 
     def _advance_in_python(self, ticks: int) -> None:
         """Drive every race on against an opponent in plain Python."""
-        circuits = (
-            self.randomization.circuits.number
-            if self.randomization.circuits.several
-            else np.zeros(self.episodes, np.int64)
-        )
+        circuits = self.randomization.circuits.number
         for first, last in runs_of(circuits.tolist()):
             part = RaceState._make(array[first:last] for array in self.state)
             conditions = self.randomization.conditions(np.arange(first, last))
@@ -417,7 +407,7 @@ class DriveBatch:
         over = state.crashed | (state.tick >= config.ticks)
         if self.options.laps is not None:
             lengths = np.array([one.arrays.length for one in self._inputs])
-            over |= state.progress.max(axis=1) >= self._laps * lengths
+            over |= state.progress.max(axis=1) >= self.options.laps * lengths
         if not over.any():
             return result
         rows = np.flatnonzero(over)
@@ -434,7 +424,7 @@ class DriveBatch:
         info = race_info(self.state, race, car)
         over = any(self.state.crash[race].tolist()) or self.state.tick.item(race) >= self.setup.config.ticks
         if self.options.laps is not None:
-            over = over or self.state.progress[race].max() >= self._laps * self._inputs[race].arrays.length
+            over = over or self.state.progress[race].max() >= self.options.laps * self._inputs[race].arrays.length
         info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
         cars = self.state.cars[race]
@@ -457,12 +447,6 @@ class DriveBatch:
         renderer.show(self.randomization.track(race), half_sizes(self.vehicles[race]))
         return renderer.render(cars, plans=plans if self.rivals else None, names=names, text=text)
 
-    def film(
-        self, renderer: Renderer, environment: int, ticks: int | None = None, step: Any = None
-    ) -> Iterator[NDArray[np.uint8] | None]:
-        """Draw nothing: a step is short enough to be a single frame."""
-        yield from ()
-
     def get_state(self) -> tuple[Any, ...]:
         """Copies of the races, of the opponents' indices and parameters, and of the moves they made."""
         moving = None if self._moving is None else self._moving.get_state()
@@ -479,17 +463,14 @@ class DriveBatch:
         if np.shape(drawn) != (self.episodes,) or not ((drawn >= 0) & (drawn < count)).all():
             raise InputError(f"the state's opponents {drawn!r} are not among the {len(self.opponents)} that there are")
         self.randomization.set_state(randomization)
-        for row in range(self.episodes):
-            inputs = self.circuit(int(self.randomization.circuits.number[row])).inputs
-            arrays = self.randomization.track(row).arrays
-            self._inputs[row] = inputs if arrays is inputs.arrays else inputs._replace(arrays=arrays)
-            self._uniform &= self._inputs[row] is self._inputs[0]
+        for number, rows in self.randomization.groups(self._rows):
+            self._set_inputs(rows, self.circuit(number).inputs)
         # Into the own arrays: the state that was given stays as it is.
         for name, own in self.state._asdict().items():
             own[...] = getattr(races, name)
         self.drawn[:], self.theta[:] = drawn, theta
         if self._moving is not None:
-            self._moving.set_state(moving, self.state)
+            self._moving.set_state(moving)
 
     def close(self) -> None:
         """Free the threads."""

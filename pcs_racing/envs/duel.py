@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.envs.game_batch import GameBatch, GameOptions
+from pcs_racing.envs.game_batch import DrivenStep, GameBatch, GameOptions
 from pcs_racing.envs.opponents import Opponent
-from pcs_racing.envs.over_batch import FILM, Declared, OverBatch, described
+from pcs_racing.envs.over_batch import Declared, OverBatch
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.characteristics import get_characteristics
@@ -19,6 +19,11 @@ from pcs_racing.game.config import GameConfig
 from pcs_racing.game.observation import observation_elements, observation_table
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.rendering import MODES
+
+FILM = "rgb_array_list"  # render mode in which `render` returns all frames since it was last called
+FILM_RATE = 25  # frames of a film for each second of racing
+FILM_TICKS = 4  # simulation steps between two frames of a film
+WINDOW_TICKS = 16  # the same in a window, which shows 25 frames a second as well: four times as fast
 
 AXES = get_characteristics(("aggressiveness", "restraint"))
 """Those of the archive "default", which the tables of the classes' pages are made for."""
@@ -28,7 +33,7 @@ _TABLE = observation_table(observation_elements(AXES, _MOVES), _MOVES)
 
 
 class OverGames(OverBatch):
-    """What environments of the game of moves have in common."""
+    """What environments of the game of moves have in common; their steps are so long that they are filmed."""
 
     batch_type = GameBatch
     batch: GameBatch
@@ -38,9 +43,17 @@ class OverGames(OverBatch):
         """The rules."""
         return self.batch.game
 
+    def _show_step(self) -> None:
+        # A window shows what is drawn.
+        frames = len(list(self.batch.film(self._open_renderer(), self.batch.last_step(), WINDOW_TICKS)))
+        if frames == 0:
+            super()._show_step()
 
-@described(_TABLE)
-class DuelEnv(OverGames, ScalarEnv):
+    def _frames_per_second(self) -> int:
+        return FILM_RATE if self.render_mode in (FILM, "human") else self.batch.frame_rate
+
+
+class DuelEnv(OverGames, ScalarEnv, observation_table=_TABLE):
     """Play the game of moves in Policy Characteristic Space against an opponent.
 
     ## Description
@@ -116,11 +129,30 @@ class DuelEnv(OverGames, ScalarEnv):
 
     metadata: dict[str, Any] = {**ScalarEnv.metadata, "render_modes": [*MODES, FILM]}  # noqa: RUF012
     declared = Declared(GameOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig)
+    _unseen: tuple[DrivenStep, ...] = ()  # steps that `render` has not returned the frames of
 
     @property
     def opponents(self) -> list[Opponent]:
         """The opponents among which each episode's is drawn."""
         return list(self.batch.opponents)
+
+    def render(self) -> Any:
+        """Return a frame (``"rgb_array"``), show it (``"human"``), or return a list of frames (``"rgb_array_list"``).
+
+        The list holds all frames since it was last asked for, or since the reset, 25 for each second of racing; it is
+        empty if nothing was driven since.
+        """
+        if self.render_mode != FILM:
+            return super().render()
+        renderer, batch = self._open_renderer(), self.batch
+        steps, self._unseen = self._unseen, ()
+        frames = [frame for step in steps for frame in batch.film(renderer, step, FILM_TICKS)]
+        return frames or [batch.draw(renderer, 0) for _ in steps[:1]]  # of a restored state, the moment
+
+    def _keep_step(self, *, begun: bool = False) -> None:
+        # Races are driven again for a film, so that what nobody asks for need not be drawn.
+        if self.render_mode == FILM:
+            self._unseen = (*(() if begun else self._unseen), self.batch.last_step())
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Moves that may be made, shape (M,), as sb3-contrib's MaskablePPO asks for them."""
@@ -159,8 +191,7 @@ class SelfPlayVectorEnv(DuelVectorEnv):
     players = 2
 
 
-@described(_TABLE)
-class HeadToHeadEnv(OverGames, ParallelBatchEnv):
+class HeadToHeadEnv(OverGames, ParallelBatchEnv, observation_table=_TABLE):
     """Two cars race each other; their players change, move by move, how aggressive and how restrained they drive.
 
     ## Description
@@ -216,7 +247,10 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv):
     def frames(self) -> Iterator[NDArray[np.uint8] | None]:
         """Drive the last step again and draw 25 moments of each second: what `render` gives, for videos."""
         if self.render_mode is not None:
-            yield from self.batch.film(self._open_renderer(), 0)
+            yield from self.batch.film(self._open_renderer(), self.batch.last_step(), FILM_TICKS)
+
+    def _frames_per_second(self) -> int:
+        return FILM_RATE  # of `frames`, whatever the mode
 
 
 parallel_env = HeadToHeadEnv

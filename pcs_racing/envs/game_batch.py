@@ -16,29 +16,26 @@ from pcs_racing.base.settings import ANYTHING, flag, setting
 from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_batch_size, start_option
 from pcs_racing.envs.infos import Result, common_codes, of_players, race_info, race_infos, race_results
 from pcs_racing.envs.obstacles import obstacles_option
-from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, shared_planner
+from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, replies, shared_planner
 from pcs_racing.envs.randomization import EpisodeOptions, EpisodeRandomization
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.game.competitor import ask_moves
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.moves import check_moves
 from pcs_racing.game.observation import ObservationElement
 from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.starting import check_policies
-from pcs_racing.game.state import GameState, empty_game, put_games, take_games
+from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import DT, RaceConfig
 from pcs_racing.race.races import advance
 from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import RaceState, take
+from pcs_racing.race.state import RaceState, empty_state, take
 from pcs_racing.track.track import Track
 
 NO_MOVE = -1  # before the first move, and for a driver
-FILM_TICKS = 4  # simulation steps between two frames of a film
-FILM_RATE = 25  # frames for each second of racing
-TRAIL = 50  # frames of trail behind each car: two seconds
+TRAIL = 50  # frames of trail behind each car: two seconds of a film
 
 
 class DrivenStep(NamedTuple):
@@ -100,8 +97,6 @@ class GameBatch:
     options_type: ClassVar[type[GameOptions]] = GameOptions
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
     frame_rate = 1  #: Of single frames: a step is longer than a second.
-    film_rate: int | None = FILM_RATE
-
     cars = 2
 
     def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
@@ -145,7 +140,9 @@ class GameBatch:
         #: shape (episodes, 2): Last move of each car; -1 before the first.
         self.moves = np.full((self.episodes, 2), NO_MOVE, np.int64)
         self.memories: list[Any] = [None] * self.episodes
-        self._begun: list[tuple[NDArray[np.uint64], Starts | None] | None] = [None] * self.episodes  # and not moved yet
+        self._rows = np.arange(self.episodes)
+        # Key and start of the first game, the one that films show, if nobody has moved in it yet.
+        self._begun: tuple[NDArray[np.uint64], Starts | None] | None = None
 
     def _set_rules(self, options: Any) -> None:
         """Set what is played: what the players observe, their actions by name, and the steps of an episode."""
@@ -155,7 +152,7 @@ class GameBatch:
     @property
     def track(self) -> Track:
         """The circuit of the first episode."""
-        return self.game.track if self.state is None else self.randomization.track(0)
+        return self.randomization.track(0)
 
     def _make_game(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
         archive, rules, opponent, threads = self._made_of
@@ -212,10 +209,15 @@ class GameBatch:
             )
             put_games(self.state, rows[some], fresh)
         self.drawn[rows], self.moves[rows] = drawn, NO_MOVE
-        for i, row in enumerate(rows):
-            self.memories[row] = None
-            self._begun[row] = keys[i : i + 1], None if starts is None else starts.take(np.array([i]))
+        self._forget(rows)
+        filmed = np.flatnonzero(rows == 0)
+        if len(filmed):
+            self._begun = keys[filmed], None if starts is None else starts.take(filmed)
         self.seen = self.game.observation(self.state)
+
+    def _forget(self, rows: Rows) -> None:
+        for row in rows:
+            self.memories[row] = None
 
     def _read(self, options: Mapping[str, Any], count: int) -> tuple[Starts | None, NDArray[np.int64], Any]:
         """Return the options of a reset of some episodes: starts, policies and obstacles."""
@@ -244,9 +246,9 @@ class GameBatch:
         state = self.started()
         moves = actions
         if self.players == 1:
-            moves = np.stack([actions[:, 0], self._replies(state, generators, self.seen[:, 1])], axis=1)
+            moves = np.stack([actions[:, 0], self._replies(state, self._rows, generators, self.seen[:, 1])], axis=1)
         self.before, self.state = state, self._apply(state, moves)
-        self._begun = [None] * self.episodes
+        self._begun = None
         self.moves = moves
         self.seen = self.game.observation(self.state)
         rewards = np.ascontiguousarray(self.game.reward(self.state)[:, : self.players]).reshape(-1)
@@ -255,7 +257,7 @@ class GameBatch:
 
     def _apply(self, state: GameState, moves: NDArray[np.int64]) -> GameState:
         # On one circuit the whole batch is one call: no games are taken out and put back.
-        groups = self.randomization.groups(np.arange(self.episodes))
+        groups = self.randomization.groups(self._rows)
         if len(groups) == 1:
             circuit, rows = groups[0]
             return self.game_on(circuit)[0].apply(state, moves, self.randomization.conditions(rows))
@@ -266,32 +268,15 @@ class GameBatch:
         return new
 
     def _replies(
-        self, state: GameState, generators: Generators, seen: NDArray[np.float32], among: Rows | None = None
+        self, state: GameState, rows: Rows, generators: Generators, seen: NDArray[np.float32]
     ) -> NDArray[np.int64]:
-        """Moves of the opponents, which observe ``seen``, in all games or among some."""
-        replies = np.zeros(self.episodes, np.int64)
-        among = np.arange(self.episodes) if among is None else among
-        for circuit, some in self.randomization.groups(among):
+        """Moves of the opponents, which observe ``seen``, in the games ``rows``; 0 in all others, shape (B,)."""
+        asked = {"observation": seen, "memories": self.memories, "deterministic": self._deterministic}
+        moves = np.zeros(self.episodes, np.int64)
+        for circuit, some in self.randomization.groups(rows):
             game, opponents = self.game_on(circuit)
-            on = among[some]
-            for k, opponent in enumerate(opponents):
-                rows = on[self.drawn[on] == k]
-                # A driver makes no moves.
-                if len(rows) == 0 or opponent.policies:
-                    continue
-                asked = ask_moves(
-                    opponent.competitor,
-                    game,
-                    state,
-                    1,
-                    rows=rows,
-                    observation=seen,
-                    memories=self.memories,
-                    generators=generators,
-                    deterministic=self._deterministic,
-                )
-                replies[rows] = asked[rows]
-        return replies
+            moves += replies(opponents, self.drawn, game, state, rows[some], generators=generators, **asked)
+        return moves
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
         """Write the observations of some games into the rows of their players."""
@@ -349,70 +334,60 @@ class GameBatch:
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw a game as it stands."""
         episode = environment // self.players
-        return self._draw(renderer, episode, self.started().race, episode, None, self.moves[episode])
+        return self._draw(renderer, episode, self.started().race, self.moves[episode])
 
-    def last_step(self, environment: int) -> DrivenStep:
-        """Return the last step of a game, the one in which the players only watch included."""
-        episode = environment // self.players
-        return DrivenStep(self._pieces(episode), self.moves[episode].copy())
+    def last_step(self) -> DrivenStep:
+        """Return the last step of the first game, the one in which the players only watch included."""
+        return DrivenStep(self._pieces(), self.moves[0].copy())
 
-    def film(
-        self, renderer: Renderer, environment: int, ticks: int | None = None, step: DrivenStep | None = None
-    ) -> Iterator[NDArray[np.uint8] | None]:
-        """Drive a step of a game again, by default the last, and draw a frame every so many simulation steps (4)."""
-        episode = environment // self.players
-        game, conditions = self.game_of(episode), self.randomization.conditions(np.array([episode]))
-        step = self.last_step(environment) if step is None else step
+    def film(self, renderer: Renderer, step: DrivenStep, ticks: int) -> Iterator[NDArray[np.uint8] | None]:
+        """Drive a step of the first game again, and draw a frame every so many simulation steps."""
+        game, conditions = self.game_of(0), self.randomization.conditions(self._rows[:1])
         trail: list[NDArray[np.float64]] = []
         for begun, theta in step.pieces:
             race, ends = begun.copy(), game.config.end_ticks
             left = int(ends[np.searchsorted(ends, race.tick[0], side="right")] - race.tick[0])
             while left > 0:
-                drive, before = min(ticks or FILM_TICKS, left), int(race.tick[0])
+                drive, before = min(ticks, left), int(race.tick[0])
                 advance(game.setup, race, theta, drive, threads=1, ittc=False, conditions=conditions)
                 if int(race.tick[0]) == before:
                     break  # it is over
                 trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
-                yield self._draw(renderer, episode, race, 0, np.array(trail), step.moves)
+                yield self._draw(renderer, 0, race, step.moves, np.array(trail))
                 left -= drive
 
-    def _pieces(self, episode: int) -> list[tuple[RaceState, NDArray[np.float64]]]:
-        """Where the pieces of driving of an episode's last step began, and the parameters that drove them."""
+    def _pieces(self) -> list[tuple[RaceState, NDArray[np.float64]]]:
+        """Where the pieces of driving of the first game's last step began, and the parameters that drove them."""
         state = self.started()
-        theta, begun = state.theta[episode : episode + 1].copy(), self._begun[episode]
-        # The first step was driven when the game began; it starts on the grid, which is made again from the keys.
-        if begun is not None:
+        theta = state.theta[:1].copy()
+        # The first step was driven when the game began; it starts on the grid, which is made again from the key.
+        if self._begun is not None:
             if self.game.config.end_ticks[0] == 0:
                 return []  # nothing was driven yet
-            conditions = self.randomization.conditions(np.array([episode]))
-            noise = state.race.seed[episode : episode + 1]
-            return [(self.game_of(episode).grid(begun[0], noise, begun[1], conditions), theta)]
-        if self.before is None or int(self.before.race.tick[episode]) >= int(state.race.tick[episode]):
+            key, start = self._begun
+            conditions = self.randomization.conditions(self._rows[:1])
+            return [(self.game_of(0).grid(key, state.race.seed[:1], start, conditions), theta)]
+        if self.before is None or int(self.before.race.tick[0]) >= int(state.race.tick[0]):
             return []  # restored from a value, or standing still
-        return [(take(self.before.race, [episode]), theta)]
+        return [(take(self.before.race, [0]), theta)]
 
     def _draw(
         self,
         renderer: Renderer,
         episode: int,
-        race: RaceState,
-        at: int,
-        trails: NDArray[np.float64] | None,
+        races: RaceState,
         made: NDArray[np.int64],
+        trails: NDArray[np.float64] | None = None,
     ) -> NDArray[np.uint8] | None:
-        """Draw a moment of an episode, after some moves: race ``at`` of some races."""
+        """Draw an episode as it stands among some races, after some moves."""
         names = ("you", self.opponents[self.drawn[episode]].name) if self.opponents else ("car_0", "car_1")
         codes = self.codes["move"]
         moves = " | ".join(f"{name}: {codes[int(made[car])]}" for car, name in enumerate(names))
-        text = f"{race.tick[at] * DT:.1f} s | lead of {names[0]} {race.lead[at]:+.1f} m | {moves}"
-        plans = [path[:, :2] for path in race.path[at] if path.any()]
+        text = f"{races.tick[episode] * DT:.1f} s | lead of {names[0]} {races.lead[episode]:+.1f} m | {moves}"
+        plans = [path[:, :2] for path in races.path[episode] if path.any()]
         renderer.show(self.randomization.track(episode), half_sizes(self.randomization.vehicles[episode]))
         shown = plans if len(plans) == 2 else None
-        return renderer.render(race.cars[at], plans=shown, trails=trails, names=names, text=text)
-
-    def forget(self, rows: NDArray[np.int64]) -> None:
-        """Let what lasts for several episodes begin anew, as the generators of some episodes do."""
-        self.randomization.circuits.forget(rows)
+        return renderer.render(races.cars[episode], plans=shown, trails=trails, names=names, text=text)
 
     def value(self) -> Any:
         """What is played, as a value; None before the first `restart`."""
@@ -434,8 +409,7 @@ class GameBatch:
         self._continue(None if value is None else value.copy())
 
     def _continue(self, state: Any) -> None:
-        self.before, self.state = None, state
-        self._begun = [None] * self.episodes
+        self.before, self.state, self._begun = None, state, None
         if state is not None:
             self.seen = self.game.observation(state)
 
@@ -452,8 +426,7 @@ class GameBatch:
             )
 
     def _empty(self) -> GameState:
-        setup, axes = self.game.setup, len(self.game.characteristics)
-        return empty_game(self.episodes, setup.memory_size, setup.theta_size, self.game.config.moves + 1, axes)
+        return self.game.empty_state(empty_state(self.episodes, self.game.setup.memory_size))
 
     def close(self) -> None:
         """Stop building circuits."""

@@ -147,13 +147,6 @@ def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
     }
 
 
-def one_info(infos: Mapping[str, NDArray[Any]], environment: int) -> dict[str, Any]:
-    """Return the info of one environment, out of those of all: plain numbers, and masks as arrays."""
-    return {
-        name: values[environment] if values.ndim > 1 else values[environment].item() for name, values in infos.items()
-    }
-
-
 def words(info: Mapping[str, Any], names: Mapping[str, Mapping[int, str]]) -> dict[str, Any]:
     """Replace the codes in the info of one environment by their words; masks and arrays are left out.
 

@@ -10,7 +10,6 @@ from pettingzoo.utils import parallel_to_aec
 
 from pcs_racing.envs.duel import AXES, DuelEnv, DuelVectorEnv, HeadToHeadEnv, OverGames
 from pcs_racing.envs.match_batch import UNUSED, MatchBatch, MatchOptions
-from pcs_racing.envs.over_batch import described
 from pcs_racing.game.match import MatchGame
 from pcs_racing.game.observation import match_elements, observation_table
 
@@ -27,8 +26,7 @@ class OverMatches(OverGames):
         return self.batch.match
 
 
-@described(observation_table(match_elements(AXES, MatchOptions().races)))
-class MatchEnv(OverMatches, DuelEnv):
+class MatchEnv(OverMatches, DuelEnv, observation_table=observation_table(match_elements(AXES, MatchOptions().races))):
     """Play a match: several races against the same opponent, with a policy to choose before each of them.
 
     ## Description
@@ -139,7 +137,6 @@ class SelfPlayMatchVectorEnv(MatchVectorEnv):
     players = 2
 
 
-@described()
 class HeadToHeadMatchEnv(OverMatches, HeadToHeadEnv):
     """Two players race each other several times; before each race both choose the policy that their car drives with.
 

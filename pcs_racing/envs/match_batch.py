@@ -11,10 +11,9 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import ANYTHING, flag, setting, whole
 from pcs_racing.envs.batch import BatchStep, Generators, Rows
 from pcs_racing.envs.game_batch import GameBatch, GameOptions, check_shapes
-from pcs_racing.envs.infos import Result, codes, of_players, one_info
+from pcs_racing.envs.infos import Result, codes, of_players
 from pcs_racing.game.competitor import Chooser
 from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, ask_choices, put_matches
-from pcs_racing.planners.planner import Policy
 from pcs_racing.race.races import start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
@@ -105,10 +104,6 @@ class MatchBatch(GameBatch):
         game = self.game_on(circuit)[0]
         return self.match if game is self.match.game else MatchGame(game, self.match.config)
 
-    def _forget(self, rows: Rows) -> None:
-        for row in rows:
-            self.memories[row] = None
-
     def _follow(self, played: MatchState) -> None:
         """Go on with this state."""
         self.played, self.state = played, played.game
@@ -140,7 +135,7 @@ class MatchBatch(GameBatch):
             return played
         choices = np.full((self.episodes, 2), KEEP, np.int64)
         choices[:, : self.players] = np.where(actions < len(self.game.archive), actions, KEEP)
-        conditions = self.randomization.conditions(np.arange(self.episodes))
+        conditions = self.randomization.conditions(self._rows)
         memory, started = self.match.memory(played)[:, 1], played
         for circuit, some in self.randomization.groups(between):
             match, on = self.match_on(circuit), between[some]
@@ -171,19 +166,19 @@ class MatchBatch(GameBatch):
             moves[:, : self.players] = np.where(actions < policies, stay, actions - policies)
         if self.players == 1:
             seen = game.observation(played.game)
-            replies = self._replies(played.game, generators, seen[:, 1], rows)
+            replies = self._replies(played.game, rows, generators, seen[:, 1])
             # One that chooses before a race keeps its policy in it, even if it could also move.
             choosing = np.array([isinstance(each.competitor, Chooser) for each in self.opponents])
             moves[:, 1] = np.where(choosing[self.drawn], stay, replies)
         self.moves[rows] = moves[rows]
-        conditions, moved = self.randomization.conditions(np.arange(self.episodes)), played
+        conditions, moved = self.randomization.conditions(self._rows), played
         for circuit, some in self.randomization.groups(rows):
             moved = self.match_on(circuit).move(moved, moves, rows[some], conditions)
         if self.episodes == 1:
             self.driven.append((played.game.race, moved.game.theta))
         return moved
 
-    def _pieces(self, episode: int) -> list[tuple[RaceState, NDArray[np.float64]]]:
+    def _pieces(self) -> list[tuple[RaceState, NDArray[np.float64]]]:
         return list(self.driven)
 
     # What is told of the matches
@@ -222,7 +217,10 @@ class MatchBatch(GameBatch):
 
     def info(self, environment: int) -> dict[str, Any]:
         """Info of one player: plain numbers, and the mask as an array."""
-        return one_info(self.infos(), environment)
+        return {
+            name: values[environment] if values.ndim > 1 else values[environment].item()
+            for name, values in self.infos().items()
+        }
 
     # The batch as a value
 
@@ -239,11 +237,9 @@ class MatchBatch(GameBatch):
         if not isinstance(played, MatchState) or played.matches != self.episodes:
             raise InputError(f"the state is not one of {self.episodes} matches; use what get_state returned")
         super()._check_value(played.game)
-        model = self.match.begin(np.zeros(self.episodes, np.uint64), opponents=self._anybody())
+        # A driver of car 1 for each match, where its planner is not the archive's.
+        policies = self.opponents[0].policies if self.opponents else ()
+        anybody = [policies[0] if policies else None] * self.episodes
+        model = self.match.begin(np.zeros(self.episodes, np.uint64), opponents=anybody)
         owner = "a match of another number of races, or to another archive"
         check_shapes(model._fields[1:], played[1:], model[1:], owner)
-
-    def _anybody(self) -> list[Policy | None]:
-        """Return a driver of car 1 for each match, where its planner is not the archive's."""
-        policies = self.opponents[0].policies if self.opponents else ()
-        return [policies[0] if policies else None] * self.episodes

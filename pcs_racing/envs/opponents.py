@@ -125,6 +125,20 @@ def shared_planner(opponents: list[Opponent], game: RaceGame | None) -> Planner:
     return planners[0]
 
 
+def replies(
+    opponents: Sequence[Opponent], drawn: Rows, game: RaceGame, state: GameState, rows: Rows, **asked: Any
+) -> NDArray[np.int64]:
+    """Moves of car 1 in the games ``rows``, shape (B,), each of the opponent that was drawn for it; 0 in all others.
+
+    ``asked`` are the other arguments of :func:`pcs_racing.game.competitor.ask_moves`.
+    """
+    moves = np.zeros(state.games, np.int64)
+    for k, opponent in enumerate(opponents):
+        own = rows[drawn[rows] == k]
+        moves[own] = ask_moves(opponent.competitor, game, state, 1, rows=own, **asked)[own]
+    return moves
+
+
 class MovingOpponents:
     """The game of moves in which car 1 of a batch of races takes part, while car 0 is steered by an agent.
 
@@ -176,22 +190,9 @@ class MovingOpponents:
         estimates = np.zeros((len(drawn), 2, len(self.game.characteristics)))
         estimates[rows] = self.game.measure(take(self._before, rows), take(races, rows))
         self.game.record_step(games, rows, estimates)
-        seen = self.game.observation(games)[:, 1]
-        for k, opponent in enumerate(opponents):
-            asked = rows[drawn[rows] == k]
-            if len(asked) == 0:
-                continue
-            moves = ask_moves(
-                opponent.competitor,
-                self.game,
-                games,
-                1,
-                rows=asked,
-                observation=seen,
-                memories=self._memories,
-                generators=generators,
-            )
-            games.policy[asked, 1] = self.game.next_policy(games.policy[asked, 1], moves[asked])
+        asked = {"observation": self.game.observation(games)[:, 1], "memories": self._memories}
+        moves = replies(opponents, drawn, self.game, games, rows, generators=generators, **asked)
+        games.policy[rows, 1] = self.game.next_policy(games.policy[rows, 1], moves[rows])
         games.step[rows] += 1
         self._remember(rows, races)
         self._set_theta(rows, theta)
@@ -209,7 +210,7 @@ class MovingOpponents:
         """Return copies of all that changes."""
         return self._games.copy(), self._before.copy(), list(self._memories)
 
-    def set_state(self, state: tuple[GameState, RaceState, list[Any]] | None, races: RaceState) -> None:
+    def set_state(self, state: tuple[GameState, RaceState, list[Any]] | None) -> None:
         """Continue from what `get_state` returned."""
         if state is None:
             raise InputError("the state holds no moves of the opponent; use what get_state returned")

@@ -2,10 +2,10 @@
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from inspect import Parameter, Signature, signature
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar, Union
+from typing import TYPE_CHECKING, Any, ClassVar, Self, Union
 
 from gymnasium.envs.registration import EnvSpec
 
@@ -22,16 +22,9 @@ if TYPE_CHECKING:  # so that an environment imports its own batch alone
 Batch = Union["DriveBatch", "GameBatch"]
 """What environments are views of."""
 
-FILM = "rgb_array_list"
-"""Render mode in which `render` returns all frames since it was last called, of steps that last many."""
-
-WINDOW_TICKS = 16
-"""Simulation steps between two frames that a window shows of a long step: at 25 a second, four times as fast."""
-
 REBUILDING = ("track", "opponent")
 """Options of a reset that stand for arguments of the environment."""
 
-_Class = TypeVar("_Class")
 _BY_PLACE, _BY_NAME = Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY
 
 
@@ -48,11 +41,7 @@ class Declared:
     @cached_property
     def defaults(self) -> dict[str, Any]:
         """Value of each argument that is not given."""
-        declared = {
-            one.name: one.default if one.default_factory is MISSING else one.default_factory()
-            for one in fields(self.options)
-        }
-        return declared | dict(self.changed)
+        return {one.name: one.default for one in fields(self.options)} | dict(self.changed)
 
     def signature(self, begin: Callable[..., Any], players: int) -> Signature:
         """Signature of a class: the batch's arguments, and those of its method ``begin`` except ``arguments``."""
@@ -74,7 +63,7 @@ class Declared:
         """Return the arguments of the batch, those that are not given included, and those of the environment itself."""
         own = kind.__signature__.parameters.keys() - self.defaults.keys() - {"settings"}
         more = () if self.more is None else (one.name for one in fields(self.more))
-        known = dict.fromkeys([*kind.__signature__.parameters, *self.defaults, *more])
+        known = dict.fromkeys([*kind.__signature__.parameters, *more])
         known.pop("settings", None)
         # Before Python binds them: its own error would not say which name was meant.
         for name in named:
@@ -99,35 +88,26 @@ LOOKS = {
 """What arguments mean that no batch has."""
 
 
-def described(table: str = "") -> Callable[[type[_Class]], type[_Class]]:
-    """Put the table of an observation, made of its elements, and the arguments into the docstring of a class."""
-
-    def decorate(kind: type[_Class]) -> type[_Class]:
-        if kind.__doc__ is not None:  # as with ``python -OO``
-            arguments = "\n".join(["Parameters", "----------", *_listed(kind)])
-            for mark, text in (("{observation_table}", table), ("{arguments}", arguments)):
-                kind.__doc__ = kind.__doc__.replace(mark, text.replace("\n", "\n    "))
-        return kind
-
-    return decorate
-
-
-def _listed(kind: Any) -> list[str]:
-    """The arguments of a class, and what they mean."""
+def _listed(kind: Any) -> str:
+    """The arguments of a class, and what they mean: a section of its docstring."""
     declared, parameters = kind.declared, kind.__signature__.parameters
-    lines = listed_settings(declared.options)
+    lines = ["Parameters", "----------", *listed_settings(declared.options)]
     for name, meaning in LOOKS.items():
         if name in parameters:
             lines += listed_argument(name, type_name(parameters[name].annotation), meaning)
     if declared.more is not None:
         lines += listed_settings(declared.more, *declared.defaults, *declared.without, defaults=True)
-    return lines
+    return "\n".join(lines)
 
 
 class OverBatch:
-    """What an environment over a batch knows of it, how it was made and is copied, and its frames."""
+    """What an environment over a batch knows of it, how it was made and is copied, and its frames.
 
-    batch_type: ClassVar[type[Any]]
+    Into the docstring of a class go, where it says so in braces, its arguments and the ``observation_table`` that it is
+    defined with.
+    """
+
+    batch_type: ClassVar[type[Batch]]
     declared: ClassVar[Declared]  #: Arguments of the batch.
     __signature__: ClassVar[Signature]  #: What Python shows as the class's arguments.
     players: int = 1  #: Environments that belong to the same episode: 2 for both cars of a race.
@@ -140,10 +120,15 @@ class OverBatch:
     _spec: EnvSpec | None = None
     _renderer: Renderer | None = None
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, observation_table: str = "", **options: Any) -> None:
         super().__init_subclass__(**options)
         if hasattr(cls, "declared"):
             cls.__signature__ = cls.declared.signature(cls._begin, cls.players)
+            doc = cls.__doc__ or ""  # there is none with ``python -OO``
+            if "{arguments}" in doc:
+                for mark, text in (("{observation_table}", observation_table), ("{arguments}", _listed(cls))):
+                    doc = doc.replace(mark, text.replace("\n", "\n    "))
+                cls.__doc__ = doc
 
     def __init__(self, *given: Any, **named: Any) -> None:
         arguments, own = self.declared.sort(type(self), given, named)
@@ -197,8 +182,7 @@ class OverBatch:
     @property
     def track(self) -> Track:
         """The circuit."""
-        track: Track = self.batch.track
-        return track
+        return self.batch.track
 
     # Resets
 
@@ -263,19 +247,12 @@ class OverBatch:
         return self._renderer
 
     def _show_step(self) -> None:
-        """Show the first environment's last step in the window."""
-        renderer = self._open_renderer()
-        # A window shows what is drawn; a step too short for a film is a single frame.
-        frames = 0
-        for _ in self.batch.film(renderer, 0, WINDOW_TICKS):
-            frames += 1
-        if frames == 0:
-            self.batch.draw(renderer, 0)
+        """Show how the first environment's last step ended in the window."""
+        self.batch.draw(self._open_renderer(), 0)
 
     def _frames_per_second(self) -> int:
         """Frame rate of what `render` returns, or the window shows."""
-        whole_steps = self.render_mode in (FILM, "human") and self.batch.film_rate is not None
-        return self.batch.film_rate or 1 if whole_steps else self.batch.frame_rate
+        return self.batch.frame_rate
 
     def _close_renderer(self) -> None:
         """Close the window, if there is one."""

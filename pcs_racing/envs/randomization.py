@@ -182,22 +182,19 @@ class EpisodeRandomization:
         """
         if given is None and self.obstacles is None and not self._blocked:
             return
-        # Those of the last episode go, even where none are put.
         for i, row in enumerate(rows):
-            self._tracks[row], self.boxes[row] = None, np.empty((0, len(BOX)))
-            if given is None and self.obstacles is None:
-                continue
-            track = self.track(row)
+            self._stand(row, np.empty((0, len(BOX))))  # those of the last episode go, even where none are put
             if given is not None:
-                boxes = given[i]
-            else:
-                boxes = self.obstacles.draw(track, starts[i], generators[i])  # type: ignore[union-attr]
-            self._stand(int(row), track, boxes)
+                self._stand(row, given[i])
+            elif self.obstacles is not None:
+                self._stand(row, self.obstacles.draw(self.track(row), starts[i], generators[i]))
 
-    def _stand(self, row: int, track: Track, boxes: NDArray[np.float64]) -> None:
+    def _stand(self, row: int, boxes: NDArray[np.float64]) -> None:
+        """Let these obstacles stand on an episode's circuit, and no others."""
+        self._tracks[row], self.boxes[row] = None, np.empty((0, len(BOX)))
         if len(boxes):
             self._blocked = True
-            self._tracks[row], self.boxes[row] = with_obstacles(track, boxes), np.array(boxes)
+            self._tracks[row], self.boxes[row] = with_obstacles(self.track(row), boxes), np.array(boxes)
 
     def draw(self, rows: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> None:
         """Draw what belongs to new episodes, each from its own generator."""
@@ -253,5 +250,4 @@ class EpisodeRandomization:
         for name, values in drawn.items():
             self.drawn[name][:] = values
         for row, own in enumerate(boxes):
-            self._tracks[row], self.boxes[row] = None, own
-            self._stand(row, self.track(row), own)
+            self._stand(row, own)

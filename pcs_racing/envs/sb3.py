@@ -189,7 +189,9 @@ class SB3VecEnv(VecEnv):
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of the batch of each environment asked for."""
         if attr_name == "action_masks":  # for has_attr: what env_method serves
-            masks = self._masks()
+            if not all(isinstance(group, DuelVectorEnv) for group in self.groups):
+                raise AttributeError("the control level has no action masks")
+            masks = np.concatenate([group.action_masks() for group in self.groups])
             return [masks[i] for i in self._get_indices(indices)]
         return [getattr(self._group(i), attr_name) for i in self._get_indices(indices)]
 
@@ -217,11 +219,6 @@ class SB3VecEnv(VecEnv):
     def _group(self, environment: int) -> BatchVectorEnv:
         group: BatchVectorEnv = self.groups[int(np.searchsorted(self._edges, environment, "right")) - 1]
         return group
-
-    def _masks(self) -> NDArray[np.bool_]:
-        if not all(isinstance(group, DuelVectorEnv | MatchVectorEnv) for group in self.groups):
-            raise AttributeError("the control level has no action masks")
-        return np.concatenate([group.action_masks() for group in self.groups])
 
 
 def _infos(info: dict[str, Any], rows: Iterable[int]) -> list[dict[str, Any]]:

@@ -14,9 +14,7 @@ from pettingzoo import ParallelEnv
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.infos import words
-from pcs_racing.envs.over_batch import FILM, Batch, OverBatch
-
-AGENTS = ("car_0", "car_1")  # of two
+from pcs_racing.envs.over_batch import Batch, OverBatch
 
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
@@ -43,8 +41,7 @@ class SingleEnv(OverBatch):
     _np_random_seed: int | None = None
 
     def _make_batch(self, arguments: dict[str, Any]) -> Batch:
-        batch: Batch = self.batch_type(1, threads=1, **arguments)
-        return batch
+        return self.batch_type(1, threads=1, **arguments)
 
     def _restart(self, seed: Any, options: Any) -> None:
         """Begin a new episode, or continue from the state among the options."""
@@ -60,7 +57,7 @@ class SingleEnv(OverBatch):
             if number is not None or generator is None:
                 generator, self._np_random_seed = seeding.np_random(number)
             if number is not None:
-                batch.forget(self._row)
+                batch.randomization.circuits.forget(self._row)
             batch.restart(self._row, [generator], given)
             self._change_to(batch, arguments)
             self._np_random, self._steps, self._running = generator, 0, True
@@ -129,8 +126,6 @@ class SingleEnv(OverBatch):
 class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
     """Base class of the environments for one agent; subclasses name the batch and document themselves."""
 
-    _unseen: list[Any]  # steps that `render` has not returned the frames of
-
     def _begin(
         self,
         *,
@@ -143,7 +138,6 @@ class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
         self._use(self._make_batch(arguments), arguments)
         self.observation_space = self.batch.observation_space
         self.action_space = self.batch.action_space
-        self._unseen = []
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -154,8 +148,7 @@ class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
         what `get_state` returned; the class lists the others.
         """
         self._restart(seed, options)
-        self._unseen = []
-        self._keep_step()
+        self._keep_step(begun=True)
         return self._observe()[0], self.batch.info(0)
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -172,28 +165,12 @@ class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
     def set_state(self, state: EnvState) -> NDArray[np.float32]:
         """Continue from what `get_state` returned, and return the observation at that moment."""
         super().set_state(state)
-        self._unseen = []
         if self._steps is not None:
-            self._keep_step()
+            self._keep_step(begun=True)
         return self._observe()[0]
 
-    def render(self) -> Any:
-        """Return a frame (``"rgb_array"``), show it (``"human"``), or return a list of frames (``"rgb_array_list"``).
-
-        The list holds all frames since it was last asked for, or since the reset, 25 for each second of racing; it is
-        empty if nothing was driven since.
-        """
-        if self.render_mode != FILM:
-            return super().render()
-        renderer, batch = self._open_renderer(), self.batch
-        steps, self._unseen = self._unseen, []
-        frames = [frame for step in steps for frame in batch.film(renderer, 0, step=step)]
-        return frames or [batch.draw(renderer, 0) for _ in steps[:1]]  # of a restored state, the moment
-
-    def _keep_step(self) -> None:
-        # Races are driven again for a film, so that what nobody asks for need not be drawn.
-        if self.render_mode == FILM:
-            self._unseen.append(self.batch.last_step(0))  # type: ignore[union-attr]
+    def _keep_step(self, *, begun: bool = False) -> None:
+        """Keep the last step for a film, where steps are filmed; the earlier ones are forgotten if it has begun."""
 
 
 class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
@@ -289,9 +266,6 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         """Draw this moment: an array (height, width, 3) of uint8; None where a window shows it or nothing is drawn."""
         frame: NDArray[np.uint8] | None = None if self.render_mode is None else super().render()
         return frame
-
-    def _frames_per_second(self) -> int:
-        return self.batch.film_rate or self.batch.frame_rate
 
     def _by_agent(self, observations: NDArray[np.float32]) -> Observations:
         return {agent: observations[car].copy() for car, agent in enumerate(self.possible_agents)}

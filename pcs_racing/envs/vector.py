@@ -88,8 +88,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         # What is no whole number goes on as it is, so that the batch's own check names it.
         episodes = self.num_envs // self.players if is_whole(self.num_envs) else self.num_envs
         given, players = self._players(arguments)
-        batch: Batch = self.batch_type(episodes, threads=self.threads, players=players, **given)
-        return batch
+        return self.batch_type(episodes, threads=self.threads, players=players, **given)
 
     def _use(self, batch: Batch, arguments: dict[str, Any]) -> None:
         super()._use(batch, arguments)
@@ -115,8 +114,12 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         if batch is not self.batch and len(rows) < batch.episodes:
             raise InputError("all environments share track and opponent; they can't be changed with a reset_mask")
         # Kept only when all episodes have begun: after a refused reset the former seeds are in force.
-        generators, seeds = self._renewed_generators(seed)
-        batch.forget(np.flatnonzero([one is not None for one in seeds]))
+        seeds = _split_seeds(seed, batch.episodes)
+        generators = [
+            seeding.np_random(one)[0] if not self._generators or one is not None else self._generators[i]
+            for i, one in enumerate(seeds)
+        ]
+        batch.randomization.circuits.forget(np.flatnonzero([one is not None for one in seeds]))
         batch.restart(rows, [generators[i] for i in rows], given)
         self._change_to(batch, arguments)
         self._generators = generators
@@ -213,16 +216,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             )
         self._check_started()
         return np.flatnonzero(given.reshape(-1, self.players).any(axis=1))
-
-    def _renewed_generators(
-        self, seed: int | list[int | None] | None
-    ) -> tuple[list[np.random.Generator], list[int | None]]:
-        seeds = _split_seeds(seed, self.batch.episodes)
-        generators = [
-            seeding.np_random(one)[0] if not self._generators or one is not None else self._generators[i]
-            for i, one in enumerate(seeds)
-        ]
-        return generators, seeds
 
     def _restart(self, rows: NDArray[np.int64], observations: NDArray[np.float32]) -> None:
         self.batch.restart(rows, [self._generators[i] for i in rows])

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.race.state import RaceState, empty_state
+from pcs_racing.race.state import RaceState
 from pcs_racing.race.state import take as take_races
 
 
@@ -51,11 +51,6 @@ def begun_game(races: RaceState, parameters: int, steps: int, axes: int) -> Game
         estimates=np.zeros((games, 2, steps, axes)),
         leads=np.zeros((games, steps)),
     )
-
-
-def empty_game(games: int, memory: int, parameters: int, steps: int, axes: int) -> GameState:
-    """Return the state of a batch of games in which every number is 0 and nobody leads."""
-    return begun_game(empty_state(games, memory), parameters, steps, axes)
 
 
 def take_games(state: GameState, indices: ArrayLike) -> GameState:

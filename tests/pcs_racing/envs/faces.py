@@ -9,6 +9,7 @@ from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlay
 from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv, SelfPlayMatchVectorEnv
 from pcs_racing.game.observation import decode_match
 
+AGENTS = ("car_0", "car_1")  # of two
 AXES = ("aggressiveness", "restraint")
 MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]
 MANY = {

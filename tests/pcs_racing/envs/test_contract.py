@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 import pettingzoo
 import pytest
-from faces import GAME, MANY, MATCH, MIXTURE, Counting, Counts, act, by_lead, ends, flat, make, make_many, play
+from faces import AGENTS, GAME, MANY, MATCH, MIXTURE, Counting, Counts, act, by_lead, ends, flat, make, make_many, play
 from gymnasium.utils.env_checker import check_env
 from refusal import refused
 from repository import run_python
@@ -26,7 +26,6 @@ from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
 from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv
-from pcs_racing.envs.single import AGENTS
 from pcs_racing.game.observation import observation_table
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 

@@ -5,11 +5,10 @@ import re
 
 import numpy as np
 import pytest
-from faces import flat, follow_the_line, poses
+from faces import AGENTS, flat, follow_the_line, poses
 
 from pcs_racing.envs.drive import DriveHeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
-from pcs_racing.envs.single import AGENTS
 from pcs_racing.race.config import load_race_config
 
 SLOW = {agent: np.array([0.0, -0.6], np.float32) for agent in AGENTS}

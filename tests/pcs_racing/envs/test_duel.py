@@ -7,13 +7,13 @@ import types
 import gymnasium as gym
 import numpy as np
 import pytest
+from faces import AGENTS
 from gymnasium.wrappers import vector as vector_wrappers
 from refusal import refused
 
 from pcs_racing import advance
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.envs.infos import Result
-from pcs_racing.envs.single import AGENTS
 from pcs_racing.envs.video import RecordRaces
 
 SHORT = {"step_seconds": 1.0, "moves": 3}
@@ -194,7 +194,7 @@ def test_the_first_step_is_filmed_as_it_was_driven(seed):
     env = DuelEnv(render_mode="rgb_array_list", opponent="lane-switcher:3", randomize={"friction": [0.6, 1.0]}, **SHORT)
     for options in (None, {"start": (10.0, 1)}):
         env.reset(seed=seed, options=options)
-        ((race, theta),) = env.batch.last_step(0).pieces
+        ((race, theta),) = env.batch.last_step().pieces
         assert race.tick == 0
         conditions = env.batch.randomization.conditions(np.zeros(1, np.int64))
         advance(env.game.setup, race, theta, int(env.game.config.end_ticks[0]), conditions=conditions)
