@@ -26,13 +26,13 @@ from pcs_racing.game.moves import check_moves
 from pcs_racing.game.observation import ObservationElement
 from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.starting import check_policies
-from pcs_racing.game.state import GameState, empty_game, put_games, take_games
+from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import DT, RaceConfig
 from pcs_racing.race.races import advance
 from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import RaceState, take
+from pcs_racing.race.state import RaceState, empty_state, take
 from pcs_racing.track.track import Track
 
 NO_MOVE = -1  # before the first move, and for a driver
@@ -452,8 +452,7 @@ class GameBatch:
             )
 
     def _empty(self) -> GameState:
-        setup, axes = self.game.setup, len(self.game.characteristics)
-        return empty_game(self.episodes, setup.memory_size, setup.theta_size, self.game.config.moves + 1, axes)
+        return self.game.empty_state(empty_state(self.episodes, self.game.setup.memory_size))
 
     def close(self) -> None:
         """Stop building circuits."""

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.race.state import RaceState, empty_state
+from pcs_racing.race.state import RaceState
 from pcs_racing.race.state import take as take_races
 
 
@@ -37,25 +37,6 @@ class GameState(NamedTuple):
         """Return an independent copy."""
         rest: Any = self[1:]
         return GameState(self.race.copy(), *(array.copy() for array in rest))
-
-
-def begun_game(races: RaceState, parameters: int, steps: int, axes: int) -> GameState:
-    """Return the state of a batch of games of which the races are known and every other number is 0."""
-    games = races.races
-    return GameState(
-        race=races,
-        step=np.zeros(games, np.int64),
-        policy=np.zeros((games, 2), np.int64),
-        theta=np.zeros((games, 2, parameters)),
-        own=np.zeros((games, 2, steps, axes)),
-        estimates=np.zeros((games, 2, steps, axes)),
-        leads=np.zeros((games, steps)),
-    )
-
-
-def empty_game(games: int, memory: int, parameters: int, steps: int, axes: int) -> GameState:
-    """Return the state of a batch of games in which every number is 0 and nobody leads."""
-    return begun_game(empty_state(games, memory), parameters, steps, axes)
 
 
 def take_games(state: GameState, indices: ArrayLike) -> GameState:

@@ -12,11 +12,12 @@ from pcs_racing.game.moves import move
 from pcs_racing.game.observation import observation_elements, observation_table
 from pcs_racing.game.reward import reward
 from pcs_racing.game.starting import random_bits
-from pcs_racing.game.state import GameState, empty_game, put_games, take_games
+from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import TIE_WITHIN, advance, start_lines, start_races
+from pcs_racing.race.state import empty_state
 from pcs_racing.track.loading import load_track
 
 STARTS = Starts(np.array([20.0, 20.0, 21.0]), np.array([0, 1, 0]))
@@ -141,7 +142,7 @@ def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
 
 
 def test_a_step_leaves_the_state_alone_and_games_that_are_over_stand_still(game):
-    for name, array in arrays(empty_game(2, 3, 4, 5, 2)).items():
+    for name, array in arrays(game.empty_state(empty_state(2, 3))).items():
         assert array.shape[0] == 2, name
         assert (array == (-1 if name == "leader" else 0)).all(), name
     state = game.reset(games=3)
