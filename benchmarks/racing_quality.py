@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game.characteristics import AGGRESSIVENESS, PACE, RESTRAINT, SPEED, Segment, measure
+from pcs_racing.game.characteristics import Segment, get_characteristics, measure
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig, load_race_config
@@ -39,8 +39,8 @@ def coordinates(result: RaceResult, config: RaceConfig) -> NDArray[np.float64]:
         result.time,
         config.duration,
     )
-    first = {"lead": AGGRESSIVENESS, "pace": PACE, "speed": SPEED}[config.aggressiveness]
-    return measure(segment, (first, RESTRAINT))[:, 0]
+    first = "aggressiveness" if config.aggressiveness == "lead" else config.aggressiveness
+    return measure(segment, get_characteristics((first, "restraint")))[:, 0]
 
 
 def sample_policies(count: int, seed: int) -> list[Policy]:

@@ -43,7 +43,7 @@ from pcs_racing.track.map_files import (
     parse_info,
     parse_ros_yaml,
 )
-from pcs_racing.track.maps import find_map, read_map, shipped_folder
+from pcs_racing.track.maps import find_map, find_shipped, read_map
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
@@ -516,7 +516,9 @@ def setting() -> Any:
 
 TARGETS: dict[str, Target] = {
     "map yaml": Target(lambda data: parse_ros_yaml(MAP, data), ring("Ring_map.yaml"), "yaml"),
-    "map info yaml": Target(lambda data: parse_info(MAP, data), files("*/*_track.yaml", shipped_folder()), "yaml"),
+    "map info yaml": Target(
+        lambda data: parse_info(MAP, data), files("*/*_track.yaml", find_shipped("Pipkin").parent), "yaml"
+    ),
     "map picture": Target(lambda data: parse_grid(MAP, data, ROS), pictures, "binary"),
     "map centre line": Target(
         lambda data: parse_csv(MAP, data, CENTERLINE_COLUMNS, ","), ring("Ring_centerline.csv"), "csv"

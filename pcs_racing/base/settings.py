@@ -171,7 +171,7 @@ class Settings:
         super().__init_subclass__(**kwargs)
         # From Python 3.13 on the docstring is not indented anyway; before, both parts must be.
         own = cleandoc(cls.__dict__.get("__doc__") or "")
-        cls.__doc__ = f"{own}\n\n{_attributes(cls)}"
+        cls.__doc__ = "\n".join([own, "", "Attributes", "----------", *listed_settings(cls, defaults=True), ""])
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -248,11 +248,6 @@ def _check_keys(kind: str, settings: Settings, changes: Mapping[Any, Any], where
         if key not in known:
             hint = did_you_mean(key, known)
             raise ConfigError(f"{where}: unknown {kind} setting {key!r}; known are {', '.join(known)}{hint}")
-
-
-def _attributes(cls: type[Settings]) -> str:
-    """The attributes of a class of settings as a section of its docstring."""
-    return "\n".join(["Attributes", "----------", *listed_settings(cls, defaults=True), ""])
 
 
 def listed_settings(cls: type[Settings], *without: str, defaults: bool = False) -> list[str]:

@@ -1,7 +1,7 @@
 """Many matches side by side: the batch behind the environments of a series of races."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from pcs_racing.envs.batch import BatchStep, Generators, Rows
 from pcs_racing.envs.game_batch import GameBatch, GameOptions, check_shapes
 from pcs_racing.envs.infos import Result, codes, of_players
 from pcs_racing.game.competitor import Chooser
-from pcs_racing.game.match import KEEP, MatchConfig, MatchGame, MatchState, ask_choices, put_matches
+from pcs_racing.game.match import KEEP, MatchGame, MatchState, ask_choices, put_matches
 from pcs_racing.race.races import start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
@@ -59,12 +59,11 @@ class MatchBatch(GameBatch):
         self.driven: list[tuple[RaceState, NDArray[np.float64]]] = []
 
     def _set_rules(self, options: MatchOptions) -> None:
-        config = MatchConfig(races=options.races, race_moves=options.race_moves)
-        self.match = MatchGame(self.game, config)
+        self.match = MatchGame(self.game, options.races, options.race_moves)
         self.elements = self.match.observation_elements
         self.actions = tuple(f"policy {i}" for i in range(len(self.game.archive)))
-        self.horizon = config.races
-        if config.race_moves:
+        self.horizon = options.races
+        if options.race_moves:
             self.actions += self.game.move_names
             self.horizon *= self.game.config.moves + 1
 
@@ -102,7 +101,7 @@ class MatchBatch(GameBatch):
     def match_on(self, circuit: int) -> MatchGame:
         """Return the rules on a circuit, by its number."""
         game = self.game_on(circuit)[0]
-        return self.match if game is self.match.game else MatchGame(game, self.match.config)
+        return self.match if game is self.match.game else replace(self.match, game=game)
 
     def _follow(self, played: MatchState) -> None:
         """Go on with this state."""
@@ -116,7 +115,7 @@ class MatchBatch(GameBatch):
         self.driven = []
         racing = np.flatnonzero(before.racing)
         played = self._start(before, actions)
-        if self.match.config.race_moves:
+        if self.match.race_moves:
             if len(racing):
                 played = self._move(played, racing, generators, actions)
         else:
@@ -192,7 +191,7 @@ class MatchBatch(GameBatch):
         played: MatchState = self.played  # type: ignore[assignment]
         policies = len(self.game.archive)
         masks = np.ones((self.episodes, 2, len(self.actions)), np.bool_)
-        if self.match.config.race_moves:
+        if self.match.race_moves:
             masks[:, :, :policies] = ~played.racing[:, None, None]
             masks[:, :, policies:] = self.game.action_mask(played.game) & played.racing[:, None, None]
         return masks

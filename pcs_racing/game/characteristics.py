@@ -93,45 +93,42 @@ def _reaction(segment: Segment) -> NDArray[np.float64]:
     return np.where(np.minimum(behind, ahead) >= BOTH_SIDES, difference, 0.0)
 
 
-AGGRESSIVENESS = Characteristic("aggressiveness", "m", "progress gained over the opponent (the paper's g_agg)", _lead)
-PACE = Characteristic(
-    "pace", "m", "progress gained over the opponent per time driven, scaled to the full duration", _pace
-)
-RESTRAINT = Characteristic(
-    "restraint", "s", "mean of the minimum instantaneous time to collision (the paper's g_res)", _restraint
-)
-SMOOTHNESS = Characteristic("smoothness", "rad/s", "minus the mean steering rate", _smoothness)
-BLOCKING_SHARE = Characteristic(
-    "blocking", "1", "share of the time spent just ahead and in the opponent's way", _blocking
-)
-CORNERING = Characteristic("cornering", "m/s^2", "root mean square of the lateral acceleration", _cornering)
-SPEED = Characteristic(
-    "speed",
-    "1",
-    "speed along the race line, in parts of its profile at pace 1: time that the profile takes for what was driven, "
-    "per time driven",
-    _speed,
-)
-REACTION = Characteristic(
-    "reaction",
-    "1",
-    "reaction to the lead: how much faster behind than in front, in parts of the profile at pace 1; 0 before both "
-    f"lasted {BOTH_SIDES:g} s",
-    _reaction,
-    pooled=True,
-)
-
-_registered: dict[str, Characteristic] = {}
+_registered = {
+    one.name: one
+    for one in (
+        Characteristic("aggressiveness", "m", "progress gained over the opponent (the paper's g_agg)", _lead),
+        Characteristic(
+            "pace", "m", "progress gained over the opponent per time driven, scaled to the full duration", _pace
+        ),
+        Characteristic(
+            "restraint", "s", "mean of the minimum instantaneous time to collision (the paper's g_res)", _restraint
+        ),
+        Characteristic("smoothness", "rad/s", "minus the mean steering rate", _smoothness),
+        Characteristic("blocking", "1", "share of the time spent just ahead and in the opponent's way", _blocking),
+        Characteristic(
+            "speed",
+            "1",
+            "speed along the race line, in parts of its profile at pace 1: time that the profile takes for what was "
+            "driven, per time driven",
+            _speed,
+        ),
+        Characteristic(
+            "reaction",
+            "1",
+            "reaction to the lead: how much faster behind than in front, in parts of the profile at pace 1; 0 before "
+            f"both lasted {BOTH_SIDES:g} s",
+            _reaction,
+            pooled=True,
+        ),
+        Characteristic("cornering", "m/s^2", "root mean square of the lateral acceleration", _cornering),
+    )
+}
 
 
 def register_characteristic(characteristic: Characteristic) -> None:
     """Register a characteristic under its name; registering an equal one again does nothing."""
     if _registered.setdefault(characteristic.name, characteristic) != characteristic:
         raise InputError(f"a characteristic named {characteristic.name!r} exists already; choose another name")
-
-
-for _characteristic in (AGGRESSIVENESS, PACE, RESTRAINT, SMOOTHNESS, BLOCKING_SHARE, SPEED, REACTION, CORNERING):
-    register_characteristic(_characteristic)
 
 
 def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:

@@ -24,15 +24,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import as_array
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.settings import Settings, flag, setting, whole
 from pcs_racing.game.competitor import Chooser, competitor_name
 from pcs_racing.game.observation import ObservationElement, encode_match, match_elements
 from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.starting import DRAW, check_policies, random_bits
 from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.planner import Policy
-from pcs_racing.race.conditions import RaceConditions
-from pcs_racing.race.driving import AS_THE_SETUP
+from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.races import start_races, winners
 from pcs_racing.race.start_grid import Starts
 
@@ -41,16 +39,6 @@ Floats = NDArray[np.float64]
 
 KEEP = -1
 """In place of a chosen policy: the one that the car started the last race with."""
-
-
-@dataclass(frozen=True)
-class MatchConfig(Settings):
-    """Rules of a match, beside those of its races."""
-
-    races: int = setting(3, whole(1, 100), "Races of a match.")
-    race_moves: bool = setting(
-        False, flag(), "Whether a player who chooses before the races also makes the moves of the races."
-    )
 
 
 class MatchState(NamedTuple):
@@ -101,13 +89,14 @@ class MatchGame:
     """The game of a match: functions from one :class:`MatchState` to the next, for many matches at once."""
 
     game: RaceGame  #: Track, archive and rules of the races.
-    config: MatchConfig
+    races: int = 3  #: Races of a match, at least one.
+    race_moves: bool = False  #: Whether a player who chooses before the races also makes the moves of the races.
 
     @cached_property
     def observation_elements(self) -> tuple[ObservationElement, ...]:
         """Name, unit, bounds and meaning of each of the D numbers of an observation."""
-        elements = match_elements(self.game.characteristics, self.config.races)
-        if not self.config.race_moves:
+        elements = match_elements(self.game.characteristics, self.races)
+        if not self.race_moves:
             return elements
         racing = ObservationElement("racing", "1", 0.0, 1.0, "1 while a race goes on; else the numbers below are 0")
         return (*elements, racing, *self.game.observation_elements)
@@ -131,7 +120,7 @@ class MatchGame:
         the left or in front, 1 where car 1 does. ``opponents`` are drivers of car 1 from outside the archive, as in
         :meth:`RaceGame.reset`.
         """
-        game, races, count = self.game, self.config.races, len(keys)
+        game, races, count = self.game, self.races, len(keys)
         first = check_policies(game.archive, policies, count)
         outside, theta = game.outside_drivers((None, opponents), count)
         bits = np.stack([random_bits(keys, race) for race in range(races)], axis=1)
@@ -165,7 +154,7 @@ class MatchGame:
 
     def done(self, state: MatchState) -> NDArray[np.bool_]:
         """Whether each match is over, shape (B,)."""
-        return state.race >= self.config.races
+        return state.race >= self.races
 
     def start(
         self,
@@ -188,8 +177,8 @@ class MatchGame:
         outside = state.policy[rows] == OUTSIDE
         policy = np.where(outside | (choices[rows] == KEEP), state.policy[rows], choices[rows])
         starts = Starts(state.starts[rows, race], state.sides[rows, race])
-        noise, own = state.noise[rows, race], _take(conditions, rows)
-        games = self.game.start(policy, starts, noise, state.theta[rows], outside, own)
+        noise = state.noise[rows, race]
+        games = self.game.start(policy, starts, noise, state.theta[rows], outside, conditions.take(rows))
         put_games(new.game, rows, games)
         new.policy[rows] = policy
         new.racing[rows] = True
@@ -208,7 +197,7 @@ class MatchGame:
         rows = going if rows is None else np.intersect1d(rows, going)
         if len(rows) == 0:
             return new
-        games = self.game.apply(take_games(state.game, rows), moves[rows], _take(conditions, rows))
+        games = self.game.apply(take_games(state.game, rows), moves[rows], conditions.take(rows))
         put_games(new.game, rows, games)
         self._finish(new)
         return new
@@ -248,14 +237,14 @@ class MatchGame:
         """What each player observes between two races, shape (B, 2, D): all that it knows of the match."""
         between = ~state.racing & ~self.done(state)
         # After the last race there is no next side; the index stays inside the array and is masked.
-        side = state.sides[np.arange(state.matches), np.minimum(state.race, self.config.races - 1)]
+        side = state.sides[np.arange(state.matches), np.minimum(state.race, self.races - 1)]
         front = np.stack([side == 0, side == 1], axis=1) & between[:, None]
         return encode_match(state.own, state.measured, state.leads, state.scores, state.driven, state.race, front)
 
     def observation(self, state: MatchState) -> NDArray[np.float32]:
         """What each player observes, shape (B, 2, D), in the order of :attr:`observation_elements`."""
         match = self.memory(state)
-        if not self.config.race_moves:
+        if not self.race_moves:
             return match
         racing = state.racing[:, None, None]
         seen = np.where(racing, self.game.observation(state.game), np.float32(0.0))
@@ -298,7 +287,3 @@ def ask_choices(
         )
     choices[rows] = answer
     return choices
-
-
-def _take(conditions: RaceConditions, rows: Indices) -> RaceConditions:
-    return conditions if conditions is AS_THE_SETUP else conditions.take(rows)

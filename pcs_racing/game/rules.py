@@ -33,11 +33,10 @@ from pcs_racing.game.moves import check_moves, duplicate_moves, move_names, move
 from pcs_racing.game.observation import HIGH, LOW, ObservationElement, encode_observation, observation_elements
 from pcs_racing.game.reward import reward
 from pcs_racing.game.starting import DRAW, check_policies, driver_parameters, game_keys, random_bits
-from pcs_racing.game.state import GameState, begun_game, put_games
+from pcs_racing.game.state import GameState, put_games
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
-from pcs_racing.race.conditions import RaceConditions
-from pcs_racing.race.driving import AS_THE_SETUP
+from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import NO_CRASH, RaceState, take
@@ -73,19 +72,8 @@ class RaceGame:
     def __post_init__(self) -> None:
         if self.config.characteristics is not None and self.config.characteristics != self.archive.characteristics:
             object.__setattr__(self, "archive", self.archive.project(self.config.characteristics))
-        family = self.archive.family()
-        first, second = (
-            get_planner(planner) if isinstance(planner, str) else planner or family
-            for planner in (self.ego_planner, self.opponent_planner)
-        )
-        setup = RaceSetup(self.track, self.config.race_rules, (first, second), self.vehicles, self.most_delay)
-        theta = np.zeros((len(self.archive), setup.theta_size))
-        policies = self.archive.complete(self.archive.parameters)
-        width = min(theta.shape[1], policies.shape[1])  # less if neither car can drive its policies
-        theta[:, :width] = policies[:, :width]
-        object.__setattr__(self, "_theta", theta)
-        object.__setattr__(self, "_setup", setup)
-        _ = self.start_lines  # a circuit without any is refused here, not when games begin
+        # What can't be raced is refused here, not when games begin: unknown planners, a circuit without start lines.
+        _ = self.start_lines
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle what the game was made of, not what was derived from it."""
@@ -101,10 +89,23 @@ class RaceGame:
 
     # What is known before a game begins
 
-    @property
+    @cached_property
     def setup(self) -> RaceSetup:
         """Track, race rules and planners, as :func:`pcs_racing.advance` wants them."""
-        return self._setup  # type: ignore[attr-defined]
+        family = self.archive.family()
+        first, second = (
+            get_planner(planner) if isinstance(planner, str) else planner or family
+            for planner in (self.ego_planner, self.opponent_planner)
+        )
+        return RaceSetup(self.track, self.config.race_rules, (first, second), self.vehicles, self.most_delay)
+
+    @cached_property
+    def _theta(self) -> Floats:
+        theta = np.zeros((len(self.archive), self.setup.theta_size))
+        policies = self.archive.complete(self.archive.parameters)
+        width = min(theta.shape[1], policies.shape[1])  # less if neither car can drive its policies
+        theta[:, :width] = policies[:, :width]
+        return theta
 
     @cached_property
     def characteristics(self) -> tuple[Characteristic, ...]:
@@ -201,8 +202,7 @@ class RaceGame:
             drawn_policies = (bits[:, 2:4] % np.uint64(len(self.archive))).astype(np.int64)
             policy = np.where(drawn[rows], drawn_policies, first[rows])
             grid = self._starts(bits) if starts is None else starts.take(rows)
-            own = conditions if conditions is AS_THE_SETUP else conditions.take(rows)
-            return self.start(policy, grid, bits[:, 4], theta[rows], outside[rows], own)
+            return self.start(policy, grid, bits[:, 4], theta[rows], outside[rows], conditions.take(rows))
 
         state = begin(np.arange(count), 0)
         # Drawn again the same way, a game that is fixed would crash again.
@@ -270,9 +270,17 @@ class RaceGame:
         return start_races(self.setup, self._starts(bits) if starts is None else starts, noise, conditions)
 
     def empty_state(self, races: RaceState) -> GameState:
-        """Games of which these races are on the grid and nothing else is known yet."""
-        setup, axes = self.setup, len(self.characteristics)
-        return begun_game(races, setup.theta_size, self.config.moves + 1, axes)
+        """Games of which these races are on the grid and nothing else is known yet: every other number is 0."""
+        games, steps, axes = races.races, self.config.moves + 1, len(self.characteristics)
+        return GameState(
+            race=races,
+            step=np.zeros(games, np.int64),
+            policy=np.zeros((games, 2), np.int64),
+            theta=np.zeros((games, 2, self.setup.theta_size)),
+            own=np.zeros((games, 2, steps, axes)),
+            estimates=np.zeros((games, 2, steps, axes)),
+            leads=np.zeros((games, steps)),
+        )
 
     # Moves
 
@@ -391,7 +399,7 @@ class RaceGame:
             return
         for ticks in different:
             rows = np.flatnonzero(lengths == ticks)
-            some, own = take(races, rows), conditions if conditions is AS_THE_SETUP else conditions.take(rows)
+            some, own = take(races, rows), conditions.take(rows)
             advance(self.setup, some, theta[rows], int(ticks), threads=self.threads, ittc=ittc, conditions=own)
             for name, driven in some._asdict().items():
                 getattr(races, name)[rows] = driven
@@ -413,5 +421,4 @@ class RaceGame:
 
     def theta(self, policies: Indices) -> Floats:
         """Parameters of policies of the archive, as :func:`pcs_racing.advance` wants them, shape (..., P)."""
-        theta: Floats = self._theta  # type: ignore[attr-defined]
-        return theta[policies]
+        return self._theta[policies]

@@ -39,20 +39,6 @@ class GameState(NamedTuple):
         return GameState(self.race.copy(), *(array.copy() for array in rest))
 
 
-def begun_game(races: RaceState, parameters: int, steps: int, axes: int) -> GameState:
-    """Return the state of a batch of games of which the races are known and every other number is 0."""
-    games = races.races
-    return GameState(
-        race=races,
-        step=np.zeros(games, np.int64),
-        policy=np.zeros((games, 2), np.int64),
-        theta=np.zeros((games, 2, parameters)),
-        own=np.zeros((games, 2, steps, axes)),
-        estimates=np.zeros((games, 2, steps, axes)),
-        leads=np.zeros((games, steps)),
-    )
-
-
 def take_games(state: GameState, indices: ArrayLike) -> GameState:
     """Return copies of some games, in the order asked for (a game may be taken more than once)."""
     chosen = np.asarray(indices)

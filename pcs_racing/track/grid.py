@@ -1,4 +1,4 @@
-"""Compiled functions for occupancy grids: flood fill, distance to the walls, exact rays, nearest points.
+"""Compiled functions for occupancy grids: distance to the walls, exact rays, nearest points, the way out.
 
 Grids are indexed ``[row, column]`` with row 0 at the bottom, so that cell ``[i, j]`` covers ``origin + resolution *
 ([j, j + 1], [i, i + 1])``. They are bool arrays of shape (H, W); the outermost rows and columns of a ``drivable`` one
@@ -10,41 +10,6 @@ import heapq
 import numpy as np
 
 from pcs_racing.base.compilation import compiled
-
-
-@compiled
-def flood(occupied, rows, cols):  # type: ignore[no-untyped-def]
-    """Flood fill: mark the free cells that are connected with the seeds by steps to one of four neighbours.
-
-    The seeds are the cells (rows[k], cols[k]); occupied ones are ignored. Returns a bool array, and the box of the
-    reached cells: first and last row, first and last column; (H, -1, W, -1) if there are none.
-    """
-    height, width = occupied.shape
-    reached = np.zeros((height, width), dtype=np.bool_)
-    stack = np.empty(1024, dtype=np.int64)
-    top = 0
-    bottom_row, top_row, left, right = height, -1, width, -1
-    for k in range(rows.shape[0]):
-        i, j = rows[k], cols[k]
-        if occupied[i, j] or reached[i, j]:
-            continue
-        reached[i, j] = True
-        stack[0] = i * width + j
-        top = 1
-        while top > 0:
-            top -= 1
-            i, j = divmod(stack[top], width)
-            bottom_row, top_row = min(bottom_row, i), max(top_row, i)
-            left, right = min(left, j), max(right, j)
-            # A cell adds at most its four neighbours.
-            if top + 4 > stack.shape[0]:
-                stack = np.concatenate((stack, np.empty_like(stack)))
-            for ni, nj in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
-                if 0 <= ni < height and 0 <= nj < width and not (occupied[ni, nj] or reached[ni, nj]):
-                    reached[ni, nj] = True
-                    stack[top] = ni * width + nj
-                    top += 1
-    return reached, (bottom_row, top_row, left, right)
 
 
 @compiled

@@ -14,7 +14,7 @@ from pcs_racing.base.elementary import arctangent2
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError
 from pcs_racing.base.files import parse_json
 from pcs_racing.track.building.build import LINE_SPACING, check_centerline, check_line
-from pcs_racing.track.building.clearance import checked_grid, wall_clearance
+from pcs_racing.track.building.clearance import CLEARANCE, checked_grid, wall_clearance
 from pcs_racing.track.building.curves import sample_closed
 from pcs_racing.track.cache import TRACK, cache_key, load_cached, store
 from pcs_racing.track.frenet import TrackArrays
@@ -24,10 +24,8 @@ from pcs_racing.track.track import Track, build_track, calibration_from_values, 
 
 Floats = NDArray[np.float64]
 
-CLEARANCE = 0.305
-"""Minimum distance of a race line from the walls, in m: half the width of a car (0.155) and a margin of 0.15."""
 TOLERANCE = 0.02
-"""Amount by which a given race line may be below that distance, in m: about the size of a cell's corner."""
+"""Amount by which a given race line may be nearer to a wall than CLEARANCE, in m: about the size of a cell's corner."""
 
 _log = logging.getLogger("pcs_racing")
 
@@ -63,8 +61,7 @@ def with_walls(track: Track, occupied: NDArray[np.bool_], resolution: float, ori
     grid = np.packbits(occupied).tobytes()
     facts = repr((track.content_hash, occupied.shape, resolution, origin)).encode()
     key = cache_key({"walls": grid, "facts": facts}, TRACK)
-    arrays = load_cached(TRACK, key)
-    restored = None if arrays is None else _restore(track.name, track.folder, arrays)
+    restored = _restore(track.name, track.folder, key)
     if restored is not None:
         return restored[0]
     made = build_track(track.name, occupied, resolution, origin, track.centerline, track.line[:, :2])
@@ -108,8 +105,7 @@ def _stamp(paths: tuple[Path, ...]) -> tuple[tuple[int, int], ...] | None:
 def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
     """Return a track from the cache on disk, or build and cache it."""
     key = cache_key(contents, TRACK)
-    arrays = load_cached(TRACK, key)
-    restored = None if arrays is None else _restore(files.name, files.folder, arrays)
+    restored = _restore(files.name, files.folder, key)
     if restored is not None:
         track, note = restored
     else:
@@ -164,7 +160,7 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
             seed = None if race is None else race[0]
             center = centerline_from_grid(occupied, resolution, origin, seed_point=seed, direction=heading)
         if race is None or air < CLEARANCE - TOLERANCE:
-            race = minimum_curvature_raceline(center, occupied, resolution, origin, clearance=CLEARANCE)
+            race = minimum_curvature_raceline(center, occupied, resolution, origin)
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(f"track {files.name} must be completed: {note}; {error}", name=error.name) from error
     except MapError as error:
@@ -185,10 +181,11 @@ def _flatten(track: Track, note: str) -> dict[str, Any]:
     }
 
 
-def _restore(name: str, folder: Path | None, stored: dict[str, NDArray[Any]]) -> tuple[Track, str] | None:
-    """Return the track of arrays from `_flatten`; None if an array is missing or does not fit the others."""
+def _restore(name: str, folder: Path | None, key: str) -> tuple[Track, str] | None:
+    """Return the track of cached arrays from `_flatten`; None if there are none, or if they do not fit each other."""
+    stored = load_cached(TRACK, key)
     try:
-        if not _fit(stored):
+        if stored is None or not _fit(stored):
             return None
         drivable = np.unpackbits(stored["drivable"], axis=1, count=int(stored["columns"])).view(np.bool_)
         note, content_hash, own = parse_json("the cache", str(stored["text"]))

@@ -152,7 +152,9 @@ def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
     occupied = wall[grey]
     unknown = (~wall & (dark >= ros["free_thresh"]))[grey]
     if unknown.any():
-        occupied |= _opened(unknown)
+        from scipy import ndimage
+
+        occupied |= ndimage.binary_opening(unknown, np.ones((3, 3)))
     return occupied
 
 
@@ -225,18 +227,3 @@ def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:
     if (channels[..., 1] != red).any() or (channels[..., 2] != red).any():
         raise MapError(f"{file} has coloured pixels: save it as an 8-bit grey picture")
     return red
-
-
-def _opened(cells: Grid) -> Grid:
-    """Return the morphological opening of a region: the union of all squares of 3 x 3 cells inside it."""
-    height, width = cells.shape
-    if min(height, width) < 3:
-        return np.zeros_like(cells)
-    offsets = [(slice(i, height - 2 + i), slice(j, width - 2 + j)) for i in range(3) for j in range(3)]
-    core = np.ones((height - 2, width - 2), dtype=np.bool_)
-    for offset in offsets:
-        core &= cells[offset]
-    out = np.zeros_like(cells)
-    for offset in offsets:
-        out[offset] |= core
-    return out

@@ -23,7 +23,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from pcs_racing.base import artifacts
+from pcs_racing.base.artifacts import shipped_folder
 from pcs_racing.base.errors import MapError, UnknownNameError, choices
 from pcs_racing.base.files import MAX_YAML, read_limited
 from pcs_racing.track.map_files import (
@@ -40,6 +40,8 @@ Floats = NDArray[np.float64]
 
 MAX_BYTES = 256_000_000  # of a picture
 MAX_LINE = 8_000_000  # of a csv file
+
+_SHIPPED = shipped_folder(Path(__file__).resolve().parents[1], "maps")
 
 
 class MapFiles(NamedTuple):
@@ -67,17 +69,9 @@ class MapFolder(NamedTuple):
     info: dict[str, Any]  #: Content of ``NAME_track.yaml``, see `map_files.INFO_KEYS`.
 
 
-def shipped_folder() -> Path:
-    """Folder of the circuits that come with the package."""
-    return artifacts.shipped_folder(Path(__file__).resolve().parents[1], "maps")
-
-
 def list_tracks() -> list[str]:
     """Return the names of the circuits that ship with the package, sorted."""
-    folder = shipped_folder()
-    if not folder.is_dir():
-        return []
-    return sorted(path.name for path in folder.iterdir() if (path / f"{path.name}_map.yaml").is_file())
+    return sorted(path.name for path in _SHIPPED.glob("*") if (path / f"{path.name}_map.yaml").is_file())
 
 
 def find_shipped(name: str) -> Path:
@@ -85,7 +79,7 @@ def find_shipped(name: str) -> Path:
     tracks = list_tracks()
     for candidate in tracks:
         if candidate.lower() == name.lower():
-            return shipped_folder() / candidate
+            return _SHIPPED / candidate
     raise UnknownNameError(
         f"unknown track {name!r}: neither a map folder nor one of the shipped tracks; {choices(name.title(), tracks)}"
     )

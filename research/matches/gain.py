@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_seed, check_whole
-from pcs_racing.base.errors import InputError
-from pcs_racing.game.match import MatchConfig, MatchGame
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.game.match import MatchGame
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import start_lines
 from pcs_racing.track.loading import as_track
@@ -68,7 +68,7 @@ class MatchTest:
         if matches % 2:
             raise InputError(f"matches is {matches}; it must be even, since the sides of the first race take turns")
         check_seed(name="seed", seed=seed)
-        MatchConfig(races=races)
+        check_whole("races", races, 1, 100, ConfigError)
 
 
 class TrackGain(NamedTuple):
@@ -116,7 +116,7 @@ def _play_opponent(task: tuple[MatchTest, int, int], threads: int | None = None)
     test, number, opponent = task
     setting, table, count = test.setting, test.table, test.matches
     game = RaceGame(as_track(test.tracks[number]), setting.archive, setting.config, threads=threads)
-    match = MatchGame(game, MatchConfig(races=test.races))
+    match = MatchGame(game, races=test.races)
     rules = replace(game.setup.config, start_lines=count * test.races)
     # Other lines and noise than those of training, whatever its seed.
     lines = start_lines(game.track, rules, np.random.SeedSequence(test.seed, spawn_key=(2, number)))

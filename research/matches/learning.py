@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.match import MatchConfig, MatchGame
+from pcs_racing.game.match import MatchGame
 from pcs_racing.game.observation import decode_match
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import start_lines
@@ -103,7 +103,7 @@ def _race_block(task: tuple[LearningRaces, int, list[tuple[int, int]]], threads:
     learning, number, pairs = task
     setting, races = learning.setting, learning.races
     game = RaceGame(as_track(learning.tracks[number]), setting.archive, setting.config, threads=threads)
-    match = MatchGame(game, MatchConfig(races=1))
+    match = MatchGame(game, races=1)
     rules = replace(game.setup.config, start_lines=races // 2)
     lines = start_lines(game.track, rules, np.random.SeedSequence(learning.seed, spawn_key=(0, number)))
     # A pair's noise depends on its two policies, not on the block that races it.

@@ -64,8 +64,8 @@ def play_matches(
         As for :meth:`pcs_racing.game.match.MatchGame.begin`.
     """
     state = match.begin(keys, policies=policies, lines=lines, sides=sides)
-    chosen = np.full((len(keys), 2, match.config.races), -1, np.int64)
-    for race in range(match.config.races):
+    chosen = np.full((len(keys), 2, match.races), -1, np.int64)
+    for race in range(match.races):
         choices = np.stack([_choices(player, match, state, car) for car, player in enumerate((ego, opponent))], axis=1)
         state = match.start(state, choices)
         chosen[:, :, race] = state.policy

@@ -8,7 +8,7 @@ from zoo_games import CONFIG, toy_archive
 
 from pcs_racing import InputError, RaceGame, load_track, save_archive
 from pcs_racing.envs.match import MatchEnv
-from pcs_racing.game.match import MatchConfig, MatchGame
+from pcs_racing.game.match import MatchGame
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.jobs.jobs import open_job
 from research.__main__ import main
@@ -100,9 +100,7 @@ def test_the_runner_plays_the_matches_of_the_environment(small, oval):
     key = np.random.default_rng(5).integers(2**63)  # what the environment draws first
     game = RaceGame(oval, small.archive, small.config)
     opponent = env.opponents[0].competitor
-    played = play_matches(
-        MatchGame(game, MatchConfig()), FixedChoice(1), opponent, keys=np.array([key], np.uint64), policies=(-1, -1)
-    )
+    played = play_matches(MatchGame(game), FixedChoice(1), opponent, keys=np.array([key], np.uint64), policies=(-1, -1))
     rewards = [env.step(1)[1] for _ in range(3)]
     assert played.scores[0, 0].tolist() == rewards
     np.testing.assert_array_equal(played.observations[0, 0], env.batch.seen[0, 0])

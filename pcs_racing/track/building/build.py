@@ -11,7 +11,7 @@ from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.curves import MAX_LENGTH, LineSamples, clean_closed, first_crossing, sample_closed
 from pcs_racing.track.building.walls import corner_lists, seen_lists, simplify, trace_outlines
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, LINE_COLUMNS, PSI, RIGHT, SIN, SPEED, TrackArrays, X, Y
-from pcs_racing.track.grid import cast, distance_to_walls, flood, lookup_grid, way_out
+from pcs_racing.track.grid import cast, distance_to_walls, lookup_grid, way_out
 
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
@@ -24,8 +24,6 @@ SIMPLIFY_CELLS = 0.5  # ... but at least this many cells, or every step of a sla
 INSET = 0.25  # see walls.simplify
 SEEN_STRETCH = 0.8  # m
 SEEN_ACROSS = 6  # viewpoints across the track
-SEEN_RAYS = 120  # from each viewpoint, before gaps are halved ...
-SEEN_DEPTH = 6  # ... this often
 LOOKUP_CELL = 0.25  # m
 LEAK = 1.4  # a region larger than this many times length x mean width is more than the track
 
@@ -82,15 +80,21 @@ def drivable_region(
     Its outermost rows and columns are False. Row and column of the grid at which the crop begins are returned too
     (negative if the margin is outside the grid).
     """
+    from scipy import ndimage
+
     rows, cols = _cells(samples.xy, occupied, resolution, origin, f"{label}: the race line")
-    reached, (bottom, top, left, right) = flood(occupied, rows, cols)
+    regions, count = ndimage.label(~occupied)
+    on_line = np.zeros(count + 1, dtype=np.bool_)
+    on_line[regions[rows, cols]] = True
+    reached = on_line[regions]
+    in_row, in_col = np.flatnonzero(reached.any(axis=1)), np.flatnonzero(reached.any(axis=0))
+    (bottom, top), (left, right) = in_row[[0, -1]].tolist(), in_col[[0, -1]].tolist()
     height, width = occupied.shape
     open_to_border = bottom == 0 or left == 0 or top == height - 1 or right == width - 1
-    m = MARGIN
-    drivable = np.zeros((top - bottom + 1 + 2 * m, right - left + 1 + 2 * m), dtype=np.bool_)
-    drivable[m:-m, m:-m] = reached[bottom : top + 1, left : right + 1]
+    drivable = np.pad(reached[bottom : top + 1, left : right + 1], MARGIN)
+    bottom, left = bottom - MARGIN, left - MARGIN
     # Far more area than length times width: the walls leak into a yard or the infield.
-    across = _free_widths(drivable, *_in_cells(samples, resolution, origin, bottom - m, left - m)).sum(axis=1)
+    across = _free_widths(drivable, *_in_cells(samples, resolution, origin, bottom, left)).sum(axis=1)
     usual = float(across.mean()) * samples.length / resolution
     area = int(np.count_nonzero(reached))
     if open_to_border or area > LEAK * usual:
@@ -109,7 +113,7 @@ def drivable_region(
             )
             + "; close the walls in the picture"
         )
-    return drivable, bottom - m, left - m
+    return drivable, bottom, left
 
 
 def build_arrays(
@@ -144,9 +148,7 @@ def build_arrays(
     segments, owner, start = simplify(outlines, max(SIMPLIFY_CELLS, SIMPLIFY / resolution), INSET)
     stretches = max(round(samples.length / SEEN_STRETCH), 1)
     sections = (_viewpoints(line, stretches) - corner) / resolution
-    seen_start, seen, seen_distance = seen_lists(
-        drivable, outlines, segments, owner, start, sections, SEEN_RAYS, SEEN_DEPTH
-    )
+    seen_start, seen, seen_distance = seen_lists(drivable, outlines, segments, owner, start, sections)
     walls = segments * resolution + np.tile(corner, 2)
     corners_start, corners = corner_lists(walls, seen_start, seen)
     block = max(round(LOOKUP_CELL / resolution), 1)

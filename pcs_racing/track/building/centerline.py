@@ -65,7 +65,7 @@ def centerline_from_grid(
             f"resolution, {resolution:g} m, right?)"
         )
     # Distance from every cell to the inner and to the outer wall.
-    to_hole = distance_to_walls(~hole & _inside_rim(hole), resolution)
+    to_hole = distance_to_walls(np.pad(~hole[1:-1, 1:-1], 1), resolution)
     to_outside = distance_to_walls(region | hole, resolution)
     line = _zero_contour(to_outside - to_hole) * resolution + corner
     line = resample(smooth(resample(line, 0.1), SMOOTHING), SPACING)
@@ -148,12 +148,6 @@ def _ring(
         raise MapError(f"{len(rings)} regions could be the track: choose one by a seed point, as {' or '.join(points)}")
     _, region, hole, row, col = rings[0]
     return region, hole, row, col
-
-
-def _inside_rim(like: np.ndarray) -> np.ndarray:
-    inside = np.zeros(like.shape, dtype=np.bool_)
-    inside[1:-1, 1:-1] = True
-    return inside
 
 
 def _zero_contour(values: np.ndarray) -> np.ndarray:

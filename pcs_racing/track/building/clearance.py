@@ -8,6 +8,9 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.frenet import interpolate
 
+CLEARANCE = 0.305
+"""Least distance of a race line from the walls, in m: half the width of a car (0.155) and 0.15 m of air."""
+
 
 def checked_grid(
     occupied: ArrayLike, resolution: float, origin: ArrayLike, label: str = "the map"

@@ -8,7 +8,7 @@ from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import headings, lengths
 from pcs_racing.base.errors import MapError, require
-from pcs_racing.track.building.clearance import checked_grid, corridor, room_at, wall_clearance
+from pcs_racing.track.building.clearance import CLEARANCE, checked_grid, corridor, room_at, wall_clearance
 from pcs_racing.track.building.curves import (
     checked_curve,
     curve_length,
@@ -19,9 +19,6 @@ from pcs_racing.track.building.curves import (
 )
 from pcs_racing.track.grid import distance_to_walls
 
-CLEARANCE = 0.305
-"""Default distance in m between line and wall: half the width of a car (0.155 m) and 0.15 m of air."""
-
 SPACING = 0.2  # of the points of the result, m
 ROUNDS = 20  # most quadratic programs to solve
 STEP = 0.25  # spacing of the points that the program moves, m
@@ -30,6 +27,8 @@ TRUST = 0.5  # how far a point may move in one round, m: the program is linearis
 RESERVE = 5e-4  # m
 SETTLED = 0.05  # moves below this are the walls' pixels, m
 CHATTER = 0.1  # weight of the squared change of curvature along the line, m^2
+# Weight of the length, 1/m^2: bends wider than about its power of -0.5, in m, are shortened rather than rounded.
+LENGTH_WEIGHT = 0.08
 
 # What the speeds along a line are limited by:
 LATERAL = 5.0  # most lateral acceleration, m/s^2
@@ -45,7 +44,6 @@ def minimum_curvature_raceline(
     origin: np.ndarray | tuple[float, float],
     *,
     clearance: float = CLEARANCE,
-    length_weight: float = 0.08,
 ) -> np.ndarray:
     """Compute the closed line of minimum squared curvature that is at least ``clearance`` away from every wall.
 
@@ -62,9 +60,6 @@ def minimum_curvature_raceline(
         Any closed line around the circuit, x and y in m in its first columns, in driving direction.
     clearance : float
         Distance in m that the line keeps from the nearest wall cell, measured to the edge of that cell.
-    length_weight : float
-        Weight of the length against the integral of the squared curvature, in 1/m^2, at least 0. Bends wider than about
-        ``length_weight ** -0.5`` metres are shortened rather than rounded.
 
     Returns
     -------
@@ -74,7 +69,6 @@ def minimum_curvature_raceline(
     require("clarabel")
     grid, resolution, corner = checked_grid(occupied, resolution, origin)
     check_number("clearance", clearance, 0.0)
-    check_number("length_weight", length_weight, 0.0)
     start = checked_curve(centerline, "centre line")
     grid, corner = _crop(grid, resolution, corner, start)
     room = distance_to_walls(~grid, resolution)
@@ -84,7 +78,7 @@ def minimum_curvature_raceline(
     slack, trust = 0.005, TRUST
     shortfall = math.inf
     for _ in range(ROUNDS):
-        line, moved = _improve(line, room, resolution, corner, clearance + slack, length_weight, trust)
+        line, moved = _improve(line, room, resolution, corner, clearance + slack, trust)
         trust = max(0.8 * trust, 0.02)
         # A line that still moves is not worth checking: the next round moves it again.
         if moved > SETTLED:
@@ -109,14 +103,13 @@ def minimum_curvature_raceline(
     )
 
 
-def raceline_rows(xy: np.ndarray, *, spacing: float = SPACING) -> np.ndarray:
-    """Rows of a ``NAME_raceline.csv``, shape (N + 1, 7), about ``spacing`` metres apart.
+def raceline_rows(xy: np.ndarray) -> np.ndarray:
+    """Rows of a ``NAME_raceline.csv``, shape (N + 1, 7), about 0.2 m apart.
 
     Arc length, x, y (m), heading (rad, in [-pi, pi)), curvature (1/m, positive to the left), speed (m/s) and
     acceleration to the next row (m/s^2). As in f1tenth_racetracks the last row repeats the first one, at s = length.
-
     """
-    line = sample_closed(checked_curve(xy, "race line"), spacing)
+    line = sample_closed(checked_curve(xy, "race line"), SPACING)
     ds = line.length / len(line.xy)
     v = speed_profile(line.kappa, ds)
     ax = (np.roll(v, -1) ** 2 - v**2) / (2.0 * ds)
@@ -157,13 +150,7 @@ def _reference(
 
 
 def _improve(
-    line: np.ndarray,
-    room: np.ndarray,
-    resolution: float,
-    corner: np.ndarray,
-    need: float,
-    length_weight: float,
-    trust: float,
+    line: np.ndarray, room: np.ndarray, resolution: float, corner: np.ndarray, need: float, trust: float
 ) -> tuple[np.ndarray, float]:
     """Return the line after one round, and the longest move in m."""
     line = resample(line, STEP)
@@ -188,16 +175,16 @@ def _improve(
     limit = np.minimum(trust, 0.8 / np.maximum(np.abs(kappa), 1e-9))
     high = np.maximum(np.minimum(high, np.where(kappa > 0.0, limit, trust)), low)
     low = np.minimum(np.maximum(low, -np.where(kappa < 0.0, limit, trust)), high)
-    move = _solve(kappa, step, low, high, length_weight)
+    move = _solve(kappa, step, low, high)
     return line + move[:, None] * normal, float(np.abs(move).max())
 
 
-def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray, length_weight: float) -> np.ndarray:
+def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Moves a along the left normals, low <= a <= high, that minimise a quadratic model of the line's cost.
 
     To first order a move changes the curvature to ``kappa + kappa^2 a + a''`` and the length element to ``1 - kappa a``
     (plus ``a'^2 / 2``). The cost is the integral of kappa^2, of CHATTER times the squared change of kappa, and of
-    ``length_weight``.
+    LENGTH_WEIGHT.
     """
     import clarabel
     from scipy import sparse
@@ -208,8 +195,8 @@ def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray, le
     slope = (shift - identity) / step
     bend = sparse.diags(kappa**2) + (shift - 2.0 * identity + shift.T) / step**2
     metric = identity + CHATTER * (slope.T @ slope)
-    P = 2.0 * bend.T @ metric @ bend + length_weight * slope.T @ slope
-    q = 2.0 * bend.T @ (metric @ kappa) - kappa * kappa * kappa - length_weight * kappa
+    P = 2.0 * bend.T @ metric @ bend + LENGTH_WEIGHT * slope.T @ slope
+    q = 2.0 * bend.T @ (metric @ kappa) - kappa * kappa * kappa - LENGTH_WEIGHT * kappa
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1

@@ -12,6 +12,9 @@ from pcs_racing.track.grid import cast
 TOGETHER = 16
 """Lists of corners have a multiple of this length, so that the processor's vectors are full."""
 
+RAYS = 120  # from each viewpoint of a stretch, before the gaps between rays ...
+DEPTH = 6  # ... that do not meet neighbouring segments are halved, this often
+
 
 class Outlines(NamedTuple):
     """The faces between drivable and other cells, ordered along closed outlines."""
@@ -24,7 +27,11 @@ class Outlines(NamedTuple):
 
 
 @compiled
-def _trace(drivable):  # type: ignore[no-untyped-def]
+def trace_outlines(drivable):  # type: ignore[no-untyped-def]
+    """Trace the closed outlines of a region along its cell faces, the region on the left.
+
+    The region is connected by sides of cells; its outermost rows and columns must be False.
+    """
     height, width = drivable.shape
     down = np.array([-1, 0, 1, 0])
     right = np.array([0, 1, 0, -1])
@@ -63,15 +70,7 @@ def _trace(drivable):  # type: ignore[no-untyped-def]
                     i, j = i1 + down[side], j1 + right[side]
                     side = (side + 3) % 4
             starts.append(np.int32(k))
-    return row, col, sides, np.array(starts)
-
-
-def trace_outlines(drivable: NDArray[np.bool_]) -> Outlines:
-    """Trace the closed outlines of a region along its cell faces, the region on the left.
-
-    The region is connected by sides of cells; its outermost rows and columns must be False.
-    """
-    return Outlines(*_trace(drivable))
+    return Outlines(row, col, sides, np.array(starts))
 
 
 @compiled
@@ -222,22 +221,22 @@ def _segment_at(drivable, number, faces, owner, x, y, angle):  # type: ignore[no
 
 
 @compiled
-def _mark(drivable, number, faces, owner, x, y, rays, depth, marks):  # type: ignore[no-untyped-def]
+def _mark(drivable, number, faces, owner, x, y, marks):  # type: ignore[no-untyped-def]
     """Mark the segments visible from a point by a fan of rays, denser where two rays meet different parts of a wall."""
-    high = np.empty(depth + 1)
-    met = np.empty(depth + 1, dtype=np.int64)
-    step = 2.0 * np.pi / rays
+    high = np.empty(DEPTH + 1)
+    met = np.empty(DEPTH + 1, dtype=np.int64)
+    step = 2.0 * np.pi / RAYS
     low = 0.5 * step
     last = _segment_at(drivable, number, faces, owner, x, y, low)
     if last < 0:
         return
     # ``high`` is a stack of rays still to be looked at: between two that meet parts far apart, one more is cast.
-    for r in range(rays):
+    for r in range(RAYS):
         high[0] = (r + 1.5) * step
         met[0] = _segment_at(drivable, number, faces, owner, x, y, high[0])
         top = 0
         while top >= 0:
-            if top < depth and abs(met[top] - last) > 1:
+            if top < DEPTH and abs(met[top] - last) > 1:
                 high[top + 1] = 0.5 * (low + high[top])
                 met[top + 1] = _segment_at(drivable, number, faces, owner, x, y, high[top + 1])
                 top += 1
@@ -259,7 +258,7 @@ def _nearest_squared(segment, x, y):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth):  # type: ignore[no-untyped-def]
+def seen_lists(drivable, outlines, segments, owner, start, sections):  # type: ignore[no-untyped-def]
     """List for each stretch of a closed line the wall segments that are visible from it.
 
     A fan of exact rays from several points of each cross-section marks the segments that it meets. The list of a
@@ -272,8 +271,6 @@ def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth
         Results of `simplify`.
     sections : ndarray, shape (2 * M, V, 2)
         Viewpoints in cells: cross-section ``2 * m`` is at the start of stretch m, ``2 * m + 1`` in its middle.
-    rays, depth : int
-        Rays from each viewpoint, and how often the gap between two is halved if they do not meet neighbouring segments.
 
     Returns
     -------
@@ -293,7 +290,7 @@ def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth
     marks = np.zeros((3, count), dtype=np.bool_)
     visible = np.empty(count, dtype=np.bool_)
     for v in range(sections.shape[1]):
-        _mark(drivable, number, faces, owner, sections[0, v, 0], sections[0, v, 1], rays, depth, marks[2])
+        _mark(drivable, number, faces, owner, sections[0, v, 0], sections[0, v, 1], marks[2])
     for m in range(stretches):
         # The section at the end of the last stretch begins this one.
         marks[0] = marks[2]
@@ -301,7 +298,7 @@ def seen_lists(drivable, outlines, segments, owner, start, sections, rays, depth
         for section in range(1, 3):
             view = sections[(2 * m + section) % (2 * stretches)]
             for v in range(view.shape[0]):
-                _mark(drivable, number, faces, owner, view[v, 0], view[v, 1], rays, depth, marks[section])
+                _mark(drivable, number, faces, owner, view[v, 0], view[v, 1], marks[section])
         visible[:] = False
         for loop in range(start.shape[0] - 1):
             first, last = start[loop], start[loop + 1]

@@ -241,9 +241,8 @@ def generate_map(
     info = {"description": description or f"Generated circuit of style {style}", "license": "MIT"}
     circuit = generate_circuit(**settings)
     x, y = circuit.origin.tolist()
-    rows = raceline_rows(circuit.raceline)
-    values = (circuit.occupied, circuit.resolution, (x, y), circuit.centerline, rows, info | settings)
-    return _save(Path(folder), name, values)
+    grid = (circuit.occupied, circuit.resolution, (x, y))
+    return _save(Path(folder), name, grid, circuit.centerline, circuit.raceline, info | settings)
 
 
 def import_map(
@@ -269,18 +268,23 @@ def import_map(
         line = content.centerline[:, :2]
         seed_point = line[0].tolist() if seed_point is None else seed_point
         direction = ("counterclockwise", "clockwise")[signed_area(line) < 0.0] if direction is None else direction
-    center = centerline_from_grid(
-        content.occupied, content.resolution, content.origin, seed_point=seed_point, direction=direction
-    )
-    race = minimum_curvature_raceline(center, content.occupied, content.resolution, content.origin)
-    values = (content.occupied, content.resolution, content.origin, center, raceline_rows(race), dict(content.info))
-    return _save(target, name, values)
+    grid = (content.occupied, content.resolution, content.origin)
+    center = centerline_from_grid(*grid, seed_point=seed_point, direction=direction)
+    race = minimum_curvature_raceline(center, *grid)
+    return _save(target, name, grid, center, race, content.info)
 
 
-def _save(folder: Path, name: str | None, values: tuple[Any, ...]) -> Track:
+def _save(
+    folder: Path,
+    name: str | None,
+    grid: tuple[np.ndarray, float, tuple[float, float]],
+    center: np.ndarray,
+    race: np.ndarray,
+    info: dict[str, Any],
+) -> Track:
     name = folder.name if name is None else name
-    occupied, resolution, origin, center, rows, info = values
+    rows = raceline_rows(race)
     # Nothing is written unless the result can be raced on.
-    track = build_track(name, occupied, resolution, origin, center, rows[:-1, 1:3], folder=folder)
-    write_map(MapFolder(name, folder, occupied, resolution, origin, center, rows, info))
+    track = build_track(name, *grid, center, rows[:-1, 1:3], folder=folder)
+    write_map(MapFolder(name, folder, *grid, center, rows, info))
     return track

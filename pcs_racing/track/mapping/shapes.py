@@ -147,24 +147,12 @@ def _direction(angle: float) -> np.ndarray:
 
 
 def _convex_hull(points: np.ndarray) -> np.ndarray:
-    """Counterclockwise convex hull (Andrew's monotone chain, 1979).
+    """Counterclockwise convex hull, its leftmost corner first."""
+    from scipy.spatial import ConvexHull
 
-    Our own: a circuit's bits depend on the order of the corners, which scipy's ConvexHull leaves open.
-    """
-    ordered = points[np.lexsort((points[:, 1], points[:, 0]))]
-
-    def chain(candidates: np.ndarray) -> list[np.ndarray]:
-        out: list[np.ndarray] = []
-        for p in candidates:
-            while len(out) > 1:
-                a, b = out[-1] - out[-2], p - out[-2]
-                if a[0] * b[1] - a[1] * b[0] > 0.0:
-                    break
-                out.pop()
-            out.append(p)
-        return out[:-1]
-
-    return np.array(chain(ordered) + chain(ordered[::-1]))
+    hull = points[ConvexHull(points).vertices]
+    # A circuit's bits depend on the order of the corners, and scipy leaves open which one comes first.
+    return np.roll(hull, -np.lexsort((hull[:, 1], hull[:, 0]))[0], axis=0)
 
 
 def _without_short_sides(corners: np.ndarray, shortest: float) -> np.ndarray:

@@ -12,7 +12,7 @@ from pcs_racing.game.moves import move
 from pcs_racing.game.observation import observation_elements, observation_table
 from pcs_racing.game.reward import reward
 from pcs_racing.game.starting import random_bits
-from pcs_racing.game.state import GameState, begun_game, put_games, take_games
+from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.driving import pad_parameters
@@ -142,7 +142,7 @@ def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
 
 
 def test_a_step_leaves_the_state_alone_and_games_that_are_over_stand_still(game):
-    for name, array in arrays(begun_game(empty_state(2, 3), 4, 5, 2)).items():
+    for name, array in arrays(game.empty_state(empty_state(2, 3))).items():
         assert array.shape[0] == 2, name
         assert (array == (-1 if name == "leader" else 0)).all(), name
     state = game.reset(games=3)

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pcs_racing.track.grid import cast, distance_to_walls, flood, lookup_grid, way_out
+from pcs_racing.track.grid import cast, distance_to_walls, lookup_grid, way_out
 
 grids = hnp.arrays(np.bool_, st.tuples(st.integers(1, 14), st.integers(1, 14)))
 
@@ -25,36 +25,6 @@ def test_distances_are_exact_at_cell_centres(drivable):
         expected = 0.5 * np.hypot(dx, dy).min() if drivable[i, j] else 0.0
         np.testing.assert_allclose(found[i, j], expected, rtol=1e-6)
     assert found.dtype == np.float32
-
-
-@given(free=grids, seed=st.integers(0, 2**32 - 1))
-def test_flooding_reaches_what_repeated_growing_reaches(free, seed):
-    row, col = (int(np.random.default_rng(seed).integers(n)) for n in free.shape)
-    expected = np.zeros_like(free)
-    expected[row, col] = free[row, col]
-    for _ in range(free.size):
-        grown = _padded(expected)
-        expected |= free & (grown[:-2, 1:-1] | grown[2:, 1:-1] | grown[1:-1, :-2] | grown[1:-1, 2:])
-    reached, box = flood(~free, np.array([row]), np.array([col]))
-    np.testing.assert_array_equal(reached, expected)
-    if expected.any():
-        rows, cols = np.nonzero(expected)
-        assert box == (rows.min(), rows.max(), cols.min(), cols.max())
-
-
-def test_flooding_a_large_field_reaches_all_of_it():
-    """However many cells wait at a time; from several places at once, up to a wall."""
-    occupied = np.zeros((120, 90), np.bool_)
-    reached, box = flood(occupied, np.array([60]), np.array([45]))
-    assert reached.all()
-    assert box == (0, 119, 0, 89)
-    occupied[:, 30] = True
-    reached, box = flood(occupied, np.array([5, 5, 7]), np.array([2, 3, 30]))
-    np.testing.assert_array_equal(reached, np.broadcast_to(np.arange(90) < 30, (120, 90)))
-    assert box == (0, 119, 0, 29)
-    reached, box = flood(occupied, np.array([5, 9]), np.array([2, 80]))
-    np.testing.assert_array_equal(reached, ~occupied)
-    assert flood(occupied, np.array([5]), np.array([30]))[1] == (120, -1, 90, -1)
 
 
 @given(

@@ -103,7 +103,7 @@ def test_the_map_is_found_by_the_folders_name_or_as_the_only_one(folder, tmp_pat
 
 
 def test_shipped_tracks_are_found_whatever_the_case(folder, monkeypatch):
-    monkeypatch.setattr(maps, "shipped_folder", lambda: folder.parent)
+    monkeypatch.setattr(maps, "_SHIPPED", folder.parent)
     assert list_tracks() == ["Ring"]
     assert find_shipped("rInG") == folder
     refused("unknown track 'Rong': .* did you mean 'Ring'?", find_shipped, "Rong", error=UnknownNameError)

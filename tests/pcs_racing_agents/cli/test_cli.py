@@ -23,7 +23,7 @@ from pcs_racing import list_tracks, load_track, read_replay
 from pcs_racing.base.settings import Settings, names, setting, whole
 from pcs_racing.planners import registry
 from pcs_racing.race.calibration import calibrate
-from pcs_racing.track.maps import shipped_folder
+from pcs_racing.track.maps import find_shipped
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.agents import make_setting, parse_agent
 from pcs_racing_agents.agents.own_code import parse_driver
@@ -39,7 +39,7 @@ def copied(tmp_path) -> Path:
     """A shipped circuit, copied to a folder whose name has a space."""
     folder = tmp_path / "my maps" / "Pipkin"
     folder.mkdir(parents=True)  # one to write to, wherever the shipped one lies
-    for file in (shipped_folder() / "Pipkin").iterdir():
+    for file in find_shipped("Pipkin").iterdir():
         shutil.copyfile(file, folder / file.name)
     return folder
 

@@ -8,6 +8,7 @@ from hypothesis.extra.numpy import arrays
 from refusal import refused
 
 from pcs_racing.base.errors import InputError, MapError
+from pcs_racing.track.building import raceline
 from pcs_racing.track.building.clearance import wall_clearance
 from pcs_racing.track.building.curves import first_crossing, resample, signed_area
 from pcs_racing.track.building.raceline import lap_time, minimum_curvature_raceline, raceline_rows, speed_profile
@@ -51,13 +52,14 @@ def test_the_direction_of_the_centre_line_is_kept(box):
     assert lap(race) == pytest.approx(lap(minimum_curvature_raceline(line, grid, resolution, origin)), rel=0.002)
 
 
-def test_the_line_of_a_circular_track_is_a_circle_and_a_narrow_place_is_named():
+def test_the_line_of_a_circular_track_is_a_circle_and_a_narrow_place_is_named(monkeypatch):
     t = np.linspace(0.0, 2.0 * np.pi, 300, endpoint=False)
     line = 8.0 * np.column_stack([np.cos(t), np.sin(t)])
     grid, origin = walls_to_grid(line, 2.2, 0.05)
     for weight, radius in ((0.0, 9.1 - 0.305), (0.2, 6.9 + 0.305)):
         # By curvature alone the widest circle is the best one, with the length the narrowest.
-        race = minimum_curvature_raceline(line, grid, 0.05, origin, length_weight=weight)
+        monkeypatch.setattr(raceline, "LENGTH_WEIGHT", weight)
+        race = minimum_curvature_raceline(line, grid, 0.05, origin)
         np.testing.assert_allclose(np.hypot(*race.T), radius, atol=0.06)
     i, j = np.floor((np.array([8.0, 0.0]) - origin) / 0.05).astype(int)[::-1]
     grid[i : i + 3, j - 10 : j + 11] = True
@@ -68,7 +70,6 @@ def test_the_line_of_a_circular_track_is_a_circle_and_a_narrow_place_is_named():
 def test_impossible_values_are_refused(box):
     for change, error, words in [
         ({"clearance": -0.1}, InputError, "clearance is -0.1"),
-        ({"length_weight": -1.0}, InputError, "length_weight is -1.0"),
         ({"centerline": np.zeros((3, 2))}, MapError, "0 different points"),
         ({"centerline": 100.0 * np.eye(4)[:, :2]}, MapError, "different points|leaves the map"),
         ({"centerline": [[-500.0, 0.0], [0.0, 500.0], [500.0, 0.0], [0.0, -500.0]]}, MapError, "leaves the map at"),
@@ -82,7 +83,7 @@ def test_impossible_values_are_refused(box):
 
 def test_rows_follow_the_file_format_and_give_the_lap_time(box):
     line = box[0]
-    rows = raceline_rows(line, spacing=0.25)
+    rows = raceline_rows(line)
     s, x, y, psi, kappa, v, ax = rows.T
     np.testing.assert_allclose(np.diff(s), s[1])
     np.testing.assert_array_equal(rows[-1, 1:], rows[0, 1:])
