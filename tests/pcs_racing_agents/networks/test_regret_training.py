@@ -24,9 +24,8 @@ def situations(count=2000, pairs=20, seed=0, noise=0.0):
 
 
 def rows_of(x, values, pair, step, **changes) -> Rows:
-    return Rows(
-        **{"observations": x, "targets": values, "weights": np.ones(len(x)), "pair": pair, "step": step} | changes
-    )
+    columns = {"observations": x, "targets": values, "weights": np.ones(len(x)), "pair": pair, "step": step}
+    return Rows(**columns | changes)
 
 
 def test_a_network_learns_what_can_be_learned_and_knows_how_it_was_made():
