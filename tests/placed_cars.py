@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from pcs_racing import Parameter, Planner, RaceSetup, load_race_config
+from pcs_racing import F1TENTH, Parameter, Planner, RaceSetup, load_race_config
 from pcs_racing.base.compilation import compiled
-from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.planners.view import VIEW_SIZE
+from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.positions import place_cars
 from pcs_racing.race.state import empty_state
 
@@ -17,9 +18,15 @@ def hold(track, theta, view, memory, scratch, path, command):
     command[1] = theta[1]
 
 
-HOLD = Planner(
-    "hold", (Parameter("steer", -0.4, 0.4, 0.0, "rad"), Parameter("speed", -3.0, 9.0, 0.0, "m/s")), control=hold
-)
+STEER_AND_SPEED = Parameter("steer", -0.4, 0.4, 0.0, "rad"), Parameter("speed", -3.0, 9.0, 0.0, "m/s")
+HOLD = Planner("hold", STEER_AND_SPEED, control=hold)
+
+
+def view_of(setup, state, race, car):
+    """What the driver of a car sees."""
+    view, vehicles = np.zeros(VIEW_SIZE), np.stack([vehicle.as_row() for vehicle in setup.vehicles])
+    fill_view(setup.track.arrays, state, race, car, vehicles, setup.settings, view)
+    return view
 
 
 def placed(track, places, speeds=None, planner=HOLD, vehicles=None, **rules):

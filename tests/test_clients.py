@@ -1,15 +1,12 @@
 """Every client library has one example, which names the versions that it was tried with."""
 
 import re
-import sys
 
 import pytest
-from repository import REPOSITORY
+from repository import load_tool, read_page
 
-sys.path.insert(0, str(REPOSITORY / "tools"))
-import try_clients
-
-PAGE = (REPOSITORY / "docs" / "reports" / "clients.md").read_text(encoding="utf-8")
+try_clients = load_tool("try_clients")
+PAGE = read_page("reports/clients.md")
 SCRIPTS = try_clients.scripts(None)
 TABLE = PAGE[PAGE.index(try_clients.HEAD) :].partition("\n\n")[0].splitlines()[2:]
 """The rows of the table that the tool printed."""

@@ -4,21 +4,17 @@ import contextlib
 import io
 import re
 import shlex
-import sys
 from pathlib import Path
 
 import pytest
 from repository import REPOSITORY, load_tool, python_blocks, run_block
 
 from pcs_racing import list_tracks
+from pcs_racing_agents.cli.main import _parser
 
 DOCS = REPOSITORY / "docs"
-PAGES = sorted(
-    [
-        *DOCS.glob("*.md"), *DOCS.glob("reports/*.md"), *DOCS.glob("notebooks/*.md"), *REPOSITORY.glob("*.md"),
-        *REPOSITORY.glob("*/README.md"),
-    ]
-)  # fmt: skip
+OF_DOCS = [page for pattern in ("*.md", "reports/*.md", "notebooks/*.md") for page in DOCS.glob(pattern)]
+PAGES = sorted([*OF_DOCS, *REPOSITORY.glob("*.md"), *REPOSITORY.glob("*/README.md")])
 TEXTS = {page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
 
 # Pages whose code runs here. The others have tests of their own beside the code that they explain.
@@ -29,18 +25,15 @@ RUN_HERE = (
     "docs/statistics.md", "docs/synthesis.md", "docs/trees.md", "docs/view.md",
     "docs/write_a_characteristic.md",
 )  # fmt: skip
-SHORTER = {
-    ".learn(100_000)": "",
-    "learn(60_000)": "learn(1)",
-    "learn(tuned.steps)": "learn(1)",
-}  # PPO of SB3 drives at least a rollout
-
-
-BLOCKS = [(page, number) for page in RUN_HERE for number in range(len(python_blocks(TEXTS.get(page, ""))))]
+# PPO of SB3 drives at least a rollout.
+SHORTER = {".learn(100_000)": "", "learn(60_000)": "learn(1)", "learn(tuned.steps)": "learn(1)"}
 
 
 @pytest.mark.usefixtures("own_registry")
-@pytest.mark.parametrize(("page", "number"), BLOCKS)
+@pytest.mark.parametrize(
+    ("page", "number"),
+    [(page, number) for page in RUN_HERE for number in range(len(python_blocks(TEXTS.get(page, ""))))],
+)
 def test_the_code_runs(page, number, tmp_path, monkeypatch):
     code = python_blocks(TEXTS[page])[number]
     if "stable_baselines3" in code or ".ppo." in code:
@@ -55,9 +48,8 @@ def test_the_code_runs(page, number, tmp_path, monkeypatch):
 
 
 def test_every_page_with_code_is_run_by_some_test():
-    tests = "\n".join(
-        file.read_text(encoding="utf-8") for file in (REPOSITORY / "tests").rglob("test_*.py") if file != Path(__file__)
-    )
+    files = [file for file in (REPOSITORY / "tests").rglob("test_*.py") if file != Path(__file__)]
+    tests = "\n".join(file.read_text(encoding="utf-8") for file in files)
     for page, text in TEXTS.items():
         if python_blocks(text) and page not in RUN_HERE and not page.startswith("docs/reports/"):  # research/tests
             assert Path(page).name in tests, f"no test runs the code of {page}"
@@ -80,8 +72,6 @@ def words(line: str) -> list[str]:
 
 
 def parses(arguments: list[str]) -> bool:
-    from pcs_racing_agents.cli.main import _parser
-
     with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
         try:
             return callable(_parser().parse_args(arguments).run)
@@ -99,8 +89,6 @@ def test_commands_are_those_of_the_command_line(page, line):
 
 
 def test_commands_within_lines_exist_and_impossible_ones_are_found():
-    from pcs_racing_agents.cli.main import _parser
-
     named = {name for text in TEXTS.values() for name in re.findall(r"`(?:[\w./]*/)?pcs-racing ([a-z-]+)", text)}
     assert {"train", "study", "track"} <= named
     for name in named:
@@ -130,12 +118,7 @@ def test_scripts_and_targets_exist_and_make_help_names_them():
 
 @pytest.fixture(scope="module")
 def site():
-    sys.path.insert(0, str(DOCS))
-    try:
-        import site_pages
-    finally:
-        sys.path.remove(str(DOCS))
-    return site_pages
+    return load_tool("site_pages", "docs")
 
 
 @pytest.fixture(scope="module")

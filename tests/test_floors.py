@@ -1,19 +1,18 @@
 """The house has floors: no file imports from a higher one, and no files import each other in a circle."""
 
 import ast
-import importlib.util
 import re
 from pathlib import Path
 
 import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, load_tool
+
+from pcs_racing.base.code_cache import SIMULATOR
 
 
 def drawn_floors() -> list[tuple[str, str]]:
     """Package and folders of every floor in the picture of the house, the lowest floor first."""
-    spec = importlib.util.spec_from_file_location("house", REPOSITORY / "docs" / "house.py")
-    house = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(house)
+    house = load_tool("house", "docs")
     return [(house.NAME[package], folders) for package, folders, _ in reversed(house.FLOORS)]
 
 
@@ -52,13 +51,11 @@ def graph() -> dict[str, set[str]]:
 
 
 def test_neither_package_nor_their_tests_import_the_experiments():
-    files = [
-        file for folder in ("pcs_racing", "pcs_racing_agents", "tests") for file in (REPOSITORY / folder).rglob("*.py")
-    ]
+    folders = ("pcs_racing", "pcs_racing_agents", "tests")
+    files = [file for folder in folders for file in (REPOSITORY / folder).rglob("*.py")]
     assert len(files) > 300
-    found = [
-        file for file in files if re.search(r"^\s*(from|import) research\b", file.read_text("utf-8"), re.MULTILINE)
-    ]
+    imported = re.compile(r"^\s*(from|import) research\b", re.MULTILINE)
+    found = [file for file in files if imported.search(file.read_text("utf-8"))]
     assert not found
 
 
@@ -88,8 +85,6 @@ def test_no_floor_imports_its_packages_front_door_and_the_simulator_is_the_lowes
         if floor_of(name) is not None
     ]
     # Its compiled code has a digest of its own, which is enough because it imports nothing from above.
-    from pcs_racing.base.code_cache import SIMULATOR
-
     assert [FLOOR_OF[f"pcs_racing.{floor}"] for floor in SIMULATOR] == list(range(len(SIMULATOR)))
 
 

@@ -1,10 +1,10 @@
 """The tool behind ``make mutants``: which faults it makes, and that its table fits the tree."""
 
 import csv
-import sys
 
-import pytest
-from repository import REPOSITORY
+from repository import REPOSITORY, load_tool
+
+faults, mutants, table = (load_tool(name) for name in ("faults", "mutants", "mutants_table"))
 
 TEXT = '''"""A module's words stay as they are, 1 and 2 and 3."""
 
@@ -28,21 +28,8 @@ class Rules:
 '''
 
 
-@pytest.fixture
-def tool(monkeypatch):
-    """The modules of the tool, which is no part of the packages."""
-    monkeypatch.syspath_prepend(str(REPOSITORY / "tools"))
-    import faults
-    import mutants
-    import mutants_table
-
-    yield faults, mutants, mutants_table
-    for name in ("faults", "mutants", "mutants_table"):
-        del sys.modules[name]
-
-
-def test_faults_are_small_and_leave_words_and_messages_alone(tool):
-    made = {fault.after for fault in tool[0].faults_of(TEXT)}
+def test_faults_are_small_and_leave_words_and_messages_alone():
+    made = {fault.after for fault in faults.faults_of(TEXT)}
     assert made >= {
         "def lead(own0, own1, length=(4.0)):", "if (own0 > own1):", "if (not (own0 < own1)):", "if own1 < own1:",
         "way = (max(own0 - own1, length))", "way = min((own0 + own1), length)", "way = min(own0, length)",
@@ -52,15 +39,13 @@ def test_faults_are_small_and_leave_words_and_messages_alone(tool):
     assert not any(word in after for word in alone for after in made if after != "pass")
 
 
-def test_every_fault_is_one_change_and_one_seed_draws_the_same(tool):
-    faults = tool[0]
+def test_every_fault_is_one_change_and_one_seed_draws_the_same():
     for fault in faults.faults_of(TEXT):
         assert faults.changes_something(TEXT, fault)
-        changed = [
-            k for k, (a, b) in enumerate(zip(TEXT.split("\n"), fault.text.split("\n"), strict=True), 1) if a != b
-        ]
+        lines = zip(TEXT.split("\n"), fault.text.split("\n"), strict=True)
+        changed = [k for k, (a, b) in enumerate(lines, 1) if a != b]
         assert changed == [fault.line]
-    draw = tool[1].drawn
+    draw = mutants.drawn
     few, many, others = draw("a.py", TEXT, 3, 1), draw("a.py", TEXT, 5, 1), draw("a.py", TEXT, 5, 2)
     assert len(few) == 3
     assert many[:3] == few
@@ -68,8 +53,7 @@ def test_every_fault_is_one_change_and_one_seed_draws_the_same(tool):
     assert len({fault.line for fault in many}) == 5  # spread over the lines
 
 
-def test_every_room_has_faults_and_tests_and_the_nearest_tests_come_first(tool):
-    table = tool[2]
+def test_every_room_has_faults_and_tests_and_the_nearest_tests_come_first():
     rooms = {file.parent.relative_to(REPOSITORY).as_posix() for file in REPOSITORY.glob("pcs_racing*/*/__init__.py")}
     assert {table.room_of(file) for file in table.files()} == rooms
     for room in rooms:
@@ -84,14 +68,13 @@ def test_every_room_has_faults_and_tests_and_the_nearest_tests_come_first(tool):
         assert ranks == sorted(ranks), file
 
 
-def test_what_the_table_names_is_there_and_every_survivor_has_a_reason(tool):
-    table = tool[2]
+def test_what_the_table_names_is_there_and_every_survivor_has_a_reason():
     assert [test for test in table.PLAIN_TESTS if not (REPOSITORY / test).is_file()] == []
     for room, patterns in table.ELSEWHERE.items():
         assert (REPOSITORY / room).exists()
         assert all(any(REPOSITORY.glob(pattern)) for pattern in patterns)
-    with open(tool[1].ACCEPTED, newline="") as file:
+    with open(mutants.ACCEPTED, newline="") as file:
         for row in csv.DictReader(file):
-            assert row["file"] in tool[2].files()
+            assert row["file"] in table.files()
             assert row["before"] != row["after"]
             assert len(row["reason"]) > 10, row

@@ -33,14 +33,9 @@ PathFinder.find_spec = classmethod(
 
 def without_extras(code: str, folder: Path) -> str:
     """Output of code that finds no library of any extra."""
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", WITHOUT_EXTRAS + code],
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        env={**os.environ, "PCS_RACING_CACHE": str(folder.with_name(f"{folder.name}-cache"))},  # nothing is built yet
-        check=False,
-    )
+    command = [sys.executable, "-W", "error", "-c", WITHOUT_EXTRAS + code]
+    environment = {**os.environ, "PCS_RACING_CACHE": str(folder.with_name(f"{folder.name}-cache"))}  # nothing is built
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -42,7 +42,7 @@ PLAIN_TESTS = frozenset(
     for folder, names in {
         "base": "files settings artifacts checks",
         "track": "grid frenet",
-        "track/building": "splines walls clearance curves raceline",
+        "track/building": "walls clearance curves raceline",
         "car": "vehicle collision ittc lidar",
         "planners": "planner",
         "race": "race_config race_state race_kernel",

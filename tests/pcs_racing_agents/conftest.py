@@ -108,6 +108,19 @@ def printed(run):
     return printed
 
 
+@pytest.fixture
+def told(run):
+    """Run a command that must be refused before any work; returns its error, a single line."""
+
+    def told(*arguments: object) -> str:
+        code, out, err = run(*arguments)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert err.startswith("pcs-racing: error: ")
+        return err
+
+    return told
+
+
 @pytest.fixture(scope="session")
 def saved_archive(archive, tmp_path_factory):
     """The toy archive in a folder, as a command reads it."""

@@ -31,11 +31,9 @@ from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays
 
-NAMES = ("x" * 300, "../" + "x" * 5000, "a\x00b", "a\nb", "\ud800", "")
-
 
 @pytest.mark.parametrize("load", [load_track, load_archive, load_network, load_race_config])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["x" * 300, "../" + "x" * 5000, "a\x00b", "a\nb", "\ud800", ""])
 def test_names_that_no_file_can_have(load, name):
     refused(r"\S", load, name)
 
@@ -122,9 +120,8 @@ def test_tracks_that_are_no_name_and_a_picture_of_one_row():
 @pytest.mark.skipif(not Path("/proc/self/statm").is_file(), reason="limits of memory are tested on Linux")
 def test_hostile_inputs_are_refused_in_little_memory(tmp_path):
     script = Path(__file__).with_name("hostile.py")
-    found = subprocess.run(
-        [sys.executable, str(script), str(tmp_path)], capture_output=True, text=True, timeout=600, check=False
-    )
+    command = [sys.executable, str(script), str(tmp_path)]
+    found = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     *wrong, last = found.stdout.splitlines() or [""]
     assert wrong == [], found.stderr[-2000:]
     assert last.endswith("cases"), found.stderr[-2000:]

@@ -12,8 +12,6 @@ from repository import REPOSITORY, load_tool
 
 from pcs_racing import InputError
 
-TOOLS = REPOSITORY / "tools"
-
 
 @pytest.fixture(scope="module")
 def fuzz():
@@ -46,7 +44,7 @@ def test_an_answer_is_told_from_a_finding(fuzz):
 
 
 def test_a_campaign_writes_a_line_for_each_turn_and_goes_on_where_it_was(tmp_path):
-    command = [sys.executable, str(TOOLS / "fuzz.py"), "run", "--targets", "map yaml"]
+    command = [sys.executable, str(REPOSITORY / "tools" / "fuzz.py"), "run", "--targets", "map yaml"]
     options = ["--turns", "2", "--slice", "0.2", "--out", str(tmp_path)]
     done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
@@ -58,15 +56,11 @@ def test_a_campaign_writes_a_line_for_each_turn_and_goes_on_where_it_was(tmp_pat
         assert set(line["counts"]) <= {"accepted", "refused"}, done.stdout
 
 
-def die(data):
-    os._exit(7)
-
-
 def test_an_input_that_ends_the_process_is_kept(fuzz, tmp_path, monkeypatch):
     """The valid input ends nothing; the first broken one does."""
     target = fuzz.TARGETS["map yaml"]
     (valid,) = target.seeds()[:1]
-    run = lambda data: None if data == valid else die(data)  # noqa: E731
+    run = lambda data: None if data == valid else os._exit(7)  # noqa: E731
     monkeypatch.setitem(fuzz.TARGETS, "map yaml", replace(target, run=run, seeds=lambda: [valid]))
     assert fuzz.take_turn("map yaml", 0, 1.0, tmp_path)
     (line,) = fuzz.read_log(tmp_path)

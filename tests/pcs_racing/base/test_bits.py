@@ -25,6 +25,8 @@ from numpy._core._multiarray_umath import __cpu_dispatch__
 
 from pcs_racing import build_track, draw_starts, load_race_config, load_track, parse_policy, start_races
 from pcs_racing.race.races import RaceSetup, advance, pad_parameters, race_seeds
+from pcs_racing.track.building.centerline import centerline_from_grid
+from pcs_racing.track.building.raceline import minimum_curvature_raceline
 from pcs_racing.track.maps import find_shipped, read_map
 
 WITHOUT = {
@@ -60,9 +62,6 @@ def races() -> dict[str, str]:
 
 def track_from_its_picture() -> str:
     """A circuit without its lines; nothing of it comes from a cache."""
-    from pcs_racing.track.building.centerline import centerline_from_grid
-    from pcs_racing.track.building.raceline import minimum_curvature_raceline
-
     found = read_map(find_shipped("Pipkin"))
     grid = (found.occupied, found.resolution, found.origin)
     center = centerline_from_grid(*grid)

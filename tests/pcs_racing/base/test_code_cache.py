@@ -134,11 +134,8 @@ def test_numba_s_own_code_of_a_user_s_module_follows_what_it_imports(tmp_path):
     (package / "__init__.py").touch()
     (package / "planner.py").write_text(PLANNER)
     for folder in ("", str(tmp_path / "elsewhere")):
-        environment = {
-            **os.environ,
-            "NUMBA_CACHE_DIR": folder,
-            "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),
-        }
+        paths = os.pathsep.join([str(tmp_path), *sys.path])
+        environment = {**os.environ, "NUMBA_CACHE_DIR": folder, "PYTHONPATH": paths}
         for number in (3, 4):
             (package / "base.py").write_text(base.format(number))
             command = [sys.executable, "-m", "pcs_racing_example.planner"]

@@ -68,8 +68,7 @@ def test_layers_are_a_value_that_reads_back_exactly():
     assert len(own.flat()) == 6 * 3 + 4 * 2
     for array in (*own.weights, *own.biases):
         assert array.dtype == np.float32
-        with pytest.raises(ValueError, match="read-only"):
-            array[...] = 0.0
+        refused("read-only", array.fill, 0.0, error=ValueError)
     own, scale = random_layers(5, 3, 2), np.arange(5, dtype=np.float32)
     found, others = layers_from_bytes(FILE, layers_to_bytes(own, {"scale": scale}), [3], ["scale"])
     np.testing.assert_array_equal(found.flat(), own.flat())

@@ -74,9 +74,8 @@ WRONG = {
 def test_wrong_values_are_refused_and_options_come_from_the_declaration():
     for key, value in [(key, value) for key, values in WRONG.items() for value in values]:
         refused(f"^{key} (is|are|holds) ", Soup, error=ConfigError, **{key: value})
-    refused(
-        "soup settings 'borscht' are unknown", loading.load_settings, "soup", Soup(), "borscht", error=UnknownNameError
-    )
+    unknown = "soup settings 'borscht' are unknown"
+    refused(unknown, loading.load_settings, "soup", Soup(), "borscht", error=UnknownNameError)
     with pytest.raises(UnknownNameError, match="did you mean 'salty'"):
         loading.load_settings("soup", Soup(), "slaty", {"salty": Soup(1.0)})
     refused(r"the arguments: .*'pepper'", loading.load_settings, "soup", Soup(), pepper=1, error=ConfigError)
@@ -92,7 +91,6 @@ def test_a_file_sets_some_fields_and_the_arguments_others_before_they_are_checke
     assert loading.load_settings("soup", Soup(), "salty", {"mine": file, "salty": Soup(1.0)}, bowls=5) == Soup(1.0, 5)
     file.write_text("base: salty\nbowls: 6\n")
     assert loading.load_settings("soup", Soup(), file, {"salty": Soup(1.0)}, "base") == Soup(1.0, 6)
-    file = tmp_path / "soup.yaml"
     file.write_text("minutes: 0.5\n")
     assert loading.load_settings("soup", Soup(), file, hot=False).minutes == 0.5
 

@@ -12,6 +12,9 @@ from pcs_racing.game.observation import decode_match
 AGENTS = ("car_0", "car_1")  # of two
 AXES = ("aggressiveness", "restraint")
 MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]
+SINGLE = (DriveEnv, DuelEnv, MatchEnv)
+PAIRS = (DriveHeadToHeadEnv, HeadToHeadEnv, HeadToHeadMatchEnv)
+ALL = (*SINGLE, *PAIRS)
 MANY = {
     DriveEnv: DriveVectorEnv,
     DuelEnv: DuelVectorEnv,
@@ -80,6 +83,12 @@ def follow_the_line(observation, share=0.7):
 
 def make(kind, **arguments):
     return kind(**{**USUAL[kind], **arguments})
+
+
+def begun(env, **reset):
+    """The environment after a reset."""
+    env.reset(**reset)
+    return env
 
 
 def make_many(kind, episodes, **arguments):

@@ -14,7 +14,26 @@ import gymnasium as gym
 import numpy as np
 import pettingzoo
 import pytest
-from faces import AGENTS, GAME, MANY, MATCH, MIXTURE, Counting, Counts, act, by_lead, ends, flat, make, make_many, play
+from faces import (
+    AGENTS,
+    ALL,
+    GAME,
+    MANY,
+    MATCH,
+    MIXTURE,
+    PAIRS,
+    SINGLE,
+    Counting,
+    Counts,
+    act,
+    begun,
+    by_lead,
+    ends,
+    flat,
+    make,
+    make_many,
+    play,
+)
 from gymnasium.utils.env_checker import check_env
 from refusal import refused
 from repository import run_python
@@ -33,9 +52,6 @@ with warnings.catch_warnings():  # PettingZoo's own tests import its old classic
     warnings.simplefilter("ignore")
     from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
 
-SINGLE = (DriveEnv, DuelEnv, MatchEnv)
-PAIRS = (DriveHeadToHeadEnv, HeadToHeadEnv, HeadToHeadMatchEnv)
-ALL = (*SINGLE, *PAIRS)
 EVERY = pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
 VARIED = {
     "track": ["Pipkin", "Tarnfjord"],
@@ -255,11 +271,8 @@ DRIVES = [
 ]
 LONGER = {"step_seconds": 1.0, "moves": 3}
 DUELS = [{"opponent": one, **LONGER} for one in ("random-moves", MIXTURE, by_lead, Counting(), "lane-switcher:3")]
-MATCHES = [
-    {"opponent": opponent, "race_moves": race_moves}
-    for opponent in ("random-moves", by_lead, Counts(), ["never-switch", "random-moves"])
-    for race_moves in (False, True)
-]
+RIVALS = ("random-moves", by_lead, Counts(), ["never-switch", "random-moves"])
+MATCHES = [{"opponent": rival, "race_moves": race_moves} for rival in RIVALS for race_moves in (False, True)]
 
 
 @pytest.mark.parametrize(
@@ -468,8 +481,7 @@ def test_a_frame_shows_the_race(kind):
         env.step(act(env, k))
     assert (env.render() != first).any()
     env.close()
-    plain = make(kind)
-    plain.reset(seed=0)
+    plain = begun(make(kind), seed=0)
     if kind in PAIRS:
         assert plain.render() is None
     else:

@@ -1,11 +1,15 @@
-"""One agent steers: what it is paid, and against whom it may race."""
+"""Steering: what agents observe and are paid, against whom one may race, and how the races of two end."""
+
+import inspect
+import re
 
 import numpy as np
 import pytest
-from faces import follow_the_line
+from faces import AGENTS, begun, flat, follow_the_line, poses
 
-from pcs_racing import Planner, get_planner
-from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+from pcs_racing import Planner, get_planner, load_race_config
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
+from pcs_racing.envs.infos import Crash, Result
 
 
 def episode(env, seed, steps=400, policy=follow_the_line):
@@ -54,3 +58,148 @@ def test_python_drivers_and_policy_objects_may_be_the_opponent(oval):
     policy = get_planner("lattice").policy({"pace": 0.2})
     by_text = episode(DriveEnv(opponent="lattice:pace=0.2"), 6)[0]
     np.testing.assert_array_equal(episode(DriveEnv(opponent=policy), 6)[0], by_text)
+
+
+SLOW = {agent: np.array([0.0, -0.6], np.float32) for agent in AGENTS}
+OPPOSITE = (3.0, 28.0)  # arc lengths in the middle of the two straights of the oval
+
+
+def make(track, **options):
+    return DriveHeadToHeadEnv(track, **{"time_step": 0.1, **options})
+
+
+def both(*actions):
+    """Actions of the two agents."""
+    return dict(zip(AGENTS, (np.array(action, np.float32) for action in actions), strict=True))
+
+
+def test_the_page_counts_the_numbers_of_each_part(coarse_oval):
+    text = inspect.getdoc(DriveHeadToHeadEnv)
+    # The table says how many numbers each part has, and how it is switched off.
+    rows = re.findall(r"^\| [^|]+: [^|]+\| (\d+)[^|]*\| `(\w+)`", text, re.MULTILINE)
+    assert rows == [("8", "own_state"), ("4", "look_ahead"), ("9", "see_opponent")]
+    off = {"own_state": False, "look_ahead": (), "see_opponent": "never"}
+    whole = len(make(coarse_oval).elements)
+    assert f"{whole} by default" in text
+    for count, name in rows:
+        missing = whole - len(make(coarse_oval, **{name: off[name]}).elements)
+        assert missing == int(count) * (6 if name == "look_ahead" else 1)
+
+
+def test_swapping_the_cars_swaps_all_that_the_agents_get(coarse_oval):
+    """Bit for bit, until one of them drives into the other."""
+    quiet = load_race_config("contest", steering_noise=0.0)
+    options = {"beams": 31, "see_opponent": "in sight", "win_reward": 3.0, "race": quiet}
+    envs = [make(coarse_oval, **options) for _ in range(2)]
+    places = poses(coarse_oval, (2.0, 0.1, 3.0), (5.0, -0.1, 1.0))
+    starts = zip(envs, (places, places[::-1]), strict=True)
+    first, second = (env.reset(seed=4, options={"poses": these})[0] for env, these in starts)
+    for step in range(40):
+        for agent, other in (AGENTS, AGENTS[::-1]):
+            np.testing.assert_array_equal(first[agent], second[other])
+        if not envs[0].agents:
+            break
+        commands = (0.02 * np.cos(step), 0.4), (0.02 * np.sin(step), -0.6)
+        answers = envs[0].step(both(*commands)), envs[1].step(both(*commands[::-1]))
+        for one, two in zip(*map(flat, answers), strict=True):
+            assert one == {agent: two[other] for agent, other in (AGENTS, AGENTS[::-1])}
+        first, second = answers[0][0], answers[1][0]
+    infos = answers[0][4]
+    assert infos["car_0"]["crash"] == infos["car_1"]["crash"] == Crash.CAR
+    assert (infos["car_0"]["fault"], infos["car_1"]["fault"]) == (1, 0)
+    assert answers[0][1]["car_0"] < -10.0
+
+
+def test_the_noise_of_the_two_lidars_differs(coarse_oval):
+    noises = []
+    for noise in (0.0, 0.2):
+        env = make(coarse_oval, beams=60, lidar_noise=noise)
+        observations, _ = env.reset(seed=1, options={"poses": poses(coarse_oval, (3.0, 0.0, 0.0), (8.0, 0.0, 0.0))})
+        noises.append(np.array([observations[agent][-60:] for agent in AGENTS]))
+    added = noises[1] - noises[0]
+    assert added.std(axis=1) == pytest.approx([0.2, 0.2], rel=0.3)
+    assert abs(np.corrcoef(added)[0, 1]) < 0.4
+
+
+@pytest.mark.parametrize(
+    ("places", "reach", "visible"),
+    [((3.0, 7.0), 30.0, True), ((3.0, 7.0), 3.0, False), (OPPOSITE, 30.0, False), ((3.0, 7.0), 4.2, True)],
+)
+def test_the_opponent_is_hidden_by_walls_and_distance(coarse_oval, places, reach, visible):
+    env = make(coarse_oval, see_opponent="in sight", max_range=reach)
+    always = make(coarse_oval)
+    options = {"poses": poses(coarse_oval, *((s, 0.0, 1.0) for s in places))}
+    observations, everything = (each.reset(options=options)[0] for each in (env, always))
+    for agent in AGENTS:
+        np.testing.assert_array_equal(observations[agent][:32], everything[agent][:32])
+        if visible:
+            np.testing.assert_array_equal(observations[agent], everything[agent])
+        else:
+            assert (observations[agent][32:] == 0.0).all()
+        assert everything[agent][32] == 1.0
+
+
+def test_each_part_of_the_observation_can_be_left_out(coarse_oval):
+    """What remains is what was there before."""
+    parts = {
+        "own_state": (False, range(8)),
+        "look_ahead": ((), range(8, 32)),
+        "see_opponent": ("never", range(32, 41)),
+        "time_left": (False, range(41, 42)),
+        "beams": (0, range(42, 48)),
+    }
+    options = {"time_left": True, "beams": 6, "duration": 2.0}
+    start = {"poses": poses(coarse_oval, (3.0, 0.2, 2.0), (6.0, -0.3, 1.0))}
+    whole = begun(make(coarse_oval, **options), options=start)
+    expected, *_ = whole.step(SLOW)
+    assert expected["car_0"][41] == pytest.approx(0.95)
+    for name, (off, indices) in parts.items():
+        env = begun(make(coarse_oval, **{**options, name: off}), options=start)
+        found, *_ = env.step(SLOW)
+        for agent in AGENTS:
+            np.testing.assert_array_equal(found[agent], np.delete(expected[agent], list(indices)), err_msg=name)
+        kept = [element.name for i, element in enumerate(whole.elements) if i not in indices]
+        assert [element.name for element in env.elements] == kept
+
+
+def test_by_default_the_rewards_are_the_lead_that_was_gained(coarse_oval):
+    """Whole races between two line followers of different speed, to their last moment."""
+    for share, faster, places in ((0.5, "car_1", (3.0, 8.0)), (0.9, "car_0", (8.0, 3.0))):
+        env = make(coarse_oval, duration=8.0)
+        start = poses(coarse_oval, *((s, 0.0, 2.0) for s in places))
+        observations, infos = env.reset(seed=2, options={"poses": start})
+        began, total = infos["car_0"]["lead"], dict.fromkeys(AGENTS, 0.0)
+        while env.agents:
+            actions = follow_the_line(observations["car_0"], share), follow_the_line(observations["car_1"], 0.7)
+            observations, rewards, terminated, truncated, infos = env.step(both(*actions))
+            assert rewards["car_0"] + rewards["car_1"] == pytest.approx(0.0, abs=1e-12)
+            total = {agent: total[agent] + rewards[agent] for agent in AGENTS}
+        assert truncated == dict.fromkeys(AGENTS, True)
+        assert terminated == dict.fromkeys(AGENTS, False)
+        assert infos["car_0"]["time"] == pytest.approx(8.0)
+        for agent, sign in zip(AGENTS, (1.0, -1.0), strict=True):
+            assert total[agent] == pytest.approx(infos[agent]["lead"] - sign * began)
+            assert infos[agent]["result"] == (Result.WIN if agent == faster else Result.LOSS)
+        assert env.outcome()[faster]["result"] == "win"
+
+
+@pytest.mark.parametrize(
+    ("race", "penalties", "results"),
+    [("paper", (-7.0, 0.0), (Result.CRASH, Result.CRASH)), ("contest", (-12.0, 5.0), (Result.LOSS, Result.WIN))],
+)
+def test_a_crash_costs_the_car_to_blame_and_decides_as_the_rules_say(coarse_oval, race, penalties, results):
+    race = load_race_config(race, steering_noise=0.0)
+    env = make(coarse_oval, race=race, progress_reward=0.0, crash_penalty=7.0, win_reward=5.0)
+    for car in range(2):
+        env.reset(options={"poses": poses(coarse_oval, (3.0, 0.0, 4.0), (28.0, 0.0, 4.0))})
+        turn, go = (1.0, 0.0), (0.0, -1.0)
+        while env.agents:
+            _, rewards, terminated, truncated, infos = env.step(both(*((turn, go) if car == 0 else (go, turn))))
+        guilty, other = AGENTS[car], AGENTS[1 - car]
+        assert (rewards[guilty], rewards[other]) == penalties
+        assert (infos[guilty]["result"], infos[other]["result"]) == results
+        assert (infos[guilty]["crash"], infos[other]["crash"]) == (Crash.WALL, Crash.NONE)
+        assert infos[other]["opponent_crash"] == Crash.WALL
+        assert (infos[guilty]["fault"], infos[other]["fault"]) == (1, 0)
+        assert terminated == dict.fromkeys(AGENTS, True)
+        assert truncated == dict.fromkeys(AGENTS, False)

@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from placed_cars import BETA, DELTA, HOLD, PSI, PSI_DOT, V, X, Y
 
-from pcs_racing import Lidar, Starts, load_race_config
-from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing import F1TENTH, Lidar, RaceSetup, Starts, load_race_config, start_races
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_kernel import restart
 from pcs_racing.envs.infos import Crash
 from pcs_racing.race.positions import place_cars
-from pcs_racing.race.races import RaceSetup, start_races
 from pcs_racing.race.state import WALL_CRASH, take
 from pcs_racing.race.steering import steering_noise
 
@@ -20,8 +18,10 @@ AHEAD = (0.0, 1.5, 30.0, 49.0)
 RACE = load_race_config("contest", start_lines=3, steering_noise=0.0)
 
 
-def make(track, opponent=None, race=RACE, **options):
-    return DriveEnv(track, opponent, race, look_ahead=AHEAD, duration=options.pop("duration", 8.0), **options)
+def begun(track, opponent=None, race=RACE, seed=0, duration=8.0, **options):
+    env = DriveEnv(track, opponent, race, look_ahead=AHEAD, duration=duration, **options)
+    env.reset(seed=seed)
+    return env
 
 
 def put(env, poses, speeds=(0.0, 0.0)):
@@ -87,8 +87,7 @@ def expected_observation(env, command):
 @pytest.mark.parametrize("places", [((9.0, 0.3), (13.0, -0.3)), ((48.5, -0.4), (0.9, 0.2)), ((0.4, 0.1), (46.0, 0.3))])
 def test_the_observation_is_what_its_elements_say(coarse_oval, opponent, places):
     """Also across the start line, where the opponent is ahead although its arc length is smaller."""
-    env = make(coarse_oval, opponent)
-    env.reset(seed=0)
+    env = begun(coarse_oval, opponent)
     put(env, places, (4.0, 2.0))
     command = (0.1, 4.4)
     for _ in range(2):
@@ -101,9 +100,7 @@ def test_the_observation_is_what_its_elements_say(coarse_oval, opponent, places)
 
 
 def test_normalised_observations_run_from_minus_one_to_one_between_the_bounds(coarse_oval):
-    plain, scaled = (make(coarse_oval, HOLD.policy(), normalize=normalize) for normalize in (False, True))
-    for env in (plain, scaled):
-        env.reset(seed=3)
+    plain, scaled = (begun(coarse_oval, HOLD.policy(), seed=3, normalize=normalize) for normalize in (False, True))
     for _ in range(3):
         seen, scaled_seen = (env.step(action(0.2, 5.0))[0] for env in (plain, scaled))
     low, high = (np.array([getattr(element, name) for element in plain.elements]) for name in ("low", "high"))
@@ -113,8 +110,7 @@ def test_normalised_observations_run_from_minus_one_to_one_between_the_bounds(co
 
 
 def test_what_lies_beyond_the_bounds_is_shown_at_the_bound(coarse_oval):
-    env = make(coarse_oval, HOLD.policy())
-    env.reset(seed=3)
+    env = begun(coarse_oval, HOLD.policy(), seed=3)
     env.batch.state.progress[0] = 5000.0, 0.0
     seen, *_ = env.step(action(0.0, 1.0))
     assert dict(zip([element.name for element in env.elements], seen, strict=True))["lead"] == 1000.0
@@ -124,15 +120,13 @@ def test_what_lies_beyond_the_bounds_is_shown_at_the_bound(coarse_oval):
     ("given", "steer", "speed"), [((0.5, 0.0), 0.5, 4.0), ((-3.0, 9.0), -1.0, 8.0), ((3.0, -9.0), 1.0, 0.0)]
 )
 def test_actions_are_shares_of_the_largest_steering_angle_and_of_the_top_speed(coarse_oval, given, steer, speed):
-    env = make(coarse_oval)
-    env.reset(seed=0)
+    env = begun(coarse_oval)
     env.step(np.array(given))
     np.testing.assert_allclose(env.batch.state.memory[0, 0, :2], [steer * F1TENTH.steer_max, speed])
 
 
 def test_the_reward_is_the_own_progress_less_a_share_of_the_opponents(coarse_oval):
-    env = make(coarse_oval, HOLD.policy({"speed": 3.0}), progress_reward=2.0, rivalry=0.25)
-    env.reset(seed=0)
+    env = begun(coarse_oval, HOLD.policy({"speed": 3.0}), progress_reward=2.0, rivalry=0.25)
     races = put(env, ((6.0, 0.4), (2.0, -0.4)), (2.0, 3.0))
     for _ in range(3):
         before = races.progress[0].copy()
@@ -145,8 +139,7 @@ def test_the_reward_is_the_own_progress_less_a_share_of_the_opponents(coarse_ova
 
 
 def test_alone_the_opponents_progress_does_not_count(coarse_oval):
-    env = make(coarse_oval, rivalry=0.5)
-    env.reset(seed=0)
+    env = begun(coarse_oval, rivalry=0.5)
     races = put(env, ((6.0, 0.4), (2.0, -0.4)), (2.0, 3.0))
     _, reward, *_ = env.step(action(0.0, 2.0))
     assert reward == pytest.approx(races.progress[0, 0] - 6.0)
@@ -174,8 +167,7 @@ def test_the_penalty_is_paid_for_the_own_crash_and_for_no_other(coarse_oval):
         (still, apart, (6.0, 0.0), (0.0, 6.0), 7.0, (Crash.CAR, Crash.CAR, True)),  # into the other one
         (fast, behind, (0.0, 6.0), (0.0, 0.0), 0.0, (Crash.CAR, Crash.CAR, False)),  # hit by the other one
     ):
-        env = make(coarse_oval, opponent, crash_penalty=7.0)
-        env.reset(seed=0)
+        env = begun(coarse_oval, opponent, crash_penalty=7.0)
         put(env, places, speeds)
         paid, ended, late, info = crash(env, command)
         assert paid == pytest.approx(-costs, abs=1e-9)
@@ -185,8 +177,7 @@ def test_the_penalty_is_paid_for_the_own_crash_and_for_no_other(coarse_oval):
 
 def test_an_episode_that_reaches_its_time_is_truncated_without_a_penalty(coarse_oval):
     for opponent in (None, HOLD.policy({"speed": 0.0})):
-        env = make(coarse_oval, opponent, duration=0.5)
-        env.reset(seed=0)
+        env = begun(coarse_oval, opponent, duration=0.5)
         put(env, ((3.0, 0.0), (9.0, 0.0)), (1.0, 0.0))
         paid, ended, late, info = crash(env, (0.0, 1.0))
         assert (paid, ended, late) == (pytest.approx(0.0), False, True)
@@ -196,9 +187,8 @@ def test_an_episode_that_reaches_its_time_is_truncated_without_a_penalty(coarse_
 def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_oval):
     """Over the start line, disturbed, and into the wall at the end."""
     race = load_race_config("contest", steering_noise=0.05, noise_time=0.3, duration=30.0)
-    alone, rival = (make(coarse_oval, who, race, duration=30.0) for who in (None, HOLD.policy({"speed": 0.0})))
+    alone, rival = (begun(coarse_oval, who, race, 4, duration=30.0) for who in (None, HOLD.policy({"speed": 0.0})))
     for env in (alone, rival):
-        env.reset(seed=4)
         put(env, ((47.0, 0.1), (24.0, 0.0)), (3.0, 0.0))
         env.batch.state.seed[:] = 8
     done = False
@@ -227,8 +217,7 @@ def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_o
 def test_the_disturbance_of_a_lone_car_has_the_spread_and_the_time_of_the_rules(coarse_oval):
     """Its spread is that of the rules whatever its time, since what is added makes up for what fades."""
     race = load_race_config("contest", steering_noise=0.03, noise_time=0.2)
-    env = make(coarse_oval, None, race, time_step=0.02, duration=40.0)
-    env.reset(seed=0)
+    env = begun(coarse_oval, None, race, time_step=0.02, duration=40.0)
     races = put(env, ((3.0, 0.0), (9.0, 0.0)))
     races.seed[:] = 5
     keep, expected, found = np.exp(-0.02 / 0.2), 0.0, []
@@ -272,8 +261,7 @@ def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_
 
 def test_the_lidar_of_a_step_is_a_scan_from_the_car_with_the_opponent_in_sight(coarse_oval):
     for opponent in (HOLD.policy({"speed": 0.0}), None):
-        env = make(coarse_oval, opponent, beams=15)
-        env.reset(seed=0)
+        env = begun(coarse_oval, opponent, beams=15)
         races = put(env, ((3.0, 0.2), (6.0, -0.1)), (2.0, 0.0))
         seen, *_ = env.step(action(0.1, 2.0))
         own, other = (car[[X, Y, PSI]] for car in races.cars[0, [0, -1]])
@@ -282,17 +270,14 @@ def test_the_lidar_of_a_step_is_a_scan_from_the_car_with_the_opponent_in_sight(c
 
 
 def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval):
-    quiet, noisy = (make(coarse_oval, None, beams=30, lidar_noise=noise, time_step=0.02) for noise in (0.0, 0.05))
+    quiet, noisy = (begun(coarse_oval, None, beams=30, lidar_noise=noise, time_step=0.02) for noise in (0.0, 0.05))
+    for env in (quiet, noisy):
+        put(env, ((3.0, 0.0), (9.0, 0.0)))
+        env.batch.state.seed[:] = 2
     draws = []
-    for k in range(30):
-        scans = []
-        for env in (quiet, noisy):
-            if k == 0:
-                env.reset(seed=0)
-                put(env, ((3.0, 0.0), (9.0, 0.0)))
-                env.batch.state.seed[:] = 2
-            scans.append(env.step(action(0.0, 0.0))[0][-30:].astype(float))
-        draws.append(scans[1] - scans[0])
+    for _ in range(30):
+        calm, scan = (env.step(action(0.0, 0.0))[0][-30:].astype(float) for env in (quiet, noisy))
+        draws.append(scan - calm)
     draws = np.array(draws)
     assert draws.std() == pytest.approx(0.05, rel=0.1)
     assert abs(draws.mean()) < 0.006
@@ -305,8 +290,7 @@ def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval
 
 
 def test_noisy_ranges_stay_within_the_lidars_reach(coarse_oval):
-    env = make(coarse_oval, None, beams=30, lidar_noise=5.0, max_range=4.0)
-    env.reset(seed=0)
+    env = begun(coarse_oval, None, beams=30, lidar_noise=5.0, max_range=4.0)
     scans = np.array([env.step(action(0.0, 0.0))[0][-30:] for _ in range(5)])
     assert scans.min() == 0.0
     assert scans.max() == 4.0

@@ -7,7 +7,7 @@ import types
 import gymnasium as gym
 import numpy as np
 import pytest
-from faces import AGENTS
+from faces import AGENTS, begun
 from gymnasium.wrappers import vector as vector_wrappers
 from refusal import refused
 
@@ -82,9 +82,8 @@ def test_an_episode_may_begin_before_the_start():
 
 def test_policies_and_start_can_be_given():
     env = HeadToHeadEnv(**SHORT)
-    policies = [2, 7]
-    _, infos = env.reset(seed=0, options={"policies": policies, "start": (20.0, 1)})
-    assert [infos[agent]["policy"] for agent in AGENTS] == policies
+    _, infos = env.reset(seed=0, options={"policies": [2, 7], "start": (20.0, 1)})
+    assert [infos[agent]["policy"] for agent in AGENTS] == [2, 7]
     state = env.batch.state
     begin = (state.race.frenet[0, 0, 0] - state.race.progress[0, 0]) % env.game.track.length
     assert begin == pytest.approx(20.0, abs=0.05)
@@ -105,13 +104,6 @@ def test_opponents_do_what_they_are_called():
     assert set(careful.asked) == {((1, 25), True)}
 
 
-def wrong_move(observation, generator):
-    return 7
-
-
-wrong_move.__name__ = "wrong"
-
-
 class Chooses:
     """A model that always answers the same."""
 
@@ -127,8 +119,7 @@ class Chooses:
 @pytest.mark.parametrize("rules", [{}, {"stay": True}])
 def test_an_opponent_may_stay_whatever_moves_the_rules_offer(rules):
     """4 is "stay", which the rules "paper" do not offer to the agent."""
-    env = DuelEnv(opponent=Chooses((np.array([4]), None)), **rules, **SHORT)
-    env.reset(seed=0)
+    env = begun(DuelEnv(opponent=Chooses((np.array([4]), None)), **rules, **SHORT), seed=0)
     before = env.batch.state.policy[0, 1]
     env.step(0)
     assert env.outcome()["opponent_move"] == "stay"
@@ -147,8 +138,7 @@ def test_a_model_of_a_game_with_more_moves_is_refused_when_the_environment_is_ma
 
 @pytest.mark.parametrize("answer", [(np.array([0, 1]), None), np.array([0]), None, ([[0], [1, 2]], None), 3])
 def test_what_a_model_answers_is_checked(answer):
-    env = DuelEnv(opponent=Chooses(answer), **SHORT)
-    env.reset(seed=0)
+    env = begun(DuelEnv(opponent=Chooses(answer), **SHORT), seed=0)
     refused("'Chooses': predict returned", env.step, 0)
 
 
@@ -202,8 +192,7 @@ def test_the_first_step_is_filmed_as_it_was_driven(seed):
 
 
 def test_frames_are_those_since_the_last_ones():
-    env = DuelEnv(render_mode="rgb_array_list", render_size=(120, 80), **SHORT)
-    env.reset(seed=0)
+    env = begun(DuelEnv(render_mode="rgb_array_list", render_size=(120, 80), **SHORT), seed=0)
     assert [frame.shape for frame in env.render()] == [(80, 120, 3)] * 25
     assert env.render() == []
     env.step(1)
@@ -211,9 +200,8 @@ def test_frames_are_those_since_the_last_ones():
     kept = env.get_state()
     assert len(env.render()) == 50
     assert env.render() == []
-    np.testing.assert_array_equal(
-        env.get_state().batch[0].race.cars, kept.batch[0].race.cars
-    )  # filming changes nothing
+    filmed = env.get_state().batch[0].race.cars
+    np.testing.assert_array_equal(filmed, kept.batch[0].race.cars)  # filming changes nothing
     env.step(1)
     env.reset(seed=1)
     assert len(env.render()) == 25  # a reset forgets what was not asked for
@@ -222,8 +210,7 @@ def test_frames_are_those_since_the_last_ones():
 
 
 def test_frames_of_the_last_step():
-    env = HeadToHeadEnv(render_mode="rgb_array", render_size=(120, 80), **SHORT)
-    env.reset(seed=0)
+    env = begun(HeadToHeadEnv(render_mode="rgb_array", render_size=(120, 80), **SHORT), seed=0)
     assert len(list(env.frames())) == 25  # of the step that the players only watch
     before = env.render()
     env.step({"car_0": 0, "car_1": 1})

@@ -5,12 +5,11 @@ import warnings
 
 import numpy as np
 import pytest
-from faces import poses
+from faces import begun, poses
 from gymnasium.utils.env_checker import check_env
 from refusal import refused
 
-from pcs_racing import InputError, Lidar, load_race_config
-from pcs_racing.base.errors import ConfigError
+from pcs_racing import ConfigError, InputError, Lidar, load_race_config
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, env
 from pcs_racing.envs.infos import Crash, Result
 
@@ -95,8 +94,7 @@ def test_agents_of_a_race_of_four(oval):
 
 
 def test_opponents_drive_the_last_cars(oval):
-    mixed = DriveHeadToHeadEnv(oval, cars=3, opponents=["lattice"], render_mode="rgb_array", **SHORT)
-    mixed.reset(seed=1)
+    mixed = begun(DriveHeadToHeadEnv(oval, cars=3, opponents=["lattice"], render_mode="rgb_array", **SHORT), seed=1)
     assert mixed.possible_agents == ["car_0", "car_1"]
     mixed.step({agent: [0.0, -1.0] for agent in mixed.agents})
     assert mixed.render().shape == (640, 960, 3)
@@ -156,9 +154,7 @@ def test_what_is_refused(oval, kind, arguments, error, message):
 def test_commands_take_effect_every_hundredth_of_a_second(oval):
     """Two steps of 0.01 s are one of 0.02 s, the noise of steering included; another command between them counts."""
     given = {"race": "contest", "opponent": "lattice"}
-    slow, fast, other = (DriveEnv(oval, time_step=step, **given) for step in (0.02, 0.01, 0.01))
-    for one in (slow, fast, other):
-        one.reset(seed=4)
+    slow, fast, other = (begun(DriveEnv(oval, time_step=step, **given), seed=4) for step in (0.02, 0.01, 0.01))
     for k in range(20):
         action = [0.5 - 0.05 * k, 0.1]
         *_, info = slow.step(action)
@@ -170,10 +166,9 @@ def test_commands_take_effect_every_hundredth_of_a_second(oval):
 
 
 def test_actions_in_units_and_the_own_pose(oval):
-    units = DriveEnv(oval, opponent=None, normalized=False, own_pose=True, top_speed=6.0)
-    plain = DriveEnv(oval, opponent=None, top_speed=6.0)
+    units = begun(DriveEnv(oval, opponent=None, normalized=False, own_pose=True, top_speed=6.0), seed=1)
+    plain = begun(DriveEnv(oval, opponent=None, top_speed=6.0), seed=1)
     np.testing.assert_allclose([units.action_space.low, units.action_space.high], [[-0.4189, 0.0], [0.4189, 6.0]])
-    units.reset(seed=1), plain.reset(seed=1)
     for _ in range(5):
         seen, *_, info = units.step([0.2, 1.5])
         other, *_ = plain.step([0.2 / 0.4189, -0.5])
@@ -195,8 +190,7 @@ def test_an_angle_is_the_same_angle_whatever_the_other_car_can_steer(oval):
 
 @pytest.mark.parametrize("opponent", [None, "lattice:pace=0.3"])
 def test_laps_from_the_start_end_a_race(oval, opponent):
-    one = DriveEnv(oval, opponent, laps=2, win_reward=3.0, progress_reward=0.0)
-    one.reset(seed=1)
+    one = begun(DriveEnv(oval, opponent, laps=2, win_reward=3.0, progress_reward=0.0), seed=1)
     assert not one.step([0.0, -1.0])[2]
     one.batch.state.progress[0, 0] = 2.0 * oval.length
     _, reward, over, late, info = one.step([0.0, -1.0])

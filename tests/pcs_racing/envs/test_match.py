@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from faces import Counts
+from faces import Counts, begun
 from refusal import refused
 
 from pcs_racing.envs.infos import Result
@@ -103,8 +103,7 @@ def test_what_a_chooser_answers_is_checked(short, answer, message):
         def choose(self, observation):
             return np.array(answer)
 
-    made = MatchEnv(opponent=Chooses(), **short)
-    made.reset(seed=0)
+    made = begun(MatchEnv(opponent=Chooses(), **short), seed=0)
     refused(message, made.step, 0)
 
 
@@ -132,10 +131,8 @@ def test_moves_within_the_races(short):
 
 def test_without_moves_the_races_are_the_same(short):
     """Whoever stays in every race has the match of one who only chooses."""
-    plain = MatchEnv(opponent="random-moves", **short)
-    moving = MatchEnv(opponent="random-moves", race_moves=True, **{**short, "stay": True})
-    plain.reset(seed=4)
-    moving.reset(seed=4)
+    plain = begun(MatchEnv(opponent="random-moves", **short), seed=4)
+    moving = begun(MatchEnv(opponent="random-moves", race_moves=True, **{**short, "stay": True}), seed=4)
     for choice in (1, 5, 3):
         seen, reward, over, _, _ = plain.step(choice)
         moved, paid, ended, _, info = moving.step(choice)

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from faces import act, flat, make, make_many
+from faces import ALL, PAIRS, SINGLE, act, begun, flat, make, make_many
 from refusal import refused
 
 from pcs_racing import InputError
@@ -13,9 +13,6 @@ from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadV
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
 from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv, SelfPlayMatchVectorEnv
 
-SINGLE = (DriveEnv, DuelEnv, MatchEnv)
-PAIRS = (DriveHeadToHeadEnv, HeadToHeadEnv, HeadToHeadMatchEnv)
-ALL = (*SINGLE, *PAIRS)
 GAMES = (DuelEnv, MatchEnv, HeadToHeadEnv, HeadToHeadMatchEnv)
 STEERING = (DriveEnv, DriveHeadToHeadEnv)
 VECTORS = (DriveVectorEnv, DuelVectorEnv, MatchVectorEnv)
@@ -115,8 +112,7 @@ def test_an_impossible_argument_is_one_error_that_names_it(kinds, arguments, mes
 )
 def test_an_impossible_action_is_one_error_and_changes_nothing(kinds, wrong, message):
     for kind in kinds:
-        env = make(kind)
-        env.reset(seed=0)
+        env = begun(make(kind), seed=0)
         before = flat(env.get_state().batch)
         action = act(env)
         refused(message, env.step, {**action, "car_1": wrong} if isinstance(action, dict) else wrong)
@@ -176,8 +172,7 @@ def test_an_impossible_action_of_many_names_the_environment(kind, wrong, message
 )
 def test_an_impossible_reset_is_one_error_and_changes_nothing(kinds, arguments, message):
     for kind in kinds:
-        env = make(kind)
-        env.reset(seed=0)
+        env = begun(make(kind), seed=0)
         before = env.batch.both_views().tolist()
         refused(re.escape(message), env.reset, **arguments)
         assert env.batch.both_views().tolist() == before
@@ -202,10 +197,8 @@ def changed(index, value):
     return change
 
 
-def begun(kind, **arguments):
-    env = make(kind, **arguments)
-    env.reset(seed=0)
-    return env.get_state()
+def begin(kind, **arguments):
+    return begun(make(kind, **arguments), seed=0).get_state()
 
 
 @pytest.mark.parametrize(
@@ -214,11 +207,11 @@ def begun(kind, **arguments):
         (ALL, lambda state: "yesterday", "state is a str; it must be what get_state returned"),
         (ALL, lambda state: state._replace(generator={"bit_generator": "dice"}), "random generator"),
         (GAMES, changed(0, lambda part: "yesterday"), "the state is not one of 1 (games|matches)"),
-        ((DuelEnv,), lambda state: begun(DuelEnv, moves=3), "belongs to another archive, planner or number of moves"),
+        ((DuelEnv,), lambda state: begin(DuelEnv, moves=3), "belongs to another archive, planner or number of moves"),
         ((DuelEnv,), changed(0, lambda game: game._replace(policy=np.array([[0, 99]]))), r"policies \[0, 99\]"),
-        ((MatchEnv,), lambda state: begun(MatchEnv, races=2), "another number of races"),
+        ((MatchEnv,), lambda state: begin(MatchEnv, races=2), "another number of races"),
         ((DriveEnv,), changed(1, lambda drawn: np.array([2])), r"opponents array\(\[2\]\) are not among the 1"),
-        ((DriveEnv,), lambda state: begun(DriveEnv, opponent=None), "not one of 1 races with these planners"),
+        ((DriveEnv,), lambda state: begin(DriveEnv, opponent=None), "not one of 1 races with these planners"),
         ((DriveEnv,), changed(4, lambda drawn: (drawn[0], np.zeros(3), *drawn[2:])), "cars are not of this"),
         (
             (DriveEnv,),
@@ -229,8 +222,7 @@ def begun(kind, **arguments):
 )
 def test_an_impossible_state_is_one_error_and_changes_nothing(kinds, harm, message):
     for kind in kinds:
-        env, twin = make(kind), make(kind)
-        env.reset(seed=3)
+        env, twin = begun(make(kind), seed=3), make(kind)
         before = env.get_state()
         refused(message, env.set_state, harm(before))
         twin.set_state(before)

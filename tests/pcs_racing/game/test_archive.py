@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from refusal import refused
 
-from pcs_racing import InputError, Parameter, Planner, PolicyArchive, UnknownNameError, load_archive
-from pcs_racing.game.archive_files import save_archive
+from pcs_racing import InputError, Parameter, Planner, PolicyArchive, UnknownNameError, load_archive, save_archive
 from pcs_racing.game.moves import check_epsilon, duplicate_share, move, move_names, move_table, no_op_share
 from pcs_racing.planners import registry
 
@@ -153,9 +152,8 @@ def test_the_axes_can_be_chosen_and_tell_how_they_go_together():
     [lambda toy, folder: load_archive(save_archive(toy, folder)), lambda toy, _: pickle.loads(pickle.dumps(toy))],
 )
 def test_an_archive_reads_back_exactly(tmp_path, keep, toy_planner):
-    toy = archive(
-        explored_parameters=[[0.1, 0.2]], explored_coordinates=[[1.0, 2.0]], settings={"seed": 3, "by": "hand"}
-    )
+    explored = {"explored_parameters": [[0.1, 0.2]], "explored_coordinates": [[1.0, 2.0]]}
+    toy = archive(**explored, settings={"seed": 3, "by": "hand"})
     measured = archive(spread=np.ones((5, 2)), own_crash=np.linspace(0.0, 1.0, 5), explored_own_crash=np.zeros(0))
     for kept in (toy, measured):
         read = keep(kept, tmp_path / "new" / "folder")

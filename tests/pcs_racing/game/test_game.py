@@ -4,8 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from refusal import refused
+from same_arrays import assert_same
 
-from pcs_racing import CONTEST, PAPER, GameConfig, PolicyArchive, RaceGame, Starts, load_archive, make_game
+from pcs_racing import CONTEST, PAPER, GameConfig, PolicyArchive, RaceGame, Starts, load_archive, load_track, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
 from pcs_racing.game.moves import move
@@ -18,9 +19,6 @@ from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import TIE_WITHIN, advance, start_lines, start_races
 from pcs_racing.race.state import empty_state
-from pcs_racing.track.loading import load_track
-
-STARTS = Starts(np.array([20.0, 20.0, 21.0]), np.array([0, 1, 0]))
 
 
 @pytest.fixture(scope="module")
@@ -31,15 +29,6 @@ def track():
 @pytest.fixture(scope="module")
 def game(track):
     return make_game(track, step_seconds=2.0)
-
-
-def arrays(state: GameState) -> dict[str, np.ndarray]:
-    return {**state.race._asdict(), **{name: getattr(state, name) for name in GameState._fields[1:]}}
-
-
-def assert_same(found: GameState, expected: GameState) -> None:
-    for name, array in arrays(expected).items():
-        np.testing.assert_array_equal(arrays(found)[name], array, err_msg=name, strict=True)
 
 
 def play(game: RaceGame, state: GameState, actions) -> GameState:
@@ -75,9 +64,8 @@ def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
     moves = {0: (0, 1), 1: (0, -1), 2: (1, 1), 3: (1, -1)}  # aggressiveness +, -, restraint +, -
     for step in range(5):
         if step > 0:
-            policy = np.array(
-                [move(archive, p, *moves[a], 0.5) for p, a in zip(policy, actions[step - 1], strict=True)]
-            )
+            made = zip(policy, actions[step - 1], strict=True)
+            policy = np.array([move(archive, p, *moves[a], 0.5) for p, a in made])
         before = race.copy()
         advance(setup, race, archive.complete(archive.parameters[policy])[None], 800)
         seen = measure(Segment.between(before, race, 8.0), axes)[0]
@@ -85,8 +73,7 @@ def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
         np.testing.assert_array_equal(end.estimates[0, :, step], np.clip((seen - archive.nadir) / span, -1.0, 2.0))
         np.testing.assert_array_equal(end.own[0, :, step], (archive.coordinates[policy] - archive.nadir) / span)
         assert end.leads[0, step] == race.lead[0]
-    for name, array in race._asdict().items():
-        np.testing.assert_array_equal(array, getattr(end.race, name), err_msg=name)
+    assert_same(end.race, race)
     np.testing.assert_array_equal(end.policy[0], policy)
     assert game.done(end).all()
     np.testing.assert_array_equal(game.reward(end)[0], [race.lead[0], -race.lead[0]])
@@ -142,7 +129,8 @@ def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
 
 
 def test_a_step_leaves_the_state_alone_and_games_that_are_over_stand_still(game):
-    for name, array in arrays(game.empty_state(empty_state(2, 3))).items():
+    named = game.empty_state(empty_state(2, 3))._asdict()
+    for name, array in {**named.pop("race")._asdict(), **named}.items():
         assert array.shape[0] == 2, name
         assert (array == (-1 if name == "leader" else 0)).all(), name
     state = game.reset(games=3)
@@ -170,8 +158,7 @@ def test_any_moment_can_be_kept_and_continued_and_a_step_driven_without_a_state(
     after = game.step(before, np.full((6, 2), 2))
     races = before.race.copy()
     seen = game.drive(races, after.policy)
-    for name, array in after.race._asdict().items():
-        np.testing.assert_array_equal(getattr(races, name), array, err_msg=name)
+    assert_same(races, after.race)
     np.testing.assert_array_equal(seen, after.estimates[:, :, 1])
     end = play(game, after, [(0, 0)] * 3)
     np.testing.assert_array_equal(reward(game.config, end.race, end.step), game.reward(end)[:, 0])
@@ -190,9 +177,8 @@ def test_players_see_their_own_coordinates_and_estimates_of_the_other(game):
     for car in range(2):
         for step in range(2):
             for axis, name in enumerate(game.archive.characteristics):
-                np.testing.assert_array_equal(
-                    value(f"own_{name}_{step}", car), state.own[:, car, step, axis].astype("f4")
-                )
+                own = state.own[:, car, step, axis].astype("f4")
+                np.testing.assert_array_equal(value(f"own_{name}_{step}", car), own)
                 other = state.estimates[:, 1 - car, step, axis]
                 np.testing.assert_array_equal(value(f"opponent_{name}_{step}", car), other.astype("f4"))
             lead = state.leads[:, step] * (1 if car == 0 else -1) / 20.0
@@ -327,8 +313,7 @@ def test_drivers_from_outside_in_either_car(track):
     race = start_races(game.setup, starts, state.race.seed)
     theta = np.stack([pad_parameters(cars, game.setup.theta_size) for cars in (egos, [wild, wild])], axis=1)
     advance(game.setup, race, theta, 400)
-    for one, other in zip(state.race, race, strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert_same(state.race, race)
 
     # Fewer parameters than the archive's policies have.
     small = RaceGame(track, archive, config, PURE_PURSUIT, ego_planner=PURE_PURSUIT)
@@ -372,7 +357,7 @@ def test_impossible_resets_and_actions_are_one_clear_error(game):
         ({"policies": [0, -2]}, "policy -2"),
         ({"policies": [0.0, 1.0]}, "type float64"),
         ({"games": 2, "policies": [[0, 1]]}, r"policies has shape \(1, 2\)"),
-        ({"starts": STARTS}, "1 games but 3 starts"),
+        ({"starts": Starts(np.array([20.0, 20.0, 21.0]), np.array([0, 1, 0]))}, "1 games but 3 starts"),
         ({"starts": Starts(np.array([1e6]), np.array([0]))}, "race 0: the start line"),
         ({"games": 2, "opponents": [None]}, "2 games but 1 opponents"),
         ({"opponents": ["fast"]}, r"game 0: the opponent .*'fast'"),
@@ -402,8 +387,6 @@ def splitmix64(x: int) -> int:
 def test_the_bits_of_a_game_are_a_hash_of_its_key_and_of_the_attempt():
     keys = [0, 1, 2**63 + 5]
     for attempt in (0, 3):
-        expected = [
-            [splitmix64((splitmix64(key) + (5 * attempt + 1 + i) * 0x9E3779B97F4A7C15) & MASK) for i in range(5)]
-            for key in keys
-        ]
+        steps = [(5 * attempt + 1 + i) * 0x9E3779B97F4A7C15 for i in range(5)]
+        expected = [[splitmix64((splitmix64(key) + step) & MASK) for step in steps] for key in keys]
         assert random_bits(np.array(keys, np.uint64), attempt).tolist() == expected

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from same_move import Model
 
 import pcs_racing
-from pcs_racing import get_planner
+from pcs_racing import PolicyArchive, get_planner
 from pcs_racing.envs import game_batch
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.game import competitor as competitors
 from pcs_racing.game import rules
-from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race import driving
 
 HOME = Path(pcs_racing.__file__).resolve().parent
@@ -26,21 +26,8 @@ def archive() -> PolicyArchive:
     pace = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.625])
     parameters = np.array([planner.policy({"pace": value}).parameters for value in pace])
     coordinates = np.column_stack([np.arange(6.0), np.arange(6.0) % 3.0])
-    return PolicyArchive(
-        "marked", "pure-pursuit", planner.parameter_names, parameters, ("aggressiveness", "restraint"), coordinates
-    )
-
-
-class Marked:
-    """A competitor that always makes the same move."""
-
-    name = "marked"
-
-    def __init__(self, move: int) -> None:
-        self.move = move
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.full(len(observation), self.move), None
+    axes = ("aggressiveness", "restraint")
+    return PolicyArchive("marked", "pure-pursuit", planner.parameter_names, parameters, axes, coordinates)
 
 
 def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarray]]:
@@ -71,12 +58,11 @@ def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarr
 def test_a_move_passes_eight_rooms_at_most_and_none_twice(coarse_oval, archive, monkeypatch, kind):
     given = {"track": coarse_oval, "archive": archive, **SHORT}
     move = 0  # more of the first axis: from policy 0 to a neighbour
-    env = {"scalar": DuelEnv, "vector": lambda **a: DuelVectorEnv(1, threads=1, **a), "pair": HeadToHeadEnv}[kind](
-        **given, **({} if kind == "pair" else {"opponent": Marked(1)})
-    )
+    kinds = {"scalar": DuelEnv, "vector": lambda **a: DuelVectorEnv(1, threads=1, **a), "pair": HeadToHeadEnv}
+    env = kinds[kind](**given, **({} if kind == "pair" else {"opponent": Model(1)}))
     env.reset(seed=0, options={"policies": (0, 5)})
     ways, checked, thetas = watch(monkeypatch)
-    actions = Marked(move).predict(np.zeros((1, 1)))[0]
+    actions = Model(move).predict(np.zeros((1, 1)))[0]
     env.step({"scalar": int(actions[0]), "vector": actions, "pair": {"car_0": int(actions[0]), "car_1": 1}}[kind])
     # What reaches the kernel is the policy that each car's move leads to.
     table = env.game.table

@@ -4,12 +4,22 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from placed_cars import view_of
 
-from pcs_racing import Policy, RaceConfig, RaceResult, RaceSetup, Starts, Track, list_tracks, load_track
+from pcs_racing import (
+    Policy,
+    RaceConfig,
+    RaceResult,
+    RaceSetup,
+    Starts,
+    Track,
+    advance,
+    list_tracks,
+    load_track,
+    run_races,
+    start_races,
+)
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.view import VIEW_SIZE
-from pcs_racing.race.kernel import fill_view
-from pcs_racing.race.races import advance, run_races, start_races
 
 
 @pytest.fixture(scope="session")
@@ -35,9 +45,8 @@ def drive_alone() -> Callable[..., RaceResult]:
 
     def drive(track: Track, policies: list[Policy], duration: float = 40.0, **changes) -> RaceResult:
         config = _config(track, duration=duration, **changes)
-        starts = Starts(
-            np.full(len(policies), _straightest(track, config.start_gap)), np.zeros(len(policies), np.int64)
-        )
+        count = len(policies)
+        starts = Starts(np.full(count, _straightest(track, config.start_gap)), np.zeros(count, np.int64))
         return run_races(track, policies, policies, config, starts=starts)
 
     return drive
@@ -51,14 +60,10 @@ def views() -> Callable[..., np.ndarray]:
         setup = RaceSetup(track, config, (policy.planner, policy.planner))
         state = start_races(setup, starts, np.arange(len(starts), dtype=np.uint64))
         theta = np.tile(policy.parameters, (len(starts), 2, 1))
-        vehicles = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
         seen = []
         while (state.tick < config.ticks).any() and not state.crashed.all():
             for race in np.flatnonzero(~state.crashed):
-                for car in range(2):
-                    view = np.zeros(VIEW_SIZE)
-                    fill_view(track.arrays, state, race, car, vehicles, setup.settings, view)
-                    seen.append(view)
+                seen += [view_of(setup, state, race, car) for car in range(2)]
             before = int(state.tick.max())
             advance(setup, state, theta, 30)
             if int(state.tick.max()) == before:
@@ -80,9 +85,6 @@ def view_at() -> Callable[..., np.ndarray]:
             state.cars[0, car] = [x, y, 0.0, v, (psi + extra) % (2.0 * np.pi), 0.0, 0.0]
             state.frenet[0, car] = at % track.length, across
             state.progress[0, car] = at
-        view = np.zeros(VIEW_SIZE)
-        vehicles = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
-        fill_view(track.arrays, state, 0, 0, vehicles, setup.settings, view)
-        return view
+        return view_of(setup, state, 0, 0)
 
     return look

@@ -249,9 +249,8 @@ def test_a_followed_car_holds_its_place(oval, view_at, gap):
 def test_behind_a_car_it_keeps_a_distance_and_slows_before_that_car_brakes(oval, view_at):
     """With so much air to keep there is no room beside the other car: the nearer, the slower."""
     wide = {"side_margin": 0.45}
-    speeds = np.array(
-        [path(oval, view_at(oval, 3.0, speed=4.0, gap=gap, opp_speed=4.0), wide)[:, 2].min() for gap in (0.8, 1.2, 1.9)]
-    )
+    seen = [view_at(oval, 3.0, speed=4.0, gap=gap, opp_speed=4.0) for gap in (0.8, 1.2, 1.9)]
+    speeds = np.array([path(oval, view, wide)[:, 2].min() for view in seen])
     assert (np.diff(speeds) > 0.0).all()
     assert speeds[0] < 4.0 < speeds[2] < 5.5
     # At 1.4 m and equal speed: on a straight it keeps its speed, before a bend it falls back, long before its own.
@@ -290,10 +289,8 @@ def test_it_does_not_weave_on_straights(oval, scale, noise):
 
 def steering_rate(track, planner, scale, noise):
     """RMS on straights of cars alone, from the fourth second on, rad/s."""
-    gap = 0.5 * track.length
-    config = RaceConfig(
-        start="staggered", start_gap=gap, start_spacing=0.0, steering_noise=noise, speed_range=(scale, scale + 0.1)
-    )
+    apart = {"start": "staggered", "start_gap": 0.5 * track.length, "start_spacing": 0.0}
+    config = RaceConfig(**apart, steering_noise=noise, speed_range=(scale, scale + 0.1))
     setup = RaceSetup(track, config, (planner, planner))
     state = start_races(setup, Starts(np.arange(8) * 5.0, np.zeros(8, np.int64)), np.arange(8, dtype=np.uint64))
     theta = np.tile(planner.policy({"pace": 0.0}).parameters, (8, 2, 1))
@@ -310,9 +307,8 @@ def steering_rate(track, planner, scale, noise):
 def test_a_car_that_stands_on_the_race_line_is_driven_around():
     """At forty places of a wide circuit, in bends too, from a standing start 12 m behind."""
     track = load_track("Tarnfjord")
-    config = RaceConfig(
-        duration=12.0, start="staggered", start_gap=12.0, start_speed=0.0, start_spacing=0.0, speed_range=(1.03, 1.43)
-    )
+    start = {"start": "staggered", "start_gap": 12.0, "start_speed": 0.0, "start_spacing": 0.0}
+    config = RaceConfig(duration=12.0, **start, speed_range=(1.03, 1.43))
     starts = Starts(np.arange(40) / 40.0 * track.length, np.ones(40, np.int64))
     for noise in (0.0, 0.02):
         rules = replace(config, steering_noise=noise)

@@ -78,9 +78,8 @@ def test_a_shipped_planner_is_a_file_and_a_line(monkeypatch, tmp_path):
 
 @pytest.fixture
 def example() -> Planner:
-    planner = Planner(
-        "example", (PACE, Parameter("air", 0.0, 2.0, 1.0, "m")), variants={"1": (0.1, 0.1), "brave": (1.0, 0.0)}
-    )
+    air = Parameter("air", 0.0, 2.0, 1.0, "m")
+    planner = Planner("example", (PACE, air), variants={"1": (0.1, 0.1), "brave": (1.0, 0.0)})
     register_planner(planner)
     return planner
 

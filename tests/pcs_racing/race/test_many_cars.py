@@ -4,15 +4,15 @@ import itertools
 
 import numpy as np
 import pytest
-from placed_cars import HOLD, placed
+from placed_cars import HOLD, placed, view_of
 from refusal import refused
+from same_arrays import assert_same
 
 from pcs_racing import Starts, load_race_config, parse_policy, read_replay, record_race, save_replay
-from pcs_racing.planners.view import VIEW, VIEW_SIZE
-from pcs_racing.race.kernel import fill_view
+from pcs_racing.planners.view import VIEW
 from pcs_racing.race.races import RaceSetup, advance, finishing_order, pair_scores, run_field, start_races, winners
 from pcs_racing.race.rendering import Renderer
-from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, empty_state
+from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, empty_state, take
 
 QUIET = load_race_config("paper", duration=8.0, start="staggered", start_gap=1.4, start_spacing=0.45)
 FIELD = [parse_policy(text) for text in ("lattice:pace=0.3", "lattice:pace=0.8", "pure-pursuit", "lane-switcher:3")]
@@ -22,11 +22,6 @@ def of_cars(state, cars):
     """All that a race holds of some cars, apart from what names cars by their numbers."""
     skipped = ("tick", "seed", "leader", "ahead")
     return {name: array[:, cars] for name, array in state._asdict().items() if name not in skipped}
-
-
-def assert_same(found, expected):
-    for name, array in expected.items():
-        np.testing.assert_array_equal(found[name], array, err_msg=name)
 
 
 def test_numbers_of_cars_do_not_matter_nor_does_a_car_far_away(oval):
@@ -61,11 +56,9 @@ def test_a_race_does_not_depend_on_batch_or_threads(oval, count):
     rules = load_race_config("contest", duration=3.0, contact="stop")
     drivers = [[FIELD[(car + race) % 2] for race in range(5)] for car in range(count)]
     one, two = (run_field(oval, drivers, rules, seed=3, threads=threads) for threads in (1, 2))
-    for name, array in one.state._asdict().items():
-        np.testing.assert_array_equal(getattr(two.state, name), array, err_msg=name)
+    assert_same(two.state, one.state)
     first = run_field(oval, [car[:1] for car in drivers], rules, seed=3)
-    for name, array in first.state._asdict().items():
-        np.testing.assert_array_equal(array[0], getattr(one.state, name)[0], err_msg=name)
+    assert_same(first.state, take(one.state, [0]))
 
 
 @pytest.mark.parametrize(("start", "gap"), [("staggered", 1.4), ("side-by-side", 0.0)])
@@ -86,11 +79,8 @@ def test_a_driver_sees_the_nearest_car_along_the_track(oval):
     length = oval.length
     for places, seen in (([3.0, 8.0, 1.0], [2, 0, 0]), ([0.5, length - 0.5, 4.0], [1, 0, 0]), ([3.0], [None])):
         setup, state, _ = placed(oval, [(s, 0.0) for s in places])
-        rows = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
         for car, other in enumerate(seen):
-            view = np.zeros(VIEW_SIZE)
-            fill_view(oval.arrays, state, 0, car, rows, setup.settings, view)
-            found = dict(zip(VIEW, view, strict=True))
+            found = dict(zip(VIEW, view_of(setup, state, 0, car), strict=True))
             if other is None:
                 assert abs(found["OPP_X"] - found["X"]) > 1e5
                 assert abs(found["GAP"]) == pytest.approx(0.5 * length)

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from recorded_races import PYTHON
 from refusal import refused
+from same_arrays import assert_same
 
 from pcs_racing import CONTEST, PAPER, InputError, Parameter, Planner, RaceResult, RaceState, Starts, load_race_config
 from pcs_racing.base.compilation import compiled
@@ -40,13 +41,6 @@ STRAIGHT_IN_PYTHON = Planner(
 
 def lattice(**changes: float):
     return LATTICE.policy(changes)
-
-
-def assert_same(found: RaceState, expected: RaceState, skip: tuple[str, ...] = ()) -> None:
-    """Equal to the last bit, in every array."""
-    for name, array in expected._asdict().items():
-        if name not in skip:
-            np.testing.assert_array_equal(getattr(found, name), array, err_msg=name, strict=True)
 
 
 def begin(track, config, egos, opponents, seed=0):
@@ -132,10 +126,8 @@ def test_different_planners_in_one_batch_equal_separate_runs(oval):
 
 def test_the_same_driver_compiled_and_in_python_drives_the_same_race_at_fifty_hertz(oval):
     starts = draw_starts(oval, NOISY, 3, seed=0)
-    races = [
-        run_races(oval, [planner.policy()] * 3, lattice(), NOISY, starts=starts)
-        for planner in (STRAIGHT, STRAIGHT_IN_PYTHON)
-    ]
+    planners = (STRAIGHT, STRAIGHT_IN_PYTHON)
+    races = [run_races(oval, [planner.policy()] * 3, lattice(), NOISY, starts=starts) for planner in planners]
     assert_same(races[1].state, races[0].state, skip=("memory",))
     result = run_races(oval, PYTHON.policy(), PYTHON.policy({"pace": 0.5}), SHORT)
     assert not result.crashed.any()

@@ -3,8 +3,7 @@ import dataclasses
 import pytest
 from refusal import refused
 
-from pcs_racing import CONTEST, PAPER, RaceConfig, UnknownNameError, load_race_config
-from pcs_racing.base.errors import ConfigError
+from pcs_racing import CONTEST, PAPER, ConfigError, RaceConfig, UnknownNameError, load_race_config
 from pcs_racing.race.config import PRESETS, ROBORACER
 
 

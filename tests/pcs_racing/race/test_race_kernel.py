@@ -5,14 +5,13 @@ All of it also runs as plain Python (``NUMBA_DISABLE_JIT=1``) in little time: ``
 
 import numpy as np
 import pytest
-from placed_cars import BETA, DELTA, PSI, PSI_DOT, V, X, Y, placed
+from placed_cars import BETA, DELTA, PSI, PSI_DOT, V, X, Y, placed, view_of
 
 from pcs_racing import Parameter, Planner, RaceSetup, Starts, VehicleParams, advance, load_race_config, start_races
 from pcs_racing.base.compilation import compiled
 from pcs_racing.car.ittc import minimum_ittc
 from pcs_racing.car.vehicle import F1TENTH, simulate
-from pcs_racing.planners.view import VIEW, VIEW_SIZE
-from pcs_racing.race.kernel import fill_view
+from pcs_racing.planners.view import VIEW
 from pcs_racing.race.positions import update_progress
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
 from pcs_racing.race.steering import delayed, steering_noise
@@ -38,9 +37,8 @@ def change_lanes(track, theta, view, memory):
 
 LANES = (("speed", 0.0, 9.0, 4.0, "m/s"), ("swell", -3.0, 3.0, 0.0, "m/s"), ("lane", -1.0, 1.0, 0.0, "m"))
 DRIVER = Planner("lanes", tuple(Parameter(*one) for one in LANES), drive=change_lanes)
-RULES = load_race_config(
-    "paper", start="staggered", start_gap=2.4, start_spacing=0.0, steering_noise=0.02, noise_time=0.5, duration=9.0
-)
+START = {"start": "staggered", "start_gap": 2.4, "start_spacing": 0.0}
+RULES = load_race_config("paper", **START, steering_noise=0.02, noise_time=0.5, duration=9.0)
 
 
 class Account:
@@ -55,10 +53,7 @@ class Account:
         """Drive for a control period, by the kernel and here."""
         setup, state, rules = self.setup, self.state, self.setup.config
         tick, cars, s = int(state.tick[0]), state.cars[0].copy(), state.frenet[0, :, 0].copy()
-        views = np.zeros((2, VIEW_SIZE))
-        rows = np.stack([vehicle.as_row() for vehicle in setup.vehicles])
-        for car in range(2):
-            fill_view(setup.track.arrays, state, 0, car, rows, setup.settings, views[car])
+        views = [view_of(setup, state, 0, car) for car in range(2)]
         advance(setup, state, theta, 2)
 
         asked = np.array([change_lanes(setup.track, theta[0, car], views[car], None) for car in range(2)])
@@ -68,9 +63,8 @@ class Account:
         np.testing.assert_allclose(state.disturbance[0], self.disturbance, atol=1e-12)
         np.testing.assert_allclose(state.command[0], asked + np.outer(self.disturbance, [1, 0]), atol=1e-12)
 
-        ways = [
-            simulate(cars[car], np.tile(state.command[0, car], (2, 1)), params=setup.vehicles[car]) for car in range(2)
-        ]
+        given = zip(cars, state.command[0], setup.vehicles, strict=True)
+        ways = [simulate(car, np.tile(command, (2, 1)), params=vehicle) for car, command, vehicle in given]
         np.testing.assert_allclose(state.cars[0], [way[2] for way in ways], atol=1e-9)
         at = setup.track.to_frenet(state.cars[0][:, :2])
         np.testing.assert_allclose(state.frenet[0], at, atol=1e-6)
@@ -144,10 +138,7 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
     state = start_races(setup, Starts(np.array([10.0]), np.array([0])), np.array([5], np.uint64))
     theta = np.array([[[3.6, 1.6, 0.35], [3.5, -1.6, -0.35]]])
     advance(setup, state, theta, 150)
-    rows = np.stack([vehicle.as_row() for vehicle in CARS])
-    view = np.zeros(VIEW_SIZE)
     for car in range(2):
-        fill_view(coarse_oval.arrays, state, 0, car, rows, setup.settings, view)
         own, other = state.cars[0, car], state.cars[0, 1 - car]
         (s, d), (other_s, other_d) = coarse_oval.to_frenet(own[:2]), coarse_oval.to_frenet(other[:2])
         body, rival = CARS[car], CARS[1 - car]
@@ -165,7 +156,7 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
             "REAR_SLIP": 1.0 / (stiffness * body.c_sr), "REAR_AXLE": body.lr,
             "OPP_LENGTH": rival.length, "OPP_WIDTH": rival.width, "SPEED_LOW": 0.8, "SPEED_HIGH": 1.0,
         }  # fmt: skip
-        seen = dict(zip(VIEW, view, strict=True))
+        seen = dict(zip(VIEW, view_of(setup, state, 0, car), strict=True))
         assert seen.pop("OPP_D_DOT") == pytest.approx((later - other_d) / 1e-4, abs=0.15)
         assert seen == pytest.approx(expected, abs=1e-6)
 
@@ -207,14 +198,12 @@ def test_a_wall_is_the_fault_of_the_car_that_stands_in_it(coarse_oval):
         assert crash_and_fault(state) == (crash, fault)
 
 
-@pytest.mark.parametrize("runs", [0, 1])
-def test_a_car_that_runs_into_a_wall_is_blamed_alone(coarse_oval, runs):
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_car_that_runs_into_a_wall_is_blamed_alone(coarse_oval, order):
     """It steers to the side on the straight while the other one stands in the middle."""
-    poses = [(3.0, 0.0, 0.6), (9.0, 0.0)]
-    order = slice(None) if runs == 0 else slice(None, None, -1)
-    setup, state, theta = placed(coarse_oval, poses[order], [4.0, 0.0][order])
+    setup, state, theta = placed(coarse_oval, [(3.0, 0.0, 0.6), (9.0, 0.0)][::order], [4.0, 0.0][::order])
     advance(setup, state, theta, 200)
-    blamed = [1, 0][order]
+    blamed = [1, 0][::order]
     assert crash_and_fault(state) == ([WALL_CRASH * own for own in blamed], blamed)
     assert 0 < state.tick[0] < 200
     after = state.copy()
@@ -223,12 +212,11 @@ def test_a_car_that_runs_into_a_wall_is_blamed_alone(coarse_oval, runs):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("runs", [0, 1])
-def test_a_car_that_runs_into_the_other_is_blamed_alone(coarse_oval, runs):
-    order = slice(None) if runs == 0 else slice(None, None, -1)
-    setup, state, theta = placed(coarse_oval, [(3.0, 0.0), (6.0, 0.0)][order], [5.0, 0.0][order])
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_car_that_runs_into_the_other_is_blamed_alone(coarse_oval, order):
+    setup, state, theta = placed(coarse_oval, [(3.0, 0.0), (6.0, 0.0)][::order], [5.0, 0.0][::order])
     advance(setup, state, theta, 200)
-    assert crash_and_fault(state) == ([CAR_CRASH, CAR_CRASH], [1, 0][order])
+    assert crash_and_fault(state) == ([CAR_CRASH, CAR_CRASH], [1, 0][::order])
 
 
 def test_each_car_is_as_long_and_as_wide_as_its_own_parameters_say(coarse_oval):
@@ -297,14 +285,12 @@ def test_a_pass_counts_once_the_car_leads_by_more_than_its_length(coarse_oval):
         (1.0, -0.36, False),
     ],
 )
-@pytest.mark.parametrize("leader", [0, 1])
-def test_blocking_is_credited_to_the_car_ahead(coarse_oval, leader, ahead, beside, blocking):
-    order = slice(None) if leader == 0 else slice(None, None, -1)
-    poses = [(3.0 + ahead, 0.15 + beside), (3.0, 0.15)][order]
+@pytest.mark.parametrize("order", [1, -1])
+def test_blocking_is_credited_to_the_car_ahead(coarse_oval, order, ahead, beside, blocking):
+    poses = [(3.0 + ahead, 0.15 + beside), (3.0, 0.15)][::order]
     setup, state, theta = placed(coarse_oval, poses, vehicles=CARS)
     advance(setup, state, theta, 20)
-    expected = [0.2 * blocking, 0.0][order]
-    np.testing.assert_allclose(state.sums[0, :, COLUMN["BLOCKING"]], expected)
+    np.testing.assert_allclose(state.sums[0, :, COLUMN["BLOCKING"]], [0.2 * blocking, 0.0][::order])
 
 
 def test_cars_side_by_side_block_nobody_and_times_to_collision_end_at_the_horizon(coarse_oval):

@@ -2,6 +2,7 @@ import pickle
 
 import numpy as np
 import pytest
+from same_arrays import assert_same
 
 from pcs_racing import RaceState
 from pcs_racing.race.state import concatenate, empty_state, take
@@ -15,11 +16,6 @@ def state() -> RaceState:
     for array in state:
         array[...] = rng.integers(0, 2, array.shape) if array.dtype.kind in "iu" else rng.normal(size=array.shape)
     return state
-
-
-def assert_same(found: RaceState, expected: RaceState) -> None:
-    for name, array in expected._asdict().items():
-        np.testing.assert_array_equal(getattr(found, name), array, err_msg=name, strict=True)
 
 
 def test_copies_parts_and_pickles_are_the_same_state_and_an_empty_one_is_zero(state):

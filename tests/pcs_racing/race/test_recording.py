@@ -17,11 +17,9 @@ PAPER = load_race_config("paper", duration=6.0)
 CONTEST = load_race_config("contest", duration=6.0)
 
 
-BLIND = Planner("blind", (), drive=lambda track, theta, view, memory: (0.0, 6.0))
-
-
 def policies(kind: str):
-    others = {"lattice": LATTICE.policy({"pace": 0.9}), "python": PYTHON.policy(), "blind": BLIND.policy()}
+    blind = Planner("blind", (), drive=lambda track, theta, view, memory: (0.0, 6.0))
+    others = {"lattice": LATTICE.policy({"pace": 0.9}), "python": PYTHON.policy(), "blind": blind.policy()}
     return LATTICE.policy({"pace": 0.3}), others[kind]
 
 
@@ -46,9 +44,8 @@ def test_policies_may_change_on_the_way(oval):
     setup = RaceSetup(oval, CONTEST, (LATTICE, LATTICE))
     start, noise = Starts(np.array([3.0]), np.array([1])), np.array([7], np.uint64)
     paces = [(0.3, 0.4), (0.9, 0.4), (0.9, 0.1)]
-    theta = np.stack(
-        [pad_parameters([LATTICE.policy({"pace": pace}) for pace in pair], setup.theta_size) for pair in paces]
-    )
+    pairs = [[LATTICE.policy({"pace": pace}) for pace in pair] for pair in paces]
+    theta = np.stack([pad_parameters(pair, setup.theta_size) for pair in pairs])
     state = start_races(setup, start, noise)
     for step in range(3):
         advance(setup, state, theta[step : step + 1], 200)
@@ -93,7 +90,6 @@ def test_plans_begin_near_the_car_and_follow_the_cheapest_candidate(oval):
     np.testing.assert_allclose(away[:, 0], 0.0, atol=1e-9)
     assert away.max() < 0.1
     # Candidates are asked for before the plan is made: they show what was on offer, farther than the path is.
-    replay = record_race(oval, *policies("lattice"), PAPER)
     compared = 0
     for row in range(len(replay.candidates)):
         for car in range(2):
@@ -131,9 +127,8 @@ def test_the_race_of_a_large_number_is_drawn_without_those_before_it(oval):
     ego, opponent = policies("lattice")
     short = load_race_config("contest", duration=0.5)
     period = 2 * short.start_lines
-    near, far = (
-        record_race(oval, ego, opponent, short, seed=3, index=index) for index in (1, LAST_INDEX // period * period + 1)
-    )
+    indices = (1, LAST_INDEX // period * period + 1)
+    near, far = (record_race(oval, ego, opponent, short, seed=3, index=index) for index in indices)
     np.testing.assert_array_equal(near.cars[0], far.cars[0])
     assert not np.array_equal(near.cars[-1], far.cars[-1])
     for index in [-1, 1.5, True, LAST_INDEX + 1, 10**12]:

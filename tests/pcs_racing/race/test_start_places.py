@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from refusal import refused
 
+from pcs_racing import CONTEST, PAPER, Starts, list_tracks, load_track, run_races
 from pcs_racing.race import start_places
-from pcs_racing.race.config import CONTEST, PAPER
 from pcs_racing.race.driving import kernel_settings
-from pcs_racing.race.races import run_races
-from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.start_places import BLOCK, PLACE_EVERY, drive_away, fit_places, places_of, split_places
 
 
@@ -26,9 +24,8 @@ def test_what_is_counted_at_a_place_is_what_races_from_there_do(oval, driven):
     pairs = start_places._pairs()
     rules = replace(PAPER, speed_range=(1.2, 1.5), duration=start_places.FIRST_SECONDS)
     starts = Starts(np.full(2 * len(pairs), place * PLACE_EVERY), np.tile([0, 1], len(pairs)))
-    egos, rivals = (
-        [start_places.LATTICE.policy(theta) for theta in np.repeat(pairs[:, car], 2, axis=0)] for car in range(2)
-    )
+    twice = np.repeat(pairs, 2, axis=0)
+    egos, rivals = ([start_places.LATTICE.policy(theta) for theta in twice[:, car]] for car in range(2))
     result = run_races(oval, egos, rivals, rules, starts=starts)
     assert result.crashed.mean() == crashes[place]
     left_leads = np.sign(np.where(starts.side == 0, result.lead, -result.lead)).reshape(-1, 2)
@@ -108,16 +105,12 @@ def test_more_crashes_are_allowed_only_where_places_are_few(oval, pretend):
 
 
 def test_shipped_circuits_start_where_hardly_a_race_is_over_at_once():
-    from pcs_racing.track.loading import load_track
-    from pcs_racing.track.maps import list_tracks
-
     rng = np.random.default_rng(5)
     over, races = 0, 40
     for name in list_tracks():
         for config in (PAPER, CONTEST):
             short = replace(config, duration=2.0)
-            egos, rivals = (
-                [start_places.LATTICE.policy({"pace": pace}) for pace in rng.uniform(size=races)] for _ in "ab"
-            )
+            paces = rng.uniform(size=(2, races))
+            egos, rivals = ([start_places.LATTICE.policy({"pace": pace}) for pace in car] for car in paces)
             over += int(run_races(load_track(name), egos, rivals, short, seed=2).crashed.sum())
     assert over <= 0.02 * 2 * races * len(list_tracks())

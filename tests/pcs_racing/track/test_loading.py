@@ -1,17 +1,15 @@
 """Tracks loaded from map folders with the help of two caches."""
 
 import dataclasses
-import logging
 
 import numba
 import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing.base.errors import MapError, UnknownNameError
+from pcs_racing import MapError, UnknownNameError, load_track
 from pcs_racing.track import loading
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT
-from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import MapFolder, write_map
 from pcs_racing.track.track import Calibration, build_track
 
@@ -43,10 +41,8 @@ def test_a_folder_gives_the_same_track_as_its_values_and_again_the_same_object(f
     assert loaded.folder == folder
     np.testing.assert_allclose(loaded.line[:, :2], oval.line[:, :2], atol=1e-3)
     np.testing.assert_array_equal(loaded.arrays.distance, oval.arrays.distance)
-    one = load_track(folder)
-    assert load_track(str(folder)) is one
-    assert load_track(folder / "Big Oval_map.yaml") is one
-    load_track(folder)
+    assert load_track(str(folder)) is loaded
+    assert load_track(folder / "Big Oval_map.yaml") is loaded
     loading._loaded.clear()
     restored = load_track(folder)
     types = {numba.typeof(track.arrays) for track in (oval, build_track("again", **values), restored)}
@@ -152,12 +148,10 @@ def test_a_changed_file_is_noticed_and_errors_name_the_file(folder):
 def test_missing_lines_are_made_from_the_picture(folder, oval, caplog):
     for kind in ("centerline", "raceline"):
         (folder / f"Big Oval_{kind}.csv").unlink()
-    with caplog.at_level(logging.WARNING, logger="pcs_racing"):
-        made = load_track(folder)
-        load_track(folder)
-    assert [record.getMessage() for record in caplog.records] == [
-        "track Big Oval: it has no race line and it has no centre line; it was made from the picture"
-    ]
+    made = load_track(folder)
+    load_track(folder)
+    warning = "track Big Oval: it has no race line and it has no centre line; it was made from the picture"
+    assert [record.getMessage() for record in caplog.records] == [warning]
     assert np.abs(oval.to_frenet(made.centerline[:, :2])[:, 1]).max() < 0.1
     assert made.wall_distance(made.line[:, :2]).min() > 0.29
     assert made.length < oval.length
@@ -169,14 +163,12 @@ def test_a_race_line_without_air_to_the_walls_is_replaced(folder, oval, caplog):
     rows = np.zeros((300, 7))
     rows[:, 1:3] = oval.to_cartesian(np.column_stack([s, np.full_like(s, 0.9)]))[:, :2]
     np.savetxt(file, rows, delimiter=";")
-    with caplog.at_level(logging.WARNING, logger="pcs_racing"):
-        track = load_track(folder)
+    track = load_track(folder)
     assert "comes within 0.1" in caplog.text
     assert track.wall_distance(track.line[:, :2]).min() > 0.29
     loading._loaded.clear()
     caplog.clear()
-    with caplog.at_level(logging.WARNING, logger="pcs_racing"):
-        load_track(folder)  # from the cache on disk, which remembers it
+    load_track(folder)  # from the cache on disk, which remembers it
     assert "comes within 0.1" in caplog.text
     rows[:, 1:3] *= 0.8
     np.savetxt(file, rows, delimiter=";")

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 from refusal import refused
+from same_move import Model
 
 from pcs_racing import get_planner
 from pcs_racing_agents.agents import Agent, Driver, as_competitor, make, observing
@@ -44,9 +45,8 @@ def test_draws_follow_the_chances_and_rounding_never_draws_what_is_impossible():
     changed[:, 17] = np.nextafter(rows[:, 17], np.float32(np.inf))
     assert abs(np.mean(draw(chances, changed, 0) == draw(chances, rows, 0)) - 0.46) < 0.02
     assert len(np.unique(hash_rows(rows, 0))) == 20_000
-    np.testing.assert_array_equal(
-        hash_rows(np.zeros((1, 3), np.float32), 1), hash_rows(-np.zeros((1, 3), np.float32), 1)
-    )
+    zeros = np.zeros((1, 3), np.float32)
+    np.testing.assert_array_equal(hash_rows(zeros, 1), hash_rows(-zeros, 1))
     # Chances that add up to a bit less or more than 1.
     rows = np.random.default_rng(1).normal(size=(5000, 2)).astype(np.float32)
     for chances in ([0.0, 1.0 - 1e-16, 0.0], [0.3, 0.3, 0.4 - 1e-12], [0.0, 1e-300, 0.0], [0.1] * 10):
@@ -80,13 +80,6 @@ def test_digests_tell_what_somebody_does_and_nothing_is_kept_of_whom_they_can_no
     known = Model()
     known.content_hash = "abc"
     assert competitor_hash(as_competitor(known, "x")) == competitor_hash(as_competitor(known, "y"))
-
-
-class Model:
-    """Stands in for a trained model."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return np.zeros(len(observation), int), state
 
 
 def test_bad_agents_drivers_and_observations_are_refused(setting):

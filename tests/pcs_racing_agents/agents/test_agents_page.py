@@ -1,26 +1,16 @@
 """docs/agents.md and the page of the zoo: what the zoo says of itself stands there."""
 
-import sys
-
 import numpy as np
 import pytest
-from repository import REPOSITORY
+from repository import load_tool
 
 from pcs_racing_agents import make, names
 from pcs_racing_agents.agents import describe, make_setting
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.describe import Measured, facts_of, measurements, option_meanings
 from pcs_racing_agents.agents.zoo import SHIPPED, entries, options
-from pcs_racing_agents.cli.main import main
 
-sys.path.insert(0, str(REPOSITORY / "tools"))
-import zoo_page
-
-sys.path.remove(str(REPOSITORY / "tools"))
-
-DOCS = REPOSITORY / "docs"
-PAGE = (DOCS / "agents.md").read_text(encoding="utf-8")
-AGAIN = "run: python benchmarks/zoo.py --write"
+zoo_page = load_tool("zoo_page")
 
 
 def test_the_page_of_the_zoo_explains_every_option_with_and_without_measurements(monkeypatch):
@@ -47,7 +37,7 @@ def test_every_agent_was_measured_as_it_is_now(archive, race):
         except LookupError:  # nothing is shipped for it
             continue
     changed = sorted(name for name in {*known, *shipped} if known.get(name) != shipped.get(name))
-    assert not changed, f"{', '.join(changed)} not measured as they are: {AGAIN}"
+    assert not changed, f"{', '.join(changed)} not measured as they are: run: python benchmarks/zoo.py --write"
 
 
 def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, tmp_path):
@@ -57,10 +47,8 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
     try:
         setting = make_setting("default", "paper")
         digest = competitor_hash(make("never-switch"))
-        assert facts_of("never-switch", setting) == [
-            "Strength and cost: not measured as it is.",
-            f"Hash: {digest[:16]}.",
-        ]
+        unmeasured = ["Strength and cost: not measured as it is.", f"Hash: {digest[:16]}."]
+        assert facts_of("never-switch", setting) == unmeasured
         one = Measured(
             *("default", "paper", "never-switch", digest, "Tarnfjord, Saltmere", 300.0, 0.5, -12.0, -40.0, 20.0, 0.02),
             *(46.0, 0.53, {"random-moves": 0.625}),
@@ -80,14 +68,11 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
         measurements.cache_clear()
 
 
-def test_the_command_tells_the_same(capsys):
-    code = main(["agents", "cfr-argmax"])
-    out, err = capsys.readouterr()
-    assert code == 0, err
+def test_the_command_tells_the_same(printed):
+    out = printed("agents", "cfr-argmax")
     for line in facts_of("cfr-argmax", make_setting("default", "paper")):
         assert f"- {line}\n" in out
     assert "With archive default in the paper race:" in out
-    assert main(["agents", "cfr-argmax", "--archive", "contest", "--race", "contest"]) == 0
-    assert "Network: contest-contest-regret" in capsys.readouterr().out
-    assert main(["agents", "ppo", "--archive", "contest"]) == 0
-    assert "- Not shipped for this game." in capsys.readouterr().out
+    out = printed("agents", "cfr-argmax", "--archive", "contest", "--race", "contest")
+    assert "Network: contest-contest-regret" in out
+    assert "- Not shipped for this game." in printed("agents", "ppo", "--archive", "contest")

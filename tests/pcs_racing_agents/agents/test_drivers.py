@@ -6,9 +6,8 @@ import pytest
 from random_layers import random_layers
 from refusal import refused
 
-from pcs_racing import get_planner, make_game
+from pcs_racing import UnknownNameError, get_planner, make_game
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners.network import INPUTS
 from pcs_racing.planners.trained import save_driver
 from pcs_racing_agents.agents import make
@@ -41,12 +40,10 @@ def test_the_zoo_races_the_shipped_driver_or_another_one_with_a_hash_of_its_own(
     assert len(hashes) == 2
 
 
-SLOW = "gap-follower:top_speed=5"  # the shipped driver was trained against slower ones than there are now
-
-
 def test_the_shipped_driver_drives_away_from_slower_cars_on_a_circuit_that_it_has_never_seen():
     game = make_game("Saltmere", "default", "contest", threads=1)
-    pairing = cross_pairing(game, make("ppo-drive"), make(SLOW), egos=1, opponents=1, lines=4, seed=5)
+    slow = make("gap-follower:top_speed=5")  # the shipped driver was trained against slower ones than there are now
+    pairing = cross_pairing(game, make("ppo-drive"), slow, egos=1, opponents=1, lines=4, seed=5)
     races = play_pairing(pairing)
     ahead = races.side == 0
     assert ahead.sum() == 4

@@ -1,6 +1,7 @@
 from dataclasses import replace
 
 import pytest
+import yaml
 from refusal import refused
 
 from pcs_racing import UnknownNameError
@@ -44,8 +45,6 @@ def test_files_that_are_no_fit_are_refused(setting, tmp_path):
         ({"race": 3}, "race is 3"),
         ({"training": [1]}, r"training is \[1\]"),
     ]:
-        import yaml
-
         path = save_fit(make_fit("best-fixed", 3, setting, {}), tmp_path / "fit.yaml")
         path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **change}))
         refused(message, load_fit, path)

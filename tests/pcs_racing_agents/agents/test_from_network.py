@@ -77,10 +77,7 @@ def test_a_network_of_another_game_is_refused(setting, network, archive):
         from_network(setting, name="mine", kind="regret", decision="best", network=network)
 
 
-VALUES = arrays(np.float32, (5, 4), elements=st.floats(-100.0, 100.0, width=32))
-
-
-@given(VALUES)
+@given(arrays(np.float32, (5, 4), elements=st.floats(-100.0, 100.0, width=32)))
 @pytest.mark.parametrize("name", DECISIONS)
 def test_chances_are_chances(name, values):
     chances = get_decision(name)(values)

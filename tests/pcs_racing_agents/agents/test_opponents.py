@@ -1,5 +1,6 @@
 """Whoever races in tournaments is an opponent of the environments, by name and as an object."""
 
+import copy
 import subprocess
 import sys
 
@@ -73,8 +74,6 @@ def test_an_agent_moves_in_a_drive_as_in_a_game(game):
 
 
 def test_a_drive_against_an_agent_is_the_same_in_a_batch_and_after_a_copy():
-    import copy
-
     single = DriveEnv(opponent="random-moves", time_step=1.0)
     envs = DriveVectorEnv(3, opponent="random-moves", time_step=1.0, threads=2)
     envs.reset(seed=5)

@@ -5,10 +5,9 @@ import pytest
 from refusal import refused
 from zoo_games import untrained
 
-from pcs_racing import GameConfig, InputError, RaceGame, UnknownNameError, get_planner
+from pcs_racing import CONTEST, GameConfig, InputError, RaceGame, UnknownNameError, get_planner
 from pcs_racing.game.observation import LEAD_SCALE
 from pcs_racing.game.state import put_games, take_games
-from pcs_racing.race.config import CONTEST
 from pcs_racing_agents.agents import Decider, make_setting, parse_agent
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.lookahead import guess_games, look_ahead, merge_histories, root_games, search_game

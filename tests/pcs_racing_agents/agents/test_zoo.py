@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from refusal import refused
+from same_move import Model
 from zoo_games import untrained
 
 import pcs_racing_agents
@@ -10,6 +11,7 @@ from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.describe import describe
 from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, options
 from pcs_racing_agents.networks import NetworkSet
+from pcs_racing_agents.tournament.games import game_between
 
 
 def learned(name: str, setting) -> dict:
@@ -64,8 +66,6 @@ def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_an
     refused("first is 0; it must be a whole number from 1 to", make, "random-policy", first=0)
     with pytest.raises(AttributeError, match="has no attribute 'mak'"):
         pcs_racing_agents.mak  # noqa: B018
-    from pcs_racing_agents.tournament.games import game_between
-
     other = make("never-switch")
     refused(r"agent 'never-switch' was made for archive 'default' \(.*\)", game_between, game, other, other)
     agent, wider = random_moves(setting), make_game(oval, setting.archive, setting.config, epsilon=0.7)
@@ -96,24 +96,13 @@ def test_agents_as_text_and_bad_names_and_options(setting):
     refused("unknown archive 'nowhere'", make, "never-switch", archive="nowhere", error=UnknownNameError)
 
 
-class Zero:
-    """An agent of somebody else: a plain object with ``predict``."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        return np.zeros(len(observation), np.int64), state
-
-
 def third_party(setting, *, name="x", seed=0, bold=False):
     """Make the first move for ever."""
-    return always(setting, setting.moves[0], name=name, seed=seed) if bold else Zero()
+    return always(setting, setting.moves[0], name=name, seed=seed) if bold else Model()
 
 
-@pytest.fixture
-def empty_registry(monkeypatch):
+def test_agents_of_other_people(setting, monkeypatch):
     monkeypatch.setattr(zoo, "_registered", {})
-
-
-def test_agents_of_other_people(setting, empty_registry, monkeypatch):
     register_agent("first-move", third_party)
     register_agent("first-move", third_party)  # again changes nothing
     assert entries()["first-move"].summary == "Make the first move for ever."

@@ -9,9 +9,6 @@ from refusal import refused
 from pcs_racing import Planner, load_track, parse_policy
 from pcs_racing.planners.pursuit import hold_command
 from pcs_racing_agents.benchmark.overtaking import AHEAD, Lines, joined, made_lines, race_scenarios, read_lines, summary
-from pcs_racing_agents.cli.main import main
-
-PARKED = Planner("parked", (), control=hold_command, memory_size=2).policy()
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +28,7 @@ def test_lanes_lie_beside_the_race_line_between_the_walls(lines):
 
 
 def test_an_opponent_passes_nobody_who_stands_and_drives_its_lines_without_a_crash(lines):
-    found = race_scenarios(lines, PARKED)
+    found = race_scenarios(lines, Planner("parked", (), control=hold_command, memory_size=2).policy())
     assert len(found.start) == 600
     assert len(set(found.start)) == 50
     assert len(set(zip(found.line.tolist(), found.factor.tolist(), strict=True))) == 3 * 4
@@ -70,10 +67,9 @@ def test_lines_are_read_in_their_own_direction(lines, tmp_path):
     refused("line 1: .*7 finite numbers", read_lines, track, tmp_path)
 
 
-def test_the_command_prints_the_tables_and_writes_the_scenarios(tmp_path, capsys):
+def test_the_command_prints_the_tables_and_writes_the_scenarios(tmp_path, printed):
     out = tmp_path / "scenarios.csv"
-    assert main(["overtaking", "--drivers", "stanley", "--track", "Pipkin", "--out", str(out)]) == 0
-    assert "without collision" in capsys.readouterr().out
+    assert "without collision" in printed("overtaking", "--drivers", "stanley", "--track", "Pipkin", "--out", out)
     rows = list(csv.DictReader(out.read_text().splitlines()))
     assert len(rows) == 600
     assert {row["circuit"] for row in rows} == {"Pipkin"}

@@ -39,9 +39,8 @@ def study_folder(saved_archive, tmp_path_factory):
         pairings += [cross_pairing(game, study.agent("never-switch"), rival, lines=1, seed=103, **pairs)]
         write_results(concatenate_races(map(play_pairing, pairings)), place / "results.csv")
         rated = {name: study.agent(name) for name in config.rated}
-        plan = plan_tournament(
-            load_track("Pipkin"), rated, config.game, archive=saved_archive, races_per_pair=2, seed=7
-        )
+        track = load_track("Pipkin")
+        plan = plan_tournament(track, rated, config.game, archive=saved_archive, races_per_pair=2, seed=7)
         with open_job(place / "ratings", "tournament", tournament_settings(plan)) as job:
             write_results(play_plan(plan, job=job).races, place / "ratings.csv")
     return place, pairings

@@ -1,42 +1,41 @@
-"""``pcs-racing headroom``, ``solve``, ``export`` and ``study``."""
+"""``pcs-racing headroom``, ``tree``, ``solve``, ``export`` and ``study``."""
 
 import csv
+import re
 
 import numpy as np
 import pytest
 
-from pcs_racing import make_game
-from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive_files import save_archive
-from pcs_racing_agents.cli.main import main
+from pcs_racing import InputError, make_game
 from pcs_racing_agents.solvers import METHODS
-from pcs_racing_agents.trees import build_trees
+from pcs_racing_agents.trees import build_trees, load_trees
 
 # Of three policies the fastest beats the others.
 POOL = ["--policies", "lattice:pace=0.2", "lattice:pace=0.5", "lattice:pace=1.0"]
 SHORT = ["--duration", "4", "--races", "32", "--track", "Tarnfjord"]
+TREES = ["tree", "--track", "Tarnfjord", "--moves", 2, "--step", 2, "--executor", "serial"]
 
 
-def test_it_prints_the_table_and_writes_files(tmp_path, capsys):
+def rows_of(file):
+    return list(csv.DictReader(file.read_text().splitlines()))
+
+
+def test_it_prints_the_table_and_writes_files(tmp_path, printed):
     out = tmp_path / "headroom"
-    assert main(["headroom", *POOL, *SHORT, "--out", str(out)]) == 0
-    printed = capsys.readouterr().out
-    assert "Tarnfjord: the best fixed policy is lattice:pace=1.0" in printed
-    with open(out / "headroom.csv", newline="") as file:
-        (row,) = csv.DictReader(file)
+    text = printed("headroom", *POOL, *SHORT, "--out", out)
+    assert "Tarnfjord: the best fixed policy is lattice:pace=1.0" in text
+    (row,) = rows_of(out / "headroom.csv")
     assert row["track"] == "Tarnfjord"
     assert abs(float(row["H"])) < 0.1
-    with open(out / "payoffs.csv", newline="") as file:
-        payoffs = {(line["policy"], line["opponent"]): float(line["payoff"]) for line in csv.DictReader(file)}
+    rows = rows_of(out / "payoffs.csv")
+    payoffs = {(row["policy"], row["opponent"]): float(row["payoff"]) for row in rows}
     assert len(payoffs) == 6
     assert payoffs["lattice:pace=1.0", "lattice:pace=0.2"] == -payoffs["lattice:pace=0.2", "lattice:pace=1.0"] > 0.0
 
 
-def test_without_a_size_a_small_archive_races_as_a_whole(archive, tmp_path):
-    folder = save_archive(archive, tmp_path / "toy")
-    assert main(["headroom", "--archive", str(folder), *SHORT, "--out", str(tmp_path / "headroom")]) == 0
-    with open(tmp_path / "headroom" / "payoffs.csv", newline="") as file:
-        assert len({line["policy"] for line in csv.DictReader(file)}) == len(archive)
+def test_without_a_size_a_small_archive_races_as_a_whole(archive, saved_archive, tmp_path, printed):
+    printed("headroom", "--archive", saved_archive, *SHORT, "--out", tmp_path)
+    assert len({row["policy"] for row in rows_of(tmp_path / "payoffs.csv")}) == len(archive)
 
 
 @pytest.fixture
@@ -52,13 +51,40 @@ def begun(monkeypatch):
     return studies
 
 
-def test_options_replace_archive_and_seed_and_add_circuits_to_the_table(begun, tmp_path):
-    options = ["--archive", "default", "--seed", "7", "--unseen", "Vellindra"]
-    assert main(["study", "contest-table", *options, "--out", str(tmp_path / "out")]) == 2
+def test_options_replace_archive_and_seed_and_add_circuits_to_the_table(begun, tmp_path, told):
+    options = ["--archive", "default", "--seed", 7, "--unseen", "Vellindra"]
+    assert "begun" in told("study", "contest-table", *options, "--out", tmp_path / "out")
     (study,) = begun
     assert (study.archive, study.seed) == ("default", 7)
     assert study.tracks[-1] == "Vellindra"
     assert "Vellindra" not in study.circuits
+
+
+def test_trees_are_played_and_taken_up(run, saved_archive, tmp_path):
+    out = tmp_path / "trees"
+    command = [*TREES, "--archive", saved_archive, "--pairs", 2, "--out", out]
+    code, text, told = run(*command)
+    assert code == 0
+    assert "2/2 trees" in told
+    assert text.endswith(f"\n2 trees in {out}\n")
+    trees = load_trees(out)
+    driven = sum(tree.statistics.driven for tree in trees)
+    assert f"{driven} segments driven of " in text
+    assert f"of the {2 * 273} of trees that share only beginnings" in text
+    assert f"of the {2 * 768} of races from the start" in text
+    assert run(*command)[1] == text
+
+
+def test_trees_that_can_not_be_built_end_in_one_line(run, saved_archive, tmp_path):
+    """The game is told before."""
+    for option, value, message in [
+        ("--pairs", 0, "pairs is 0; it must be a whole number"),
+        ("--seeds", 3, "seeds_per_pair is 3, but there is no steering noise"),
+    ]:
+        code, _, told = run(*TREES, "--archive", saved_archive, option, value, "--out", tmp_path / "trees")
+        assert code == 2
+        assert re.fullmatch(f"pcs-racing: error: .*{message}.*\n", told)
+        assert not (tmp_path / "trees").exists()
 
 
 @pytest.fixture(scope="module")
@@ -75,8 +101,7 @@ def test_solve_prints_and_writes_every_method_on_every_tree(folder, tmp_path, ru
     assert "\n0     0, 3      exact " in out
     assert "\n1     2, 1      exact " in out
     assert "\nmean            exact " in out
-    with open(tmp_path / "solved.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "solved.csv")
     assert [row["method"] for row in rows] == [*METHODS, *METHODS]
     exact = [row for row in rows if row["method"] == "exact"]
     assert all(abs(float(row["exploitability"])) < 1e-12 for row in exact)

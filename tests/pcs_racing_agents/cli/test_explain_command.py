@@ -5,7 +5,6 @@ import csv
 import pytest
 
 from pcs_racing.race.replay import read_replay
-from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.tournament.play import record_row
 from pcs_racing_agents.view.results_folder import open_results
 
@@ -26,10 +25,9 @@ def test_every_race_of_a_tournament_is_found_again(tournament_folder):
         assert f"{recording.played.lead[0]:.4f}" == f"{row.lead:.4f}"
 
 
-def test_a_race_is_told_and_drawn(tournament_folder, tmp_path, capsys):
+def test_a_race_is_told_and_drawn(tournament_folder, tmp_path, printed):
     place, tournament = tournament_folder
-    assert main(["explain", str(place), "--index", "1", "--out", str(tmp_path / "out")]) == 0
-    captured = capsys.readouterr().out
+    captured = printed("explain", place, "--index", 1, "--out", tmp_path / "out")
     assert captured.startswith("random-moves (car 0) against lane-switcher on Pipkin, contest rules: ")
     assert (tmp_path / "out" / "race.txt").read_text() in captured
     assert (tmp_path / "out" / "race.png").read_bytes().startswith(b"\x89PNG")
@@ -37,17 +35,15 @@ def test_a_race_is_told_and_drawn(tournament_folder, tmp_path, capsys):
     assert replay.lead[-1] == pytest.approx(tournament.races[1].lead, abs=0.002)
 
 
-def test_drivers_are_left_to_the_other_car(tournament_folder, capsys):
+def test_drivers_are_left_to_the_other_car(tournament_folder, printed):
     place, tournament = tournament_folder
     number = next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher")
-    assert main(["explain", str(place), "--index", str(number)]) == 0
-    assert capsys.readouterr().out.startswith("never-switch (car 1) against lane-switcher")
+    assert printed("explain", place, "--index", number).startswith("never-switch (car 1) against lane-switcher")
 
 
-def test_all_races_of_an_agent_are_summarised(tournament_folder, tmp_path, capsys):
+def test_all_races_of_an_agent_are_summarised(tournament_folder, tmp_path, printed):
     place, tournament = tournament_folder
-    assert main(["explain", str(place), "--situations", "never-switch", "--out", str(tmp_path)]) == 0
-    captured = capsys.readouterr().out
+    captured = printed("explain", place, "--situations", "never-switch", "--out", tmp_path)
     rows = list(csv.DictReader((tmp_path / "situations.csv").read_text().splitlines()))
     count = sum(len(r.ego_moves) for r in tournament.races if r.ego == "never-switch")
     count += sum(len(r.opponent_moves) for r in tournament.races if r.opponent == "never-switch")
@@ -57,23 +53,20 @@ def test_all_races_of_an_agent_are_summarised(tournament_folder, tmp_path, capsy
     assert (tmp_path / "situations.png").is_file()
 
 
-def test_two_agents_race_as_in_a_tournament(saved_archive, capsys):
+def test_two_agents_race_as_in_a_tournament(saved_archive, printed, told):
     arguments = ["explain", "--agents", "random-moves", "never-switch", "--track", "Pipkin", "--duration", "6"]
-    arguments += ["--archive", str(saved_archive), "--races", "4", "--seed", "2", "--race", "contest"]
-    assert main([*arguments, "--index", "3"]) == 0
-    captured = capsys.readouterr().out
-    assert captured.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
-    assert main([*arguments, "--situations", "random-moves"]) == 0
-    assert capsys.readouterr().out.startswith("Pipkin, contest rules, 4 races\n")
-    assert main([*arguments, "--situations", "somebody"]) == 2
-    assert "must be one of random-moves, never-switch" in capsys.readouterr().err
+    arguments += ["--archive", saved_archive, "--races", 4, "--seed", 2, "--race", "contest"]
+    text = printed(*arguments, "--index", 3)
+    assert text.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
+    assert printed(*arguments, "--situations", "random-moves").startswith("Pipkin, contest rules, 4 races\n")
+    assert "must be one of random-moves, never-switch" in told(*arguments, "--situations", "somebody")
 
 
-def test_a_picture_that_is_left_out_is_told(saved_archive, capsys, tmp_path, monkeypatch):
+def test_a_picture_that_is_left_out_is_told(saved_archive, run, tmp_path, monkeypatch):
     monkeypatch.setattr("pcs_racing_agents.cli.options.find_spec", lambda name: None)
     arguments = ["explain", "--agents", "random-moves", "never-switch", "--duration", "5", "--races", "2"]
-    assert main([*arguments, "--archive", str(saved_archive), "--out", str(tmp_path)]) == 0
-    out, err = capsys.readouterr()
+    code, out, err = run(*arguments, "--archive", saved_archive, "--out", tmp_path)
+    assert code == 0
     assert " on Brackwater, paper rules: " in out  # the default circuit
     assert "picture: " not in out
     assert 'the picture of the race is not drawn: pip install "pcs-racing[plots]" draws it' in err
@@ -96,16 +89,14 @@ def test_a_picture_that_is_left_out_is_told(saved_archive, capsys, tmp_path, mon
         (["--agents", "random-moves", "never-switch", "--track", "Pipkin", "--index", "20"], "there are races 0 to 19"),
     ],
 )
-def test_what_is_asked_for_wrongly_is_named(tournament_folder, arguments, message, run):
+def test_what_is_asked_for_wrongly_is_named(tournament_folder, arguments, message, told):
     place, tournament = tournament_folder
     number = str(next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher"))
     given = [number if text == "5" else text.format(folder=place) for text in arguments]
-    code, _, error = run("explain", *given)
-    assert (code, error.count("\n")) == (2, 1)
-    assert message in error
+    assert message in told("explain", *given)
 
 
-def test_agents_and_races_that_have_changed_are_noticed(tournament_folder, tmp_path, capsys):
+def test_agents_and_races_that_have_changed_are_noticed(tournament_folder, tmp_path, run):
     place, _ = tournament_folder
     for name, old, new, message in (
         ("job.yaml", "  never-switch: ", "  never-switch: 0000", "agent 'never-switch' has changed"),
@@ -120,19 +111,20 @@ def test_agents_and_races_that_have_changed_are_noticed(tournament_folder, tmp_p
         for file in ("job.yaml", "results.csv"):
             text = (place / file).read_text()
             (copy / file).write_text(text.replace(old, new) if file == name else text)
-        number = str(len(open_results(place).races) - 1)
-        assert main(["explain", str(copy), "--index", number]) == (2 if message else 0)
-        assert message in capsys.readouterr().err
+        code, _, error = run("explain", copy, "--index", len(open_results(place).races) - 1)
+        assert code == (2 if message else 0)
+        assert message in error
     rows = (place / "results.csv").read_text().splitlines()
     lead = rows[1].split(",")[8]
     (copy / "job.yaml").write_text((place / "job.yaml").read_text())
     (copy / "results.csv").write_text("\n".join([rows[0], rows[1].replace(lead, "99.0000"), *rows[2:]]))
-    assert main(["explain", str(copy), "--index", "0"]) == 2
-    assert "a lead of" in (error := capsys.readouterr().err)
+    code, _, error = run("explain", copy, "--index", 0)
+    assert code == 2
+    assert "a lead of" in error
     assert "instead of 99.0000 m" in error
 
 
-def test_races_of_a_study_are_found_again(study_folder, capsys):
+def test_races_of_a_study_are_found_again(study_folder, run, printed):
     place, pairings = study_folder
     results = open_results(place)
     drawn = pairings[1]
@@ -140,16 +132,16 @@ def test_races_of_a_study_are_found_again(study_folder, capsys):
     assert pairing.variants.tolist() == drawn.variants.tolist()
     assert pairing.noise.tolist() == drawn.noise.tolist()
     assert pairing.starts.s.tolist() == drawn.starts.s.tolist()
-    assert main(["explain", str(place), "--index", str(len(drawn) + 3)]) == 0
-    assert capsys.readouterr().out.startswith("always-aggressiveness+ (car 0) against lane-switcher on Pipkin")
-    assert main(["explain", str(place), "--index", str(2 * len(drawn) + 2)]) == 0
-    assert main(["explain", str(place), "--situations", "never-switch"]) == 0
-    assert "24/24 races" in capsys.readouterr().err
+    text = printed("explain", place, "--index", len(drawn) + 3)
+    assert text.startswith("always-aggressiveness+ (car 0) against lane-switcher on Pipkin")
+    printed("explain", place, "--index", 2 * len(drawn) + 2)
+    code, _, progress = run("explain", place, "--situations", "never-switch")
+    assert code == 0
+    assert "24/24 races" in progress
 
 
-def test_settings_of_another_version_are_named(study_folder, tmp_path, capsys):
+def test_settings_of_another_version_are_named(study_folder, tmp_path, told):
     place, _ = study_folder
     (tmp_path / "results.csv").write_text((place / "results.csv").read_text())
     (tmp_path / "job.yaml").write_text((place / "job.yaml").read_text().replace("  egos:", "  drivers:"))
-    assert main(["explain", str(tmp_path), "--index", "0"]) == 2
-    assert "settings are of another version" in capsys.readouterr().err
+    assert "settings are of another version" in told("explain", tmp_path, "--index", 0)

@@ -10,8 +10,8 @@ from http.client import HTTPConnection
 import numpy as np
 import pytest
 import yaml
+from refusal import refused
 
-from pcs_racing.base.errors import InputError
 from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.view.race_replays import RaceRepeater, RepeatedRace
@@ -57,27 +57,23 @@ def test_no_browser_is_opened_where_there_is_no_screen(folder, monkeypatch):
     assert main(["view", str(folder), "--replays", "0"]) == 0
 
 
-def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, capsys):
+def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, printed, told):
     lone = tmp_path / "lone.csv"
     shutil.copy(folder / "results.csv", lone)
-    assert main(["view", str(lone), "--no-open"]) == 0
-    captured = capsys.readouterr().out
+    captured = printed("view", lone, "--no-open")
     assert "18 races, 0 of them to be watched" in captured
     assert "can't be driven again" in captured
     assert "lone.csv" in (tmp_path / "lone-view.html").read_text()
     for option in (["--serve"], ["--index", "1"], ["--replays", "3"]):
-        assert main(["view", str(lone), *option, "--no-open"]) == 2
-        assert "there is no job.yaml beside this file" in capsys.readouterr().err
+        assert "there is no job.yaml beside this file" in told("view", lone, *option, "--no-open")
     (folder / "job.yaml").unlink()
-    assert main(["view", str(folder), "--no-open"]) == 0
+    printed("view", folder, "--no-open")
 
 
-def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, capsys):
+def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, printed):
     folder = shutil.copytree(study_folder[0], tmp_path / "study")
-    assert main(["view", str(folder), "--index", "0", "12", "--no-open"]) == 0
-    assert "40 races, 2 of them to be watched" in capsys.readouterr().out
-    assert main(["view", str(folder / "ratings.csv"), "--index", "1", "--no-open"]) == 0
-    assert "2 races, 1 of them to be watched" in capsys.readouterr().out
+    assert "40 races, 2 of them to be watched" in printed("view", folder, "--index", 0, 12, "--no-open")
+    assert "2 races, 1 of them to be watched" in printed("view", folder / "ratings.csv", "--index", 1, "--no-open")
     assert (folder / "ratings-view.html").is_file()
 
 
@@ -97,11 +93,8 @@ def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, capsys):
         (["{folder}", "--serve", "--port", "70000"], "port is 70000"),
     ],
 )
-def test_what_is_asked_for_wrongly_is_named(folder, arguments, message, capsys):
-    assert main(["view", *(text.format(folder=folder) for text in arguments), "--no-open"]) == 2
-    captured = capsys.readouterr().err
-    assert message in captured
-    assert captured.count("\n") == 1
+def test_what_is_asked_for_wrongly_is_named(folder, arguments, message, told):
+    assert message in told("view", *(text.format(folder=folder) for text in arguments), "--no-open")
     assert not (folder / "view.html").exists()
 
 
@@ -279,8 +272,6 @@ def test_a_command_serves_until_it_is_ended(folder, arguments, what, capsys, mon
 
 
 def test_a_port_that_is_taken_is_named():
-    with (
-        make_server("", lambda path: Answer(200, b"")) as server,
-        pytest.raises(InputError, match="can't listen on port"),
-    ):
-        make_server("", lambda path: Answer(200, b""), port=int(np.int64(server.server_address[1])))
+    with make_server("", lambda path: Answer(200, b"")) as server:
+        taken = int(np.int64(server.server_address[1]))
+        refused("can't listen on port", make_server, "", lambda path: Answer(200, b""), port=taken)

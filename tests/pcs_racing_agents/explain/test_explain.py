@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from refusal import refused
+from same_move import Model
 from zoo_games import untrained
 
-from pcs_racing import make_game
+from pcs_racing import draw_starts, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.moves import move_names, move_table
-from pcs_racing.race.races import draw_starts
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.explain.explain import Unit, explain_game, value_unit
@@ -123,10 +123,9 @@ def test_a_move_is_compared_with_staying_and_counted_in_what_values_mean(race, s
 def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, setting):
     network = network_of(setting, worth="win")
     rival = build("never-switch", setting)
-    bold, shy = (
-        explained(contest, build("adaptive", setting, network=network, open_loop="never-switch", margin=margin), rival)
-        for margin in (0.0, 1000.0)
-    )
+    options = {"network": network, "open_loop": "never-switch"}
+    drivers = (build("adaptive", setting, **options, margin=margin) for margin in (0.0, 1000.0))
+    bold, shy = (explained(contest, driver, rival) for driver in drivers)
     assert shy.default.name == "never-switch"
     assert "did: stay, kept policy" in story(shy)
     for step in shy.steps:
@@ -150,11 +149,6 @@ def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, setting):
     cars = build("never-switch", setting), build("lane-switcher", setting)
     refused("'lane-switcher' in car 1 makes no moves.*; try the other car", explained, contest, *cars, car=1)
     refused("car is 2", explained, contest, build("never-switch", setting), build("never-switch", setting), car=2)
-
-    class Model:
-        def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            return np.zeros(len(observation), np.int64), None
-
     race = explained(contest, Model(), build("never-switch", setting))
     assert all(step.values is None and step.probabilities is None for step in race.steps)
     assert story(race).startswith("Model (car 0)")

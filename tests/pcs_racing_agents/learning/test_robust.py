@@ -6,18 +6,12 @@ from long_jobs import files
 from refusal import refused
 
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.responses import learn_response, load_response_settings
 from pcs_racing_agents.learning.robust import learn_psro, learn_robust, load_psro_settings, load_robust_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 
-TINY = "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n"
-
-
-@pytest.fixture(autouse=True)
-def _with_torch():
-    pytest.importorskip("torch", reason="torch is not installed")
+pytest.importorskip("torch", reason="torch is not installed")
 
 
 def test_the_opponents_are_those_of_the_method(lesson, learner, tmp_path, monkeypatch):
@@ -78,25 +72,24 @@ GAME = ["--track", "Tarnfjord", "--duration", "2.5"]
 @pytest.mark.parametrize(
     ("method", "settings"),
     [
-        ("response", TINY),
+        ("response", "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n"),
         ("robust", "rounds: 1\nlearner: {learner}\n"),
         ("psro", "rounds: 2\nraces: 4\nlearner: {learner}\n"),
         ("self-play", "iterations: 2\nstarts: 8\nhidden: [8]\nepochs: 2\n"),
     ],
 )
-def test_the_command_learns_an_agent_that_races_and_again_after_a_stop(method, settings, learner, tmp_path, capsys):
+def test_the_command_learns_an_agent_that_races_and_again_after_a_stop(method, settings, learner, tmp_path, printed):
     config = tmp_path / "settings.yaml"
     config.write_text(settings.format(learner=learner), encoding="utf-8")
     out = tmp_path / method
-    command = ["learn", method, *GAME, "--config", str(config), "--out", str(out)]
-    assert main(command) == 0
-    (last,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("written: ")]
+    command = ["learn", method, *GAME, "--config", config, "--out", out]
+    (last,) = [line for line in printed(*command).splitlines() if line.startswith("written: ")]
     agent = last.rpartition("race it as ")[2]
-    assert main(["tournament", *GAME, "--agents", agent, "never-switch", "--races", "2"]) == 0
+    printed("tournament", *GAME, "--agents", agent, "never-switch", "--races", 2)
     learned = files(out)
     for file in sorted((out / "chunks").glob("*.npz"))[::2]:
         file.unlink()
-    assert main([*command, "--executor", "threads", "--workers", "2"]) == 0
+    printed(*command, "--executor", "threads", "--workers", 2)
     assert files(out) == learned
 
 

@@ -1,11 +1,9 @@
 """Self-play against exact equilibria: Kuhn poker, a matrix game, and the tree of a short race."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from refusal import refused
+from small_games import PENNIES, kuhn_poker
 from tree_sampler import TreeSampler
 
 from pcs_racing import load_race_config, make_game
@@ -16,19 +14,11 @@ from pcs_racing_agents.learning.self_play import RaceSampler, learn_self_play, l
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.solvers import exploitability, uniform_profile
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "solvers"))
-from small_games import PENNIES, kuhn_poker
-
-sys.path.pop(0)
+pytest.importorskip("torch", reason="torch is not installed")
 
 # A network without hidden layers on the number of the infoset is a table.
 TABLE = {"hidden": (), "exploration": 0.0, "weight_decay": 0.0, "learning_rate": 0.05, "batch_size": 256}
 SHORT = load_self_play_settings(iterations=2, starts=12, hidden=(8,), epochs=3, patience=3)
-
-
-@pytest.fixture(autouse=True)
-def _with_torch():
-    pytest.importorskip("torch", reason="torch is not installed")
 
 
 def learned(samplers, settings, folder) -> NetworkSet:
@@ -42,7 +32,6 @@ def first(networks: NetworkSet, count: int) -> NetworkSet:
 
 @pytest.fixture(scope="module")
 def poker(tmp_path_factory):
-    pytest.importorskip("torch", reason="torch is not installed")
     sampler = TreeSampler(kuhn_poker())
     settings = load_self_play_settings(iterations=24, starts=192, epochs=10, patience=10, weights="uniform", **TABLE)
     return sampler, learned([sampler], settings, tmp_path_factory.mktemp("poker") / "run")
@@ -64,10 +53,8 @@ def test_the_last_iteration_alone_is_no_equilibrium(tmp_path):
     sampler = TreeSampler(PENNIES)
     settings = load_self_play_settings(iterations=24, starts=64, epochs=10, patience=10, **TABLE)
     networks = learned([sampler], settings, tmp_path / "pennies")
-    lost = [
-        exploitability(PENNIES, sampler.average(NetworkSet("one", (network,), np.ones(1), "argmax"))).exploitability
-        for network in networks.networks
-    ]
+    alone = [NetworkSet("one", (network,), np.ones(1), "argmax") for network in networks.networks]
+    lost = [exploitability(PENNIES, sampler.average(one)).exploitability for one in alone]
     assert np.mean(lost) > 0.5
     assert exploitability(PENNIES, sampler.average(networks)).exploitability < 0.35
 

@@ -29,9 +29,8 @@ class TreeSampler:
 
     @property
     def identity(self) -> GameIdentity:
-        elements, moves = (
-            tuple(f"{word} {i}" for i in range(n)) for word, n in (("set", self.size), ("m", self.moves))
-        )
+        counts = ("set", self.size), ("m", self.moves)
+        elements, moves = (tuple(f"{word} {i}" for i in range(n)) for word, n in counts)
         return GameIdentity(elements, moves, (0.5,), "toy", "0" * 64, "toy", self.steps)
 
     @property
@@ -80,9 +79,8 @@ class TreeSampler:
         other = np.minimum(passed.sum(axis=1), chances.shape[1] - 1)
         for move in range(self.moves if len(games) else 0):
             pair = (move, other) if player == 0 else (other, move)
-            leaves = self.play(
-                network, exploration, range(step + 1, self.steps), (nodes * a + pair[0]) * b + pair[1], player, rng
-            )
+            children = (nodes * a + pair[0]) * b + pair[1]
+            leaves = self.play(network, exploration, range(step + 1, self.steps), children, player, rng)
             outcomes[:, move] = (1 - 2 * player) * self.tree.payoffs.reshape(-1)[leaves]
         own = self.chances(network, exploration, step, player, nodes) if len(games) else np.zeros((0, self.moves))
         return {

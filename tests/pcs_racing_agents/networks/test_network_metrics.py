@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
-from toy_networks import identity, random_network
+from toy_networks import identity, plain_network
 from toy_trees import ToyTree, random_tree
 
-from pcs_racing.base.dense import DenseLayers
 from pcs_racing_agents.networks import Rows, metrics
 from pcs_racing_agents.solvers import exploitability, solve_exact, uniform_profile
 
@@ -13,19 +12,11 @@ MOVES = ("a", "b", "c")
 def linear(race_tree, seed=0):
     """A network without hidden layers that sees a toy tree."""
     inputs = race_tree.observations(0).shape[-1]
-    rng = np.random.default_rng(seed)
-    return random_network(
-        identity=identity(inputs, MOVES),
-        layers=DenseLayers((rng.normal(size=(3, inputs)),), (np.zeros(3),)),
-        mean=np.zeros(inputs),
-        scale=np.ones(inputs),
-    )
+    return plain_network(np.random.default_rng(seed).normal(size=(3, inputs)), identity=identity(inputs, MOVES))
 
 
 def test_choices_are_compared_with_targets_step_by_step_and_clipped_with_clipped():
-    network = random_network(
-        inputs=3, hidden=(), layers=DenseLayers((np.eye(4, 3),), (np.zeros(4),)), mean=np.zeros(3), scale=np.ones(3)
-    )
+    network = plain_network(np.eye(4, 3))
     rows = Rows(  # the network chooses 0, 1, 2, 2
         observations=np.eye(3)[[0, 1, 2, 2]],
         targets=np.array([[5.0, 1.0, 5.0, 0.0], [0.0, -3.0, 1.0, 0.0], [0.0, 0.0, 2.0, 9.0], [0.0, 0.0, 2.0, 9.0]]),
@@ -44,8 +35,7 @@ def test_choices_are_compared_with_targets_step_by_step_and_clipped_with_clipped
     assert (second.agreement, second.shortfall, third.agreement, third.shortfall) == (0.0, 7.0, 1.0, 0.0)
     assert third.chance == pytest.approx(1 / 3)
     assert third.error == pytest.approx((0.0 + 0.0 + 1.0) / 3)
-    network = random_network(inputs=1, hidden=(), clipped=True, mean=[0.0], scale=[1.0],
-                             layers=DenseLayers((np.zeros((4, 1)),), ([-2.0, -1.0, -3.0, -4.0],)))  # fmt: skip
+    network = plain_network(np.zeros((4, 1)), [-2.0, -1.0, -3.0, -4.0], clipped=True)
     rows = Rows(np.zeros((1, 1)), np.array([[-8.0, -5.0, -9.0, -9.0]]), np.ones(1), np.zeros(1, int), np.zeros(1, int))
     score = metrics.score_rows(network, rows)[0]
     assert (score.error, score.agreement, score.shortfall) == (0.0, 1.0, 0.0)
@@ -60,10 +50,7 @@ def test_a_strategy_is_followed_in_both_roles_and_one_of_probabilities_drawn_fro
         assert profile[1][player].shape == (2 * 9, 3)
         assert profile[1][player][9 + 4].argmax() == network.choose(seen[1, 4, player])
         np.testing.assert_array_equal(profile[1][player].sum(axis=1), 1.0)
-    network = random_network(
-        inputs=2, hidden=(), target="nash", mean=np.zeros(2), scale=np.ones(2),
-        layers=DenseLayers(([[3.0, -2.0], [1.0, -1.0], [-1.0, -3.0], [0.0, -4.0]],), (np.zeros(4),)),
-    )  # fmt: skip
+    network = plain_network([[3.0, -2.0], [1.0, -1.0], [-1.0, -3.0], [0.0, -4.0]], target="nash")
     np.testing.assert_allclose(metrics.follow(network)(np.eye(2)), [[0.75, 0.25, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
 
 
@@ -100,9 +87,8 @@ def test_who_sees_the_seed_may_do_better_and_seeds_that_nobody_sees_are_their_me
     race_tree = random_tree(seeds=3)
     mean = ToyTree(race_tree.payoffs.mean(axis=0, keepdims=True))
     network = linear(race_tree)
-    scores = [
-        metrics.score_tree(metrics.play_profile(metrics.follow(network), tree), tree) for tree in (race_tree, mean)
-    ]
+    plays = metrics.follow(network)
+    scores = [metrics.score_tree(metrics.play_profile(plays, tree), tree) for tree in (race_tree, mean)]
     np.testing.assert_allclose(*scores, atol=1e-9)
 
 

@@ -1,4 +1,5 @@
 import copy
+import hashlib
 import pickle
 from pathlib import Path
 
@@ -8,10 +9,9 @@ import yaml
 from refusal import refused
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
-from toy_networks import MOVES, identity, random_network
+from toy_networks import MOVES, identity, plain_network, random_network
 
 from pcs_racing import InputError, make_game
-from pcs_racing.base.dense import DenseLayers
 from pcs_racing.game.identity import game_identity
 from pcs_racing_agents.networks import RegretNetwork, list_networks, load_network
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, save_network
@@ -48,11 +48,7 @@ def test_values_are_those_of_the_formula(hidden, clipped):
 
 def values_network(*rows: list[float], clipped: bool) -> RegretNetwork:
     """A network that answers the i-th unit vector with the i-th row."""
-    matrix = np.array(rows).T
-    return random_network(
-        inputs=len(rows), hidden=(), clipped=clipped, layers=DenseLayers((matrix,), (np.zeros(4),)),
-        mean=np.zeros(len(rows)), scale=np.ones(len(rows)),
-    )  # fmt: skip
+    return plain_network(np.array(rows).T, clipped=clipped)
 
 
 def test_bad_observations_are_refused_and_of_others_the_highest_value_before_clipping_chosen(network):
@@ -86,8 +82,7 @@ def test_an_impossible_network_is_one_clear_error():
 
 def test_a_network_never_changes_and_shipped_ones_are_sound(network):
     for array in (*network.layers.weights, *network.layers.biases, network.mean, network.scale):
-        with pytest.raises(ValueError, match="read-only"):
-            array[...] = 0.0
+        refused("read-only", array.fill, 0.0, error=ValueError)
     with pytest.raises(TypeError):
         network.training["rows"] = 3
     for other in (pickle.loads(pickle.dumps(network)), copy.deepcopy(network)):
@@ -122,10 +117,7 @@ def edit(folder: Path, **changes) -> None:
 
 
 def other_weights(folder: Path, change) -> None:
-    import hashlib
-
-    tensors = load_tensors((folder / "weights.safetensors").read_bytes())
-    content = save_tensors(change(tensors))
+    content = save_tensors(change(load_tensors((folder / "weights.safetensors").read_bytes())))
     (folder / "weights.safetensors").write_bytes(content)
     edit(folder, weights_sha256=hashlib.sha256(content).hexdigest())
 
@@ -160,13 +152,7 @@ def game():
 
 def made_for(game, **changes) -> RegretNetwork:
     known = game_identity(game)._replace(**changes)
-    inputs, moves = len(known.elements), len(known.moves)
-    return random_network(
-        identity=known,
-        layers=DenseLayers((np.zeros((moves, inputs)),), (np.zeros(moves),)),
-        mean=np.zeros(inputs),
-        scale=np.ones(inputs),
-    )
+    return plain_network(np.zeros((len(known.moves), len(known.elements))), identity=known)
 
 
 def test_a_network_of_the_game_fits(game):

@@ -24,9 +24,8 @@ def situations(count=2000, pairs=20, seed=0, noise=0.0):
 
 
 def rows_of(x, values, pair, step, **changes) -> Rows:
-    return Rows(
-        **{"observations": x, "targets": values, "weights": np.ones(len(x)), "pair": pair, "step": step} | changes
-    )
+    columns = {"observations": x, "targets": values, "weights": np.ones(len(x)), "pair": pair, "step": step}
+    return Rows(**columns | changes)
 
 
 def test_a_network_learns_what_can_be_learned_and_knows_how_it_was_made():
@@ -175,9 +174,8 @@ def test_a_floor_raises_what_is_far_below_the_best_and_constants_are_no_trouble(
     np.testing.assert_array_equal(result.scale, np.ones(7))
     still = train_layers(rows, load_train_settings(QUICK, epochs=1, learning_rate=1e-8)).epochs
     assert still[1].training_loss == pytest.approx(still[0].validation_loss, abs=1e-6)  # one row, many times
-    network, _ = train_network(
-        rows_of(np.ones_like(x), np.zeros((100, 4)), pair, step), identity(), QUICK, name="net", clipped=True
-    )
+    rows = rows_of(np.ones_like(x), np.zeros((100, 4)), pair, step)
+    network, _ = train_network(rows, identity(), QUICK, name="net", clipped=True)
     assert np.isfinite(network(np.ones(7))).all()
 
 

@@ -6,10 +6,8 @@ import yaml
 from refusal import refused
 from toy_trees import random_tree
 
-from pcs_racing import make_game
-from pcs_racing.base.errors import ConfigError, UnknownNameError
+from pcs_racing import ConfigError, UnknownNameError, make_game
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.networks import TrainSettings, load_network, load_train_settings
 from pcs_racing_agents.networks.from_trees import train_on_trees
 from pcs_racing_agents.networks.metrics import TreeScore
@@ -36,14 +34,10 @@ def folder(game, tmp_path_factory):
     return folder
 
 
-def train(*arguments) -> int:
-    return main(["train", *(str(argument) for argument in arguments)])
-
-
 @pytest.mark.parametrize("target", ["regret", "static-q"])
-def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, capsys, target):
+def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, printed, target):
     out = tmp_path / "net"
-    assert train(folder, "--target", target, "--epochs", 4, "--hidden", 8, "--seed", 3, "--out", out) == 0
+    text = printed("train", folder, "--target", target, "--epochs", 4, "--hidden", 8, "--seed", 3, "--out", out)
     files = {file.name for file in out.iterdir()}
     assert files == {"weights.safetensors", "manifest.yaml", "tensorboard"} | {
         "learning_curves.csv", "learning_curves.png", "scores.csv"
@@ -53,12 +47,10 @@ def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, ca
     assert (network.name, network.target, network.clipped, network.hidden) == ("net", target, target == "regret", (8,))
     summary = dict(network.training)
     assert (summary["trees"], summary["tracks"], summary["setting_seed"]) == (8, "Pipkin", 3)
-    with open(out / "learning_curves.csv", newline="") as stream:
-        curves = list(csv.DictReader(stream))
+    curves = list(csv.DictReader((out / "learning_curves.csv").read_text().splitlines()))
     assert list(curves[0]) == list(Epoch._fields)
     assert [row["epoch"] for row in curves] == ["0", "1", "2", "3", "4"]
-    with open(out / "scores.csv", newline="") as stream:
-        scores = list(csv.DictReader(stream))
+    scores = list(csv.DictReader((out / "scores.csv").read_text().splitlines()))
     assert list(scores[0]) == ["strategy", "tree", *TreeScore._fields]
     own = [float(row["lost_to_best_response"]) for row in scores if row["strategy"] == "net"]
     assert len(own) == summary["test_trees"] >= 1
@@ -66,26 +58,26 @@ def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, ca
     assert (out / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     (events,) = (out / "tensorboard").iterdir()
     assert b"validation/loss" in events.read_bytes()
-    text = capsys.readouterr().out
     assert "choices on held-out rows:" in text
     assert "  equilibrium " in text
     assert f"network: {out}" in text
 
 
-def test_one_command_has_one_result_and_folders_must_be_of_one_game(folder, tmp_path, capsys):
+def test_one_command_has_one_result_and_folders_must_be_of_one_game(folder, tmp_path, printed, run):
     for name in ("one", "two"):
         arguments = ["--epochs", 2, "--no-tensorboard", "--no-picture", "--name", "same", "--out", tmp_path / name]
-        assert train(folder, *arguments) == 0
+        printed("train", folder, *arguments)
     one, two = ({file.name: file.read_bytes() for file in (tmp_path / name).iterdir()} for name in ("one", "two"))
     assert one == two
     assert set(one) == {"weights.safetensors", "manifest.yaml", "learning_curves.csv", "scores.csv"}
     build_trees(make_game("Pipkin", moves=2, step_seconds=1.0), tmp_path / "more", pairs=3, seed=1)
     out = tmp_path / "out"
-    assert train(folder, tmp_path / "more", "--epochs", 1, "--no-tensorboard", "--no-picture", "--out", out) == 0
+    printed("train", folder, tmp_path / "more", "--epochs", 1, "--no-tensorboard", "--no-picture", "--out", out)
     assert yaml.safe_load((out / "manifest.yaml").read_text())["training"]["trees"] == 11
     build_trees(make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2), tmp_path / "other", pairs=2)
-    assert train(folder, tmp_path / "other", "--out", tmp_path / "none") == 2
-    assert "hold trees of different games: epsilon is 0.2 in one and" in capsys.readouterr().err
+    code, _, err = run("train", folder, tmp_path / "other", "--out", tmp_path / "none")
+    assert code == 2
+    assert "hold trees of different games: epsilon is 0.2 in one and" in err
     assert not (tmp_path / "none").exists()
 
 
@@ -97,13 +89,10 @@ def test_one_command_has_one_result_and_folders_must_be_of_one_game(folder, tmp_
         ("nothing", [], "holds no game trees"),
     ],
 )
-def test_bad_options_are_one_line(folder, tmp_path, capsys, given, arguments, message):
+def test_bad_options_are_one_line(folder, tmp_path, told, given, arguments, message):
     (tmp_path / "nothing").mkdir()
     known = {"trees": folder, "nothing": tmp_path / "nothing"}
-    assert train(known[given], *arguments, "--out", tmp_path / "out") == 2
-    err = capsys.readouterr().err
-    assert err.startswith("pcs-racing: error: ")
-    assert err.count(message) == err.count("\n") == 1
+    assert told("train", known[given], *arguments, "--out", tmp_path / "out").count(message) == 1
     assert not (tmp_path / "out").exists()
 
 
@@ -117,9 +106,8 @@ def train_toys(trees, settings=QUICK, **options):
 
 
 def test_no_starting_pair_is_learned_from_and_judged_by():
-    trees = [
-        random_tree(seed=i, policies=pair) for i, pair in enumerate([(0, 1), (1, 0), (2, 3), (4, 5), (5, 4), (6, 7)])
-    ]
+    pairs = [(0, 1), (1, 0), (2, 3), (4, 5), (5, 4), (6, 7)]
+    trees = [random_tree(seed=i, policies=pair) for i, pair in enumerate(pairs)]
     for seed in range(4):
         told = []
         settings = load_train_settings(QUICK, seed=seed, test_share=0.4, epochs=1)
@@ -128,9 +116,8 @@ def test_no_starting_pair_is_learned_from_and_judged_by():
         assert trained.network.training["test_trees"] in (2, 3, 4)
         assert trained.network.training["starting_pairs"] == 2
         assert told[-1] == (6, 6, "solved for advantage")
-        assert set(trained.result.validation_pairs) <= {
-            int(pair_number(pair)) for pair in [(0, 1), (2, 3), (4, 5), (6, 7)]
-        }
+        known = {int(pair_number(pair)) for pair in [(0, 1), (2, 3), (4, 5), (6, 7)]}
+        assert set(trained.result.validation_pairs) <= known
 
 
 def test_without_held_out_trees_the_validation_rows_judge_and_too_few_pairs_are_refused():

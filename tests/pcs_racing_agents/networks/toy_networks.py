@@ -3,6 +3,7 @@
 import numpy as np
 from random_layers import random_layers
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.networks import RegretNetwork
 
@@ -34,3 +35,10 @@ def random_network(inputs=7, hidden=(16, 16), seed=0, clipped=False, **changes) 
         "training": {"rows": 10, "validation_loss": 0.5, "setting_target": "advantage"},
     }
     return RegretNetwork(**{**values, **changes})
+
+
+def plain_network(weight, bias=None, **changes) -> RegretNetwork:
+    """A network without hidden layers that takes observations as they are."""
+    outputs, inputs = np.shape(weight)
+    layers = DenseLayers((weight,), (np.zeros(outputs) if bias is None else bias,))
+    return random_network(inputs, layers=layers, mean=np.zeros(inputs), scale=np.ones(inputs), **changes)

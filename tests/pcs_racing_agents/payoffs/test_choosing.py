@@ -45,9 +45,8 @@ def test_the_pool_that_is_chosen_in_noise_really_has_headroom():
     expected = np.array([denoised(played(truth, seed, 1)) for seed, truth in enumerate(truths)])
     raw = np.array([played(truth, seed, 1).mean(axis=0) for seed, truth in enumerate(truths)])
     everybody = pool_headroom(np.array(truths), np.arange(POLICIES)[None]).mean()
-    chosen, from_noise = (
-        pool_headroom(np.array(truths), choose_pool(payoffs, GROUPS, 8)[None]).mean() for payoffs in (expected, raw)
-    )
+    pools = (choose_pool(payoffs, GROUPS, 8) for payoffs in (expected, raw))
+    chosen, from_noise = (pool_headroom(np.array(truths), pool[None]).mean() for pool in pools)
     assert chosen > everybody + 0.03
     assert chosen > from_noise
 

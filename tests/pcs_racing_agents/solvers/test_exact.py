@@ -9,9 +9,8 @@ from small_games import kuhn_poker, random_tree
 from pcs_racing_agents.solvers import GameTree, advantages, exploitability, q_values, solve_exact, solve_sequence_form
 
 SMALL = st.sampled_from([(2, 2), (3, 2), (1, 3), (2, 2, 2, 2), (3, 2, 2, 1), (2, 3, 1, 2, 2, 2)])
-PAYOFFS = SMALL.flatmap(
-    lambda shape: arrays(np.float64, shape, elements=st.integers(-4, 4) | st.floats(-60.0, 60.0, width=32))
-)
+METRES = st.integers(-4, 4) | st.floats(-60.0, 60.0, width=32)
+PAYOFFS = SMALL.flatmap(lambda shape: arrays(np.float64, shape, elements=METRES))
 
 
 def pure_security(tree: GameTree) -> tuple[float, float]:

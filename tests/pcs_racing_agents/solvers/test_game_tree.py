@@ -24,8 +24,7 @@ def test_nodes_stand_in_the_order_of_their_history_in_a_tree_that_is_a_value():
     tree = GameTree.from_payoffs(given)
     given[0, 0] = 5.0
     assert tree.payoffs[0, 0] == 0.0
-    with pytest.raises(ValueError, match="read-only"):
-        tree.payoffs[0, 0] = 1.0
+    refused("read-only", tree.payoffs.fill, 1.0, error=ValueError)
     assert copy.deepcopy(tree) is tree
 
 

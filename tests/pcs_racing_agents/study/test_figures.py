@@ -58,17 +58,12 @@ def test_a_picture_has_the_same_bytes_every_time(name, table):
     assert len(first) < 400_000
 
 
-def points_of(axes):
-    """Places of all single marks of a panel."""
-    return [tuple(line.get_xydata()[0]) for line in axes.lines if len(line.get_xdata()) == 1]
-
-
 def test_scores_stand_where_the_table_says_and_differences_that_may_be_nothing_are_hollow(table):
     panels = [axes for axes in figures.scores_picture(table).axes if axes.get_visible()]
     assert len(panels) == len(table.rows)
     assert [label.get_text() for label in panels[0].get_yticklabels()] == list(table.arms)
     for row, axes in zip(table.rows, panels, strict=True):
-        marks = points_of(axes)
+        marks = [tuple(line.get_xydata()[0]) for line in axes.lines if len(line.get_xdata()) == 1]
         for arm in row.arms:
             assert (arm.score, -table.arms.index(arm.arm)) in marks
         if row.paper is not None:

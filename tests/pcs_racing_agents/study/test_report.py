@@ -11,8 +11,7 @@ from refusal import refused
 from toy_races import toy_races
 from toy_report import NASTY, toy_report
 
-from pcs_racing import make_game
-from pcs_racing.race.replay import read_replay
+from pcs_racing import make_game, read_replay
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.study import report
@@ -21,8 +20,6 @@ from pcs_racing_agents.study.report import ReportContent, report_page, write_pag
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import overview_rows
 from pcs_racing_agents.tournament import cross_pairing, play_pairings
-
-VOID = {"meta", "img", "br"}
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +58,7 @@ class _Balance(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         values = dict(attrs)
-        if tag not in VOID:
+        if tag not in ("meta", "img", "br"):  # which have no end
             self.open.append(tag)
         self.frames += [values] if tag == "iframe" else []
         self.images += [values] if tag == "img" else []
@@ -213,10 +210,8 @@ def test_curves_and_losses_are_read_and_losses_stand_beside_the_score(tmp_path):
     losses = inputs.read_losses(path)
     assert losses[0] == inputs.ReplyLoss("a", "Oval", 0.1, 0.0, 0.2, 400, 0.6, 0.4, 0.05)
     totals = inputs.total_losses(losses)
-    assert {name: (total.track, total.loss) for name, total in totals.items()} == {
-        "a": ("all", 0.2),
-        "b": ("Oval", -0.1),
-    }
+    found = {name: (total.track, total.loss) for name, total in totals.items()}
+    assert found == {"a": ("all", 0.2), "b": ("Oval", -0.1)}
     table = make_table(toy_races(strengths={"a": 0.0, "c": 0.1}, egos=3, variants=3))
     (place,) = inputs.scores_and_losses(table, losses)
     assert (place.name, place.loss, place.low, place.high) == ("a", 0.2, 0.1, 0.3)

@@ -12,11 +12,9 @@ import yaml
 from long_jobs import SETTINGS, files
 from repository import load_tool
 
-from pcs_racing import load_archive, save_archive
-from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
+from pcs_racing import ConfigError, InputError, UnknownNameError, load_archive, save_archive
 from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit, save_fit
-from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network, load_network_set
@@ -156,23 +154,20 @@ def test_what_was_found_can_be_shipped(finished, tmp_path):
     fits.mkdir(parents=True)
     load_tool("ship_study").ship(Study(config, finished.folder), tmp_path)
     kinds = ("advantage", "gain", "ppo", "psro", "regret", "robust", "self-play")
-    assert sorted(path.name for path in (tmp_path / "networks").iterdir()) == [
-        f"default-paper-{kind}" for kind in kinds
-    ]
+    expected = [f"default-paper-{kind}" for kind in kinds]
+    assert sorted(path.name for path in (tmp_path / "networks").iterdir()) == expected
     assert load_network_set(tmp_path / "networks" / "default-paper-psro").name == "default-paper-psro"
     assert len(list(fits.glob("default-paper-best-*.yaml"))) == 3
 
 
-def test_the_command_goes_on_in_the_folder_and_says_where_the_results_are(finished, tmp_path, capsys):
+def test_the_command_goes_on_in_the_folder_and_says_where_the_results_are(finished, tmp_path, printed, told):
     config = tmp_path / "tiny.yaml"
     config.write_text(yaml.safe_dump(plain_settings(TINY)), encoding="utf-8")
-    assert main(["study", str(config), "--out", str(finished.folder), "--stage", "archive"]) == 0
-    out = capsys.readouterr().out
+    out = printed("study", config, "--out", finished.folder, "--stage", "archive")
     assert all(re.search(rf"^{stage} +\d+\.\d s$", out, re.MULTILINE) for stage in NAMES)
     assert f"report.html: {finished.folder / 'report.html'}" in out
     assert (finished.folder / "table.txt").read_text(encoding="utf-8") in out
-    assert main(["study", str(config), "--out", str(finished.folder), "--seed", "9"]) == 2
-    assert "seed" in capsys.readouterr().err
+    assert "seed" in told("study", config, "--out", finished.folder, "--seed", 9)
 
 
 def test_stages_come_in_order_and_time_before_a_stop_is_counted(tmp_path):

@@ -187,8 +187,7 @@ def test_a_table_is_made_again_from_the_races_with_the_columns_that_are_named(ca
     run_block(code)
     assert capsys.readouterr().out.strip() != ""
     assert (results.parent / "table-again.csv").is_file()
-    named = {
-        name for name in re.findall(r"`([a-z_]+)`", PAGE) if name in texts.CSV_COLUMNS or name.endswith(("low", "high"))
-    }
+    words = re.findall(r"`([a-z_]+)`", PAGE)
+    named = {name for name in words if name in texts.CSV_COLUMNS or name.endswith(("low", "high"))}
     assert named == {"races", "low", "high", "two_way_low", "two_way_high"}
     assert named <= set(texts.CSV_COLUMNS)

@@ -1,5 +1,4 @@
 import csv
-import logging
 import shutil
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from refusal import refused
 from pcs_racing import InputError, load_archive
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.testing import check_archive
-from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.synthesis.archive_run import make_archive, stage_scenarios
 from pcs_racing_agents.synthesis.config import ArchiveConfig, load_archive_config
 from pcs_racing_agents.synthesis.evaluate import race_policies, summarise
@@ -77,8 +75,7 @@ def test_the_manifest_and_the_curve_say_how_it_was_made(made):
     volumes = [n.hypervolume for n in news]
     assert volumes == sorted(volumes)  # the same races for all: the front only grows
     assert news[-1].front == len(made[0])
-    with open(folder / "hypervolume.csv", newline="") as stream:
-        rows = list(csv.DictReader(stream))
+    rows = list(csv.DictReader((folder / "hypervolume.csv").read_text().splitlines()))
     assert [int(row["evaluations"]) for row in rows] == [12, 18, 24, 30]
     assert [float(row["hypervolume"]) for row in rows] == pytest.approx(volumes[:4], abs=1e-6)
 
@@ -106,11 +103,8 @@ def test_fixed_parameters_keep_their_defaults_and_are_left_out(tmp_path):
     assert archive.settings["fixed"] == "pace_behind, blocking"
     rows = LATTICE.indices(config.fixed)
     final = stage_scenarios(config)[2]
-    for policies in (
-        archive.complete(archive.parameters),
-        archive.complete(archive.explored_parameters),
-        final.opponents,
-    ):
+    complete = archive.complete
+    for policies in (complete(archive.parameters), complete(archive.explored_parameters), final.opponents):
         np.testing.assert_array_equal(policies[:, rows], np.tile(LATTICE.default[rows], (len(policies), 1)))
     found = summarise(race_policies((final, archive.complete(archive.parameters))))
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
@@ -160,8 +154,7 @@ def test_policies_below_the_least_coordinates_stay_out_and_too_few_are_told(tmp_
     archive = make_archive(with_(min_coordinates=(0.0, 0.0), seed=7), tmp_path / "least")
     assert archive.coordinates[:, 0].min() > made[0].coordinates[:, 0].min() + 0.2
     assert (archive.explored.coordinates[:, 0] < 0.0).any()
-    with caplog.at_level(logging.WARNING):
-        archive = make_archive(with_(min_policies=60), tmp_path / "few")
+    archive = make_archive(with_(min_policies=60), tmp_path / "few")
     assert f"the archive holds {len(archive)} policies; 60 were wanted" in caplog.text
     assert archive.settings["enough_policies"] is False
 
@@ -182,17 +175,18 @@ def test_impossible_settings_are_refused():
         refused(message, with_, **changes)
 
 
-def test_the_command(tmp_path, capsys):
-    arguments = ["synthesize", "--config", str(SETTINGS / "synthesis.yaml"), "--track", "Pipkin", "--generations", "0"]
-    arguments += ["--population", "4", "--out", str(tmp_path / "a")]
-    assert main([*arguments, "--name", "small", "--executor", "serial"]) == 0
-    out, err = capsys.readouterr()
+def test_the_command(tmp_path, run, told):
+    arguments = ["synthesize", "--config", SETTINGS / "synthesis.yaml", "--track", "Pipkin", "--generations", 0]
+    arguments += ["--population", 4, "--out", tmp_path / "a"]
+    code, out, err = run(*arguments, "--name", "small", "--executor", "serial")
+    assert code == 0
     assert "<PolicyArchive 'small'" in out
     assert f"archive: {tmp_path / 'a'}" in out
     assert "measurement: generation 0/0, hypervolume " in err
     assert load_archive(tmp_path / "a").name == "small"
-    assert main([*arguments, "--name", "other"]) == 2
-    assert "its name is 'small', not 'other'" in capsys.readouterr().err
-    assert main(["synthesize", "--config", "nothing", "--out", str(tmp_path / "b")]) == 2
-    assert "archive settings 'nothing' are unknown; use contest, default or the path" in capsys.readouterr().err
+    code, _, err = run(*arguments, "--name", "other")
+    assert code == 2
+    assert "its name is 'small', not 'other'" in err
+    unknown = told("synthesize", "--config", "nothing", "--out", tmp_path / "b")
+    assert "archive settings 'nothing' are unknown; use contest, default or the path" in unknown
     assert not (tmp_path / "b").exists()

@@ -4,15 +4,12 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import InputError, load_race_config
+from pcs_racing import InputError, Policy, Starts, load_race_config, parse_policy
 from pcs_racing.game import characteristics
-from pcs_racing.game.characteristics import Characteristic
+from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.planner import Policy
-from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
-from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import SUMS
 from pcs_racing_agents.synthesis import evaluate as evaluation
 from pcs_racing_agents.synthesis.evaluate import draw_scenarios, evaluate, race_policies, race_segments, summarise
@@ -42,14 +39,12 @@ def test_every_start_is_paired_with_every_opponent_in_races_drawn_from_the_seed(
         here = scenarios.track == track
         lines = np.unique(scenarios.start_s[here])
         assert len(lines) == 2
-        met = set(
-            zip(*(part[here].tolist() for part in (scenarios.start_s, scenarios.opponent, scenarios.side)), strict=True)
-        )
+        drawn = (scenarios.start_s, scenarios.opponent, scenarios.side)
+        met = set(zip(*(part[here].tolist() for part in drawn), strict=True))
         assert met == {(line, opponent, side) for line in lines for opponent in range(3) for side in range(2)}
     assert len(set(scenarios.seed.tolist())) == len(scenarios)
-    again, other = (
-        draw_scenarios([oval, "Pipkin"], SHORT, policies(3, 1), AXES, segment_seconds=2.0, seed=seed) for seed in (4, 5)
-    )
+    given = ([oval, "Pipkin"], SHORT, policies(3, 1), AXES)
+    again, other = (draw_scenarios(*given, segment_seconds=2.0, seed=seed) for seed in (4, 5))
     for key in ("track", "start_s", "side", "seed", "opponent"):
         np.testing.assert_array_equal(getattr(again, key), getattr(scenarios, key))
     assert not np.isin(other.seed, scenarios.seed).any()
@@ -59,10 +54,6 @@ def test_every_start_is_paired_with_every_opponent_in_races_drawn_from_the_seed(
 
 def test_coordinates_are_means_over_the_pieces(scenarios, raced, oval):
     """One policy's races on the first track, driven here by hand."""
-    from pcs_racing.game.characteristics import Segment, get_characteristics, measure
-    from pcs_racing.race.races import start_races
-    from pcs_racing.race.start_grid import Starts
-
     setup = RaceSetup(oval, SHORT, (LATTICE, LATTICE))
     state = start_races(setup, Starts(scenarios.start_s[:12], scenarios.side[:12]), scenarios.seed[:12])
     theta = np.stack([np.tile(policies(5)[2], (12, 1)), scenarios.opponents[scenarios.opponent[:12]]], axis=1)
@@ -133,9 +124,7 @@ def test_blocks_and_executors_change_nothing(scenarios, raced, kind, executor):
             np.testing.assert_array_equal(mine, theirs)
 
 
-def test_policies_do_not_disturb_each_other_and_are_driven_one_by_one_where_races_are_many(
-    scenarios, raced, monkeypatch
-):
+def test_policies_do_not_disturb_each_other_and_many_races_are_driven_one_by_one(scenarios, raced, monkeypatch):
     refused(r"parameters .*\(2, 3\)", evaluate, scenarios, np.zeros((2, 3)))
     alone = race_policies((scenarios, policies(5)[3:4]))
     for key, values in alone.items():
@@ -155,9 +144,8 @@ def test_the_spread_is_that_of_a_mean_over_races():
 
     rng = np.random.default_rng(0)
     totals = rng.normal(3.0, 2.0, (4, 50, 1))
-    whole = summarise(
-        {"totals": totals, "segments": np.full((4, 50), 2), "own_crash": np.zeros((4, 50), bool), **nobody(4)}
-    )
+    own_crash = np.zeros((4, 50), bool)
+    whole = summarise({"totals": totals, "segments": np.full((4, 50), 2), "own_crash": own_crash, **nobody(4)})
     np.testing.assert_allclose(whole.spread[:, 0], (totals[..., 0] / 2.0).std(axis=1, ddof=1) / np.sqrt(50.0))
     segments = rng.integers(1, 3, (4000, 50))
     values = rng.normal(3.0, 2.0, (4000, 50, 1)) + 3.0 * (segments[..., None] - 1)
@@ -176,10 +164,8 @@ def test_impossible_races_and_characteristics_that_are_no_number(oval, monkeypat
         ({"characteristics": ("pace", "charm")}, "characteristic 'charm' is unknown"),
         ({"config": load_race_config("paper", start_spacing=5.0, duration=4.0)}, "has no place"),
     ]:
-        given = {
-            "tracks": [oval], "config": SHORT, "opponents": policies(2), "characteristics": AXES,
-            "segment_seconds": 2.0,
-        }  # fmt: skip
+        given = {"tracks": [oval], "config": SHORT, "opponents": policies(2), "characteristics": AXES}
+        given["segment_seconds"] = 2.0
         refused(message, draw_scenarios, **{**given, **change})
     broken = Characteristic("broken", "1", "for a test", lambda segment: segment.progress / 0.0 - np.inf)
     monkeypatch.setattr(characteristics, "_registered", {**characteristics._registered, "broken": broken})

@@ -56,10 +56,8 @@ def test_the_scale_runs_from_the_worst_to_the_best_of_the_front_or_of_all_feasib
     np.testing.assert_allclose([scale(front).min(axis=0), scale(front).max(axis=0)], [[0.0, 0.0], [1.0, 1.0]])
     stated = explored.scale(np.array([4.0, 8.0]), np.array([2.0, 0.0]))
     np.testing.assert_allclose(stated(np.array([3.0, 2.0])), [0.5, 0.25])
-    points = np.zeros((3, 3))
-    single = ParetoArchive.empty(3).joined(
-        points, np.array([[5.0, 2.0], [4.0, 2.0], [9.0, 9.0]]), np.array([0.0, 0.0, 1.0])
-    )
+    objectives, violation = np.array([[5.0, 2.0], [4.0, 2.0], [9.0, 9.0]]), np.array([0.0, 0.0, 1.0])
+    single = ParetoArchive.empty(3).joined(np.zeros((3, 3)), objectives, violation)
     assert single.front.tolist() == [0]
     scale = single.scale()
     assert (scale.nadir.tolist(), scale.ideal.tolist()) == ([4.0, 2.0], [5.0, 3.0])

@@ -24,20 +24,17 @@ def test_it_was_made_with_the_settings_and_circuits_that_ship(name):
         # The first is only a wish; an archive made before there were rivals had none.
         if key != "min_policies" and (key in archive.settings or key not in ("rivals", "min_score")):
             assert archive.settings[key] == value, key
-    config = load_archive_config(name)
     assert len(config.tracks) >= 3
-    stated_hashes = load_archive(name).settings["track_hashes"].split(", ")
+    stated_hashes = archive.settings["track_hashes"].split(", ")
     # After the circuits of the search come those on which the choice was judged.
     for track, stated in zip(config.tracks, stated_hashes, strict=False):
         assert stated == f"{track} {load_track(track).content_hash[:16]}"
 
 
 def test_the_default_archive_lies_along_the_front_and_that_of_the_contest_holds_a_game():
-    name = "default"
-    archive = load_archive(name)
-    config = load_archive_config(name)
+    archive = load_archive("default")
     check_archive(archive)
-    assert len(archive) >= config.min_policies
+    assert len(archive) >= load_archive_config("default").min_policies
     assert len(archive) >= 40
     points = archive.normalised
     away = np.linalg.norm(points[:, None] - points[None], axis=-1)[~np.eye(len(points), dtype=bool)]

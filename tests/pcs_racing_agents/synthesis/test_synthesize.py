@@ -65,9 +65,8 @@ def test_it_comes_near_the_whole_front_and_random_search_does_not(function, shar
 
 def test_the_front_is_what_nothing_explored_beats():
     result = synthesize(spheres, UNIT, population=12, generations=10, elite_ratio=1.0)
-    np.testing.assert_array_equal(
-        result.parameters, result.explored_parameters[non_dominated(result.explored_objectives, duplicates=False)]
-    )
+    front = non_dominated(result.explored_objectives, duplicates=False)
+    np.testing.assert_array_equal(result.parameters, result.explored_parameters[front])
     np.testing.assert_array_equal(result.objectives, spheres(result.parameters))
     assert result.explored_parameters.shape == (120, 6)
     grown = result.hypervolumes()
@@ -241,9 +240,8 @@ def test_results_that_do_not_fit_each_other_or_another_search_are_named():
         synthesize(lambda x: np.zeros((len(x), 2 + int(x[0, 0] > 0.5))), UNIT, **SMALL, executor=executor)
     with ThreadPoolExecutor(2) as executor, pytest.raises(InputError, match="results of different shapes"):
         synthesize(violations_in_a_part, UNIT, **SMALL, executor=executor)
-    stored = [
-        Evaluated(news.objectives, None, news.parameters) for news in synthesize(spheres, UNIT, **SMALL).generations
-    ]
+    generations = synthesize(spheres, UNIT, **SMALL).generations
+    stored = [Evaluated(news.objectives, None, news.parameters) for news in generations]
     refused(r"other points .*0 evaluations", synthesize, spheres, UNIT, **{**SMALL, "seed": 4}, evaluated=stored)
     refused("holds 6 results", synthesize, spheres, UNIT, **{**SMALL, "generations": 5}, evaluated=stored)
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import parse_policy
-from pcs_racing.race.config import CONTEST
+from pcs_racing import CONTEST, parse_policy
 from pcs_racing_agents.agents import Driver, make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.jobs import open_job

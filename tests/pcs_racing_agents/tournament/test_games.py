@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from refusal import refused
+from same_arrays import assert_same
+from same_move import Model
 
 from pcs_racing import InputError, RaceGame
 from pcs_racing.base.seeds import race_seeds
@@ -20,12 +22,6 @@ def played(pairing, **changes):
     """Races of a pairing by the function that documentation shows."""
     given = {"policies": pairing.variants, "starts": pairing.starts, "seeds": pairing.noise, **changes}
     return play_games(pairing.game, pairing.ego, pairing.opponent, **given)
-
-
-def assert_same(found, expected) -> None:
-    """The same columns to the last bit."""
-    for name in expected:
-        np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
 
 
 def test_a_played_game_is_the_game_that_the_moves_make(contest, zoo, games_of):
@@ -81,7 +77,8 @@ def test_what_comes_of_a_game_depends_on_the_game_alone(contest, zoo, games_of, 
     (expected,) = together.race([together.ego])
     for rows in ([0], [7, 3], [11, 0, 5], []):
         some = replace(together.take(np.array(rows, int)), game=replace(contest, threads=1))
-        assert_same(some.race([some.ego])[0], {name: column[rows] for name, column in expected.items()})
+        # Of no games, overtakes have another type.
+        assert_same(some.race([some.ego])[0], {name: column[rows] for name, column in expected.items()}, strict=False)
     drivers = [name in ("random-policy", "pure-pursuit") for name in pair]
     for name in ("moves", "path"):
         assert ((expected[name] < 0).all(axis=(0, 2)) == drivers).all()
@@ -152,9 +149,7 @@ def driven(monkeypatch) -> list[int]:
     return counts
 
 
-def test_what_is_the_same_is_driven_once_and_two_moves_to_one_policy_are_one_drive(
-    contest, zoo, games_of, egos, driven
-):
+def test_the_same_is_driven_once_and_two_moves_to_one_policy_are_one_drive(contest, zoo, games_of, egos, driven):
     pairing = games_of(zoo["never-switch"], zoo["never-switch"])
     pairing.race([zoo["random-moves"]] * 4)
     assert driven == [GAMES] * 4
@@ -229,11 +224,4 @@ def test_impossible_egos_and_moves_are_refused(contest, zoo, games_of, starts):
         play_games(contest, zoo["never-switch"], "never-switch", policies=pairing.variants, starts=starts, seeds=[1])
     with pytest.raises(InputError, match=r"\(1, 2\)"):
         record_game(contest, *[zoo["never-switch"]] * 2, policies=[[1, 2]], start=starts.take([0]), seed=1)
-
-    class Wrong:
-        name = "wrong"
-
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):
-            return np.full(len(observation), 5), None
-
-    refused("'wrong': game 0: move 5", played, games_of(Wrong(), zoo["never-switch"]))
+    refused("'Model': game 0: move 5", played, games_of(Model(5), zoo["never-switch"]))

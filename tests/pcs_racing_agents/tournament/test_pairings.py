@@ -80,9 +80,8 @@ def test_the_races_are_the_same_in_blocks_in_a_job_and_together_with_others(cont
     counts: list[tuple[int, int]] = []
     for _ in range(2):
         with open_job(tmp_path / "job", "races", {}) as job, make_executor("threads", 2) as executor:
-            races = play_pairings(
-                pairings, job=job, executor=executor, progress=lambda done, total, _: counts.append((done, total))
-            )
+            told = {"progress": lambda done, total, _: counts.append((done, total))}
+            races = play_pairings(pairings, job=job, executor=executor, **told)
         assert list(map(list, races)) == expected
     # Blocks of 10 races of two agents, and of 20 of the driver: eight tasks, none of them driven twice.
     assert counts == [(144 * task // 8, 144) for task in (*range(9), 8)]

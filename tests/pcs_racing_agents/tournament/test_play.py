@@ -1,6 +1,6 @@
-import numpy as np
 import pytest
 from refusal import refused
+from same_move import Model
 
 from pcs_racing import GameConfig, load_race_config, parse_policy
 from pcs_racing_agents.agents import make_setting
@@ -102,10 +102,6 @@ def test_results_of_another_configuration_are_refused(mixed, oval, archive, tmp_
 
 
 def test_names_for_models(oval, archive):
-    class Model:
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):
-            return np.zeros(len(observation), np.int64), state
-
     both = {"trained": Model(), "untrained": Model()}
     played = play_tournament(oval, both, CONTEST, archive=archive, races_per_pair=2)
     assert played.plan.names == ("trained", "untrained")

@@ -95,9 +95,8 @@ def test_intervals_repeat_and_know_of_shared_races():
     copies = np.repeat(np.arange(len(first)), 50)
     many = [np.array(first)[copies], np.array(second)[copies], result[copies]]
     line = np.tile(np.arange(10), len(first) // 10)[copies]
-    alone, again, naive = (
-        rate(*many, unit=unit, rng=np.random.default_rng(5), replicates=200) for unit in (line, line, None)
-    )
+    units = (line, line, None)
+    alone, again, naive = (rate(*many, unit=unit, rng=np.random.default_rng(5), replicates=200) for unit in units)
     assert (alone.low == again.low).all()
     assert ((naive.high - naive.low) < 0.35 * (alone.high - alone.low)).all()
 

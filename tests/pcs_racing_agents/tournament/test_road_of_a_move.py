@@ -80,8 +80,7 @@ def test_a_move_passes_fourteen_files_on_its_way_to_a_row_and_none_twice(oval, s
             written = write_results(play_plan(plan, job=job).races, tmp_path / "results.csv")
         finally:
             sys.setprofile(None)
-    with open(written, newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = list(csv.DictReader(written.read_text(encoding="utf-8").splitlines()))
     assert [row["ego_moves"].split("; ")[0] for row in rows] == [setting.moves[move] for move in watch.moves]
     assert len(set(watch.moves.tolist())) > 1
     assert list(watch.roads) == list(ENDS)

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 from refusal import refused
 
 from pcs_racing import load_race_config, parse_policy
@@ -84,8 +85,6 @@ def test_the_text_and_the_picture_hold_the_table(tournament, mixed, tmp_path):
     for name in tournament.plan.names:
         assert text.count(name) == 2  # once in the table, once in the matrix
     assert "a crash is won by the car not to blame" in text
-    from PIL import Image
-
     path = payoff_picture(mixed, tmp_path / "payoffs.png")
     with Image.open(path) as picture:
         assert min(picture.size) > 300

@@ -4,12 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcs_racing import CONTEST, PolicyArchive, RaceGame, Starts, Track, load_track, make_game
-from pcs_racing.game.state import GameState
+from pcs_racing import CONTEST, GameState, PolicyArchive, RaceGame, Starts, Track, load_track, make_game
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing_agents.trees import RaceTree
-
-FAR = replace(CONTEST, name="far", start_gap=20.0, steering_noise=0.02)
 
 
 @pytest.fixture(scope="session")
@@ -22,9 +19,8 @@ def archive() -> PolicyArchive:
     """Nine policies from slow to fast; made up, so that no other archive of the project decides what is tested."""
     pace = np.linspace(0.05, 0.95, 9)
     odd = np.arange(9) % 2
-    theta = [
-        LATTICE.policy({"pace": p, "side_margin": 0.25 + 0.1 * o}).parameters for p, o in zip(pace, odd, strict=True)
-    ]
+    values = [{"pace": p, "side_margin": 0.25 + 0.1 * o} for p, o in zip(pace, odd, strict=True)]
+    theta = [LATTICE.policy(one).parameters for one in values]
     coordinates = np.stack([20.0 * pace - 10.0, 2.0 - pace + 0.7 * odd], axis=1)
     names = ("aggressiveness", "restraint")
     return PolicyArchive("tiny", "lattice", LATTICE.parameter_names, np.array(theta), names, coordinates)
@@ -46,7 +42,7 @@ def noisy(track, archive) -> RaceGame:
 def far(track, archive) -> RaceGame:
     """Games of cars that start out of each other's sight, and in which some crash."""
     rules = {"moves": 3, "step_seconds": 6.0, "utility": "lead-at-crash", "fault_penalty": 3.0, "epsilon": 0.35}
-    return make_game(track, archive, FAR, **rules)
+    return make_game(track, archive, replace(CONTEST, name="far", start_gap=20.0, steering_noise=0.02), **rules)
 
 
 @pytest.fixture(scope="session")
@@ -55,11 +51,8 @@ def played() -> Callable[..., GameState]:
 
     def play(game: RaceGame, tree: RaceTree, seed: int, histories: np.ndarray) -> GameState:
         n = len(histories)
-        state = game.reset(
-            np.full(n, tree.seeds[seed]),
-            policies=tree.policies,
-            starts=Starts(np.full(n, tree.start_s), np.full(n, tree.side)),
-        )
+        starts = Starts(np.full(n, tree.start_s), np.full(n, tree.side))
+        state = game.reset(np.full(n, tree.seeds[seed]), policies=tree.policies, starts=starts)
         for k in range(histories.shape[1]):
             state = game.step(state, histories[:, k])
         return state

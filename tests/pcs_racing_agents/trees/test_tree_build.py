@@ -6,18 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from refusal import refused
+from same_arrays import assert_same
 
 from pcs_racing import CONTEST, InputError, PolicyArchive, RaceGame, Starts, make_game
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
+from pcs_racing_agents.solvers import solve_exact
 from pcs_racing_agents.trees import build_tree
 from pcs_racing_agents.trees import driving as _driving
 from pcs_racing_agents.trees.tree import check_size, own_histories, policy_paths
-
-
-def same(tree, other, but: tuple[str, ...] = ()) -> None:
-    for name, array in other.arrays().items():
-        if name not in but:
-            np.testing.assert_array_equal(tree.arrays()[name], array, err_msg=name, strict=True)
 
 
 def test_the_leaves_are_the_races_of_all_sequences_of_moves(paper, played, number):
@@ -37,10 +33,8 @@ def test_a_tree_may_begin_before_the_start(paper, played):
     every = np.array(list(product(range(4), repeat=4))).reshape(-1, 2, 2)
     ends = played(game, tree, 0, every)
     np.testing.assert_array_equal(tree.payoffs[0], game.reward(ends)[:, 0].astype(np.float32))
-    assert (
-        tree.leads[0]
-        == game.reset(games=1, policies=(2, 7), starts=Starts(np.array([tree.start_s]), np.array([1]))).leads[0, 0]
-    ).all()
+    starts = Starts(np.array([tree.start_s]), np.array([1]))
+    assert (tree.leads[0] == game.reset(games=1, policies=(2, 7), starts=starts).leads[0, 0]).all()
 
 
 @pytest.mark.parametrize(("name", "policies", "line", "side"), [("noisy", (7, 6), 1, 1), ("far", (7, 1), 0, 0)])
@@ -74,13 +68,13 @@ def test_putting_far_races_together_changes_no_bit_nor_do_threads(far, noisy, mo
     place = (float(far.start_lines[0]), 0)
     tree = build_tree(far, (7, 1), place, [1])
     one_by_one = build_tree(far, (7, 1), place, [1], share=False)
-    same(tree, one_by_one, but=("driven",))
+    assert_same(tree.arrays(), one_by_one.arrays(), skip=("driven",))
     assert 4 * tree.statistics.driven < one_by_one.statistics.driven == tree.statistics.live
     assert 0.0 < tree.statistics.crashed < 1.0
     place = (float(noisy.start_lines[0]), 0)
     tree = build_tree(noisy, (2, 6), place, [7])
     monkeypatch.setattr(_driving, "CHUNK", 13)
-    same(build_tree(replace(noisy, threads=1), (2, 6), place, [7]), tree)
+    assert_same(build_tree(replace(noisy, threads=1), (2, 6), place, [7]).arrays(), tree.arrays())
 
 
 def test_cars_within_sight_and_drivers_that_promise_none_are_driven_together(track, archive):
@@ -89,14 +83,13 @@ def test_cars_within_sight_and_drivers_that_promise_none_are_driven_together(tra
     game = make_game(track, archive, replace(CONTEST, start_gap=30.0, steering_noise=0.0), **rules)
     place = (float(game.start_lines[5]), 0)
     tree = build_tree(game, (4, 7), place)
-    same(tree, build_tree(game, (4, 7), place, share=False), but=("driven",))
+    assert_same(tree.arrays(), build_tree(game, (4, 7), place, share=False).arrays(), skip=("driven",))
     assert np.abs(tree.leads[1]).max() > 20.0
     assert np.abs(tree.payoffs).min() < 11.0
     assert 0.2 * tree.statistics.live < tree.statistics.driven < 0.8 * tree.statistics.live
     theta = np.stack([PURE_PURSUIT.sample(np.random.default_rng(i)) for i in range(3)])
-    archive = PolicyArchive(
-        "pursuers", "pure-pursuit", PURE_PURSUIT.parameter_names, theta, ("pace", "restraint"), [[0, 1], [1, 0], [2, 2]]
-    )
+    named = ("pursuers", "pure-pursuit", PURE_PURSUIT.parameter_names)
+    archive = PolicyArchive(*named, theta, ("pace", "restraint"), [[0, 1], [1, 0], [2, 2]])
     rules = replace(CONTEST, start_gap=20.0, steering_noise=0.0)
     tree = build_tree(make_game(track, archive, rules, moves=2, step_seconds=2.0), (0, 1), (20.0, 0))
     assert tree.statistics.driven == tree.statistics.live
@@ -109,11 +102,8 @@ def test_a_tree_of_several_seeds_is_the_trees_of_each_and_its_game_their_mean(no
         one = build_tree(noisy, (2, 6), place, [seed])
         np.testing.assert_array_equal(one.payoffs[0], both.payoffs[i])
         np.testing.assert_array_equal(one.observations(1)[0], both.observations(1)[i])
-    from pcs_racing_agents.solvers import solve_exact
-
-    tree = build_tree(noisy, (2, 6), (float(noisy.start_lines[0]), 0), [7, 8])
-    game = tree.game_tree()
-    np.testing.assert_allclose(np.ravel(game.payoffs), tree.payoffs.astype(np.float64).mean(axis=0))
+    game = both.game_tree()
+    np.testing.assert_allclose(np.ravel(game.payoffs), both.payoffs.astype(np.float64).mean(axis=0))
     assert -1.0 <= solve_exact(game).value <= 1.0
 
 

@@ -1,4 +1,4 @@
-"""Races in which a person makes the moves: what the person is told, and the page in headless Chromium."""
+"""Races in which a person makes the moves or steers: what the person is told, and the pages in headless Chromium."""
 
 import json
 
@@ -11,8 +11,13 @@ from pcs_racing import make_game
 from pcs_racing.base.seeds import race_seed
 from pcs_racing.race.races import starts_of
 from pcs_racing_agents import make
-from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.view.person_race import MOST_RACES, PersonRaces, play_page
+from pcs_racing_agents.view.person_race import MOST_RACES, PersonRaces, drive_page, make_person_drive, play_page
+
+
+def answered(races, path, status=200):
+    answer = races.answer(path)
+    assert answer.status == status
+    return json.loads(answer.body)
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +51,8 @@ def test_races_that_can_not_be_are_refused(races):
     assert told["outcome"] == races.replay(2, moves).outcome != ""
     _, played, _ = races._drive(2, moves)
     game = races.game
-    state = game.reset(
-        np.array([race_seed(races.seed, 2)], np.uint64),
-        policies=played.variants,
-        starts=starts_of(game.track, game.setup.config, [2], races.seed),
-    )
+    starts = starts_of(game.track, game.setup.config, [2], races.seed)
+    state = game.reset(np.array([race_seed(races.seed, 2)], np.uint64), policies=played.variants, starts=starts)
     for step, move in enumerate(moves):
         state = game.step(state, np.array([[move, played.moves.codes[0, 1, step]]]))
     assert told["lead"] == pytest.approx(state.race.lead[0], abs=1e-9)
@@ -75,9 +77,7 @@ def test_a_person_starts_with_a_policy_like_the_opponents(races):
 def test_addresses(races):
     found = {"/race/0/": 200, "/race/0/1-2": 200, "/race/0/9": 409, "/race/0/1-": 404, "/race/x/": 404, "/a": 404}
     for path, status in found.items():
-        answer = races.answer(path)
-        assert answer.status == status
-        assert ("error" in json.loads(answer.body)) == (status != 200)
+        assert ("error" in answered(races, path, status)) == (status != 200)
 
 
 def test_the_page_in_a_browser(races, browser, served):
@@ -95,6 +95,38 @@ def test_the_page_in_a_browser(races, browser, served):
     assert browser.run("document.querySelector('#lead').innerText").startswith(words)
 
 
-def test_an_unknown_opponent_is_named(capsys):
-    assert main(["play", "--opponent", "nobody"]) == 2
-    assert "'nobody'" in capsys.readouterr().err
+@pytest.mark.parametrize("name", ["lattice:pace=0.3", "random-moves"])
+def test_a_person_steers_step_by_step_and_the_same_commands_give_the_same_race(name):
+    races = make_person_drive(make(name), seed=3, track="Pipkin")
+    begun = answered(races, "/begin/2")
+    assert (begun["number"], begun["step"], begun["result"], begun["opponent"]) == (2, 0, "", name)
+    assert len(begun["walls"][0]) == 4
+    driven = [answered(races, f"/drive/2/{step}/2/0/40") for step in range(0, 20, 2)]
+    assert driven[-1]["step"] == 20
+    assert driven[-1]["cars"][0][3] == pytest.approx(0.4 * 8.0, abs=0.3)  # m/s: 40 % of the top speed
+    assert answered(races, "/begin/2")["cars"] == begun["cars"]
+    assert answered(races, "/drive/2/0/15/0/40")["cars"] != begun["cars"]
+    assert answered(races, "/drive/2/15/5/0/40") == driven[-1]
+
+
+def test_a_race_ends_and_what_can_not_be_is_refused():
+    races = make_person_drive(make("lattice:pace=0.3"), track="Pipkin")
+    answered(races, "/begin/0")
+    for path, status in (("/drive/0/5/1/0/0", 409), ("/drive/1/0/1/0/0", 409), ("/drive/0/0/99/0/0", 409),
+                         ("/drive/0/0/1/200/0", 409), ("/drive/0/0/1/0/-1", 404), ("/begin/x", 404)):  # fmt: skip
+        assert "error" in answered(races, path, status)
+    step, result = 0, ""
+    while not result:
+        now = answered(races, f"/drive/0/{step}/25/100/60")  # round and round, into a wall
+        step, result = now["step"], now["result"]
+    assert now["fault"] == 1
+    assert answered(races, f"/drive/0/{step}/25/0/0") == now
+
+
+def test_the_page_to_steer_in_a_browser(browser, served):
+    races = make_person_drive(make("lattice:pace=0.3"), track="Pipkin")
+    browser.open(served(drive_page(races), races.answer))
+    browser.run("document.querySelector('#begin').click()")
+    browser.wait("document.querySelector('#status').innerText.includes('lattice')")
+    browser.run("window.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowUp' }))")
+    browser.wait("race.step > 20 && command.speed > 0.2")

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import Lidar, load_track, parse_policy, record_race
-from pcs_racing.race.config import load_race_config
+from pcs_racing import Lidar, load_race_config, load_track, parse_policy, record_race
 from pcs_racing.race.frames import write_video
 from pcs_racing_agents.view.ros_messages import definition, race_messages, write_bag
 
@@ -40,9 +39,8 @@ def test_what_is_published_when(race):
 
 def check_read(race, kept):
     """What a library read again, by topic, is the race."""
-    assert {topic: len(found) for topic, found in kept.items()} == {
-        topic: 1 if topic == "/map" else len(race.cars) for topic in TOPICS
-    }
+    expected = {topic: 1 if topic == "/map" else len(race.cars) for topic in TOPICS}
+    assert {topic: len(found) for topic, found in kept.items()} == expected
     track, last = load_track("Pipkin"), race.cars[-1]
     odometry = kept["/opp_racecar/odom"][-1]
     assert (odometry.header.frame_id, odometry.child_frame_id) == ("map", "opp_racecar/base_link")

@@ -30,7 +30,6 @@ def test_the_line_of_a_ring_is_found_with_its_widths_and_of_two_rings_at_the_see
     steps = np.hypot(*(np.roll(found, -1, axis=0) - found)[:, :2].T)
     assert 0.2 < steps.min() <= steps.max() < 0.4
     assert first_crossing(found[:, :2]) == (-1, -1)
-    line, _, resolution, _ = box
     one, _ = walls_to_grid(line, 2.2, resolution)
     grid = np.hstack([one, one])
     refused("2 regions", centerline_from_grid, grid, resolution, (0.0, 0.0), error=MapError)
@@ -76,7 +75,6 @@ def test_dirt_on_the_track_does_no_harm_and_a_gap_in_a_wall_leaves_no_loop(box):
     found = centerline_from_grid(dirty, resolution, origin)
     assert np.median(distances(found, line)) < 0.05
     assert distances(found, line).max() < 0.8
-    _, grid, resolution, origin = box
     leaking = grid.copy()
     i, j = cell((0.0, 8.1), resolution, origin)
     leaking[i - 5 : i + 6, j - 2 : j + 3] = False

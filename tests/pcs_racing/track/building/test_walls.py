@@ -108,9 +108,8 @@ def _missed(track, views, beams, rng):
         x, y, _ = frenet.to_cartesian(arrays, s, rng.uniform(-row[RIGHT] + 0.1, row[LEFT] - 0.1))
         m = int(s / arrays.seen_stretch)
         listed = arrays.seen[arrays.seen_start[m] : arrays.seen_start[m + 1]]
-        missed += np.count_nonzero(
-            _scan(arrays.walls, listed, x, y, angles, 60.0) > _scan(arrays.walls, everything, x, y, angles, 60.0)
-        )
+        found, expected = (_scan(arrays.walls, which, x, y, angles, 60.0) for which in (listed, everything))
+        missed += np.count_nonzero(found > expected)
     return missed / (views * beams)
 
 
@@ -141,9 +140,6 @@ def test_lists_of_real_circuits_hold_nearly_all_that_is_seen(real_maps, name):
     assert _missed(load_track(real_maps / name), 60, 720, np.random.default_rng(7)) < 1e-4
 
 
-BOXES = np.array([[1.0, 2.0, 0.3, 0.4, 0.3], [3.0, 1.0, 0.0, 0.5, 0.0]])  # a box and a round one
-
-
 def segments_between(corners: np.ndarray) -> set[tuple[float, ...]]:
     """The segments between successive corners, shape (2, C); none begins or ends at NaN."""
     pairs = np.concatenate([corners[:, :-1], corners[:, 1:]]).T
@@ -153,7 +149,8 @@ def segments_between(corners: np.ndarray) -> set[tuple[float, ...]]:
 
 
 def test_each_list_holds_the_segments_of_its_stretch_and_those_that_meet_share_a_corner(oval):
-    for track in (oval, with_obstacles(oval, BOXES)):
+    a_box_and_a_round_one = np.array([[1.0, 2.0, 0.3, 0.4, 0.3], [3.0, 1.0, 0.0, 0.5, 0.0]])
+    for track in (oval, with_obstacles(oval, a_box_and_a_round_one)):
         t = track.arrays
         everywhere = t.corners[:, t.corners_start[-1] :]
         assert (everywhere.shape[1] == 0) == (track is oval)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from random_layers import random_layers
 
-from pcs_racing import load_track, parse_policy
+from pcs_racing import advance, load_race_config, load_track, parse_policy
 from pcs_racing.planners.network import INPUTS, network_planner
 from pcs_racing.planners.trained import trained_planner
-from pcs_racing.race.config import load_race_config
+from pcs_racing.race.state import take
 from pcs_racing_agents.learning.ppo.drives import LearnerEnv
 from pcs_racing_agents.learning.ppo.evaluation import mean_score
 from pcs_racing_agents.learning.ppo.learner import actor_layers, group_seeds, make_model, own_randomness, split_envs
@@ -41,10 +41,6 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
     seeds, rivals = batch.state.seed.copy(), batch.theta[:, 1].copy()
     grid = batch.circuit(0).grid
     places = [int(np.flatnonzero((grid.cars == car).all(axis=(1, 2)))[0]) for car in batch.state.cars]
-
-    from pcs_racing.race.races import advance
-    from pcs_racing.race.state import take
-
     weights = actor_layers(model)
     for planner, theta in (
         (network_planner("learner", (8,), hold=hold), weights.flat()),
@@ -78,9 +74,8 @@ def test_rewards_are_progress_less_a_share_of_the_opponents(track):
         _, rewards, terminated, truncated, _ = envs.step(actions)
         running = ~(terminated | truncated)
         driven = envs.batch.state.progress - before
-        np.testing.assert_allclose(
-            rewards[running], driven[running] @ [1.0, -0.5] + 0.3 * (envs.batch.state.lead[running] > 0.0), atol=1e-12
-        )
+        expected = driven @ [1.0, -0.5] + 0.3 * (envs.batch.state.lead > 0.0)
+        np.testing.assert_allclose(rewards[running], expected[running], atol=1e-12)
         crashes += int(terminated.sum())
         assert (rewards[terminated] < -4.0).all()  # straight on into a wall: by own fault
         assert (envs.batch.state.tick[~running] == 0).all()

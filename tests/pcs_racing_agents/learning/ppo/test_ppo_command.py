@@ -7,7 +7,6 @@ from repository import read_page
 
 from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.base.settings import plain_settings
-from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import make_task
@@ -65,36 +64,14 @@ def config(drive_settings, tmp_path):
     return str(file)
 
 
-def test_training_from_the_command_line(config, tmp_path, capsys):
-    arguments = ["ppo", "--config", config, "--out", str(tmp_path / "out"), "--seeds", "3", "--name", "mine"]
-    assert main(arguments) == 0
-    captured = capsys.readouterr()
-    assert "320 with seed 3: " in captured.out
-    assert "Pipkin short" in captured.out
-    assert "320/320 steps" in captured.err
+def test_training_from_the_command_line(config, tmp_path, run):
+    arguments = ["ppo", "--config", config, "--out", tmp_path / "out", "--seeds", 3, "--name", "mine"]
+    code, out, err = run(*arguments)
+    assert code == 0
+    assert "320 with seed 3: " in out
+    assert "Pipkin short" in out
+    assert "320/320 steps" in err
     created = {path.name for path in (tmp_path / "out").iterdir() if not path.name.startswith(".")}
     assert created == {"job.yaml", "chunks", "updates.csv", "curve.png", "policy"}
     assert yaml.safe_load((tmp_path / "out" / "policy" / "manifest.yaml").read_text())["name"] == "mine"
-    assert main(arguments) == 0  # finished: it is only read
-    assert capsys.readouterr().out == captured.out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--config", "nonsense"], "ppo settings 'nonsense' are unknown"),
-        (["--config", "drive", "--steps", "0"], "steps is 0"),
-        (["--config", "drive", "--seeds", "-1"], "seeds is (-1,)"),
-        (
-            ["--config", "drive", "--scheduler", "tcp://x:1"],
-            "a scheduler's address (tcp://x:1) goes with the executor dask",
-        ),
-    ],
-)
-def test_errors_are_one_line_before_any_work(arguments, message, tmp_path, capsys):
-    assert main(["ppo", *arguments, "--out", str(tmp_path / "out")]) == 2
-    captured = capsys.readouterr().err
-    assert captured.startswith("pcs-racing: error: ")
-    assert message in captured
-    assert captured.count("\n") == 1
-    assert not (tmp_path / "out").exists()
+    assert run(*arguments)[:2] == (0, out)  # finished: it is only read

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from refusal import refused
+from same_arrays import assert_same
 
 from pcs_racing import InputError, load_archive, load_track, make_game, save_archive
 from pcs_racing.planners.network import INPUTS
@@ -17,6 +18,8 @@ from pcs_racing_agents.learning.ppo.evaluation import evaluation_curves, mean_sc
 from pcs_racing_agents.learning.ppo.learner import actor_layers, learn_once, make_model, own_randomness
 from pcs_racing_agents.learning.ppo.train import train_ppo
 from pcs_racing_agents.networks import load_network
+
+torch = pytest.importorskip("torch")
 
 
 @pytest.fixture(scope="module")
@@ -50,12 +53,6 @@ def chunk_of(folder, seed=0):
     return {key: array for key, array in arrays.items() if key != "seconds"}
 
 
-def assert_same_result(one, two):
-    assert set(one) == set(two)
-    for key in one:
-        np.testing.assert_array_equal(one[key], two[key], err_msg=key)
-
-
 @pytest.mark.parametrize("level", ["duel", "drive"])
 def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained, tmp_path):
     """Stopped in its first seed, then in its second: the first is kept."""
@@ -68,7 +65,7 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained,
     done = []
     again = train_ppo(settings[level], tmp_path, seeds=(0, 1), progress=lambda *news: done.append(news[0]))
     assert done[0] == settings[level].steps
-    assert_same_result(chunk_of(tmp_path), chunk_of(trained[level].folder.parent))
+    assert_same(chunk_of(tmp_path), chunk_of(trained[level].folder.parent))
     assert again.curves[0] == trained[level].curves[0]
 
 
@@ -91,7 +88,7 @@ def test_two_trainings_in_one_process_do_not_disturb_each_other(settings, traine
 
     def train(level: str) -> None:
         train_ppo(settings[level], tmp_path / level)
-        assert_same_result(chunk_of(tmp_path / level), chunk_of(trained[level].folder.parent))
+        assert_same(chunk_of(tmp_path / level), chunk_of(trained[level].folder.parent))
 
     with ThreadPoolExecutor(2) as pool:
         assert list(pool.map(train, settings)) == [None, None]
@@ -105,7 +102,7 @@ def test_seeds_differ_the_best_is_kept_and_an_executor_changes_no_weight(setting
             settings["drive"], tmp_path, seeds=(0, 1), executor=executor, progress=lambda *news: reports.append(news)
         )
     assert both.curves[0] == trained["drive"].curves[0]
-    assert_same_result(chunk_of(tmp_path), chunk_of(trained["drive"].folder.parent))
+    assert_same(chunk_of(tmp_path), chunk_of(trained["drive"].folder.parent))
     assert both.curves[1].scores != both.curves[0].scores
     payoffs = [max(mean_score(s, settings["drive"].opponents).worth for s in curve.scores) for curve in both.curves]
     assert both.seed == int(np.argmax(payoffs))
@@ -118,8 +115,6 @@ def test_seeds_differ_the_best_is_kept_and_an_executor_changes_no_weight(setting
 def test_training_ends_at_a_plateau_and_leaves_random_generators_alone(settings, tmp_path):
     level = replace(settings["drive"], learning_rate=1e-8, final_learning_rate=0.0, patience=2, steps=10**6)
     assert train_ppo(level, tmp_path / "plateau").curves[0].steps == (0, 320, 640)
-    import torch
-
     np.random.seed(5)  # noqa: NPY002
     torch.manual_seed(5)
     expected = np.random.get_state()[1].copy(), torch.get_rng_state(), torch.get_num_threads()  # noqa: NPY002
@@ -140,8 +135,6 @@ def test_weights_and_the_learning_rate_keep_to_the_settings_and_weights_that_run
             rates.append(model.policy.optimizer.param_groups[0]["lr"])
         assert max(np.abs(weight).max() for weight in actor_layers(model).weights) == np.float32(0.05)
     np.testing.assert_allclose(rates, [0.01, 0.008, 0.006])
-    import torch
-
     with own_randomness():
         model = make_model(settings["drive"], trained["drive"].task.env_groups(), 0, "tanh")
         learn_once(model, settings["drive"], 10.0)
@@ -153,8 +146,6 @@ def test_weights_and_the_learning_rate_keep_to_the_settings_and_weights_that_run
 @pytest.mark.parametrize("hidden", [(8,), ()])
 def test_noise_may_last_for_some_steps(settings, trained, hidden):
     """With ``noise_steps`` it is drawn anew for a rollout's steps together, and about as large as without."""
-    import torch
-
     level = replace(settings["drive"], noise=0.1, noise_steps=5, hidden=hidden)
     with own_randomness():
         policy = make_model(level, trained["drive"].task.env_groups(), 3, "tanh").policy
@@ -172,8 +163,6 @@ def test_noise_may_last_for_some_steps(settings, trained, hidden):
 
 
 def test_the_network_decides_as_stable_baselines_does(settings, trained):
-    import torch
-
     task = trained["duel"].task
     with own_randomness():
         model = make_model(settings["duel"], task.env_groups(), 0, "relu")

@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import make_game
-from pcs_racing.game.config import load_game_config
+from pcs_racing import load_game_config, make_game
 from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.setting import make_setting
-from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.learning.responses import best_reply, load_response_settings
+from pcs_racing_agents.learning.responses import best_reply, kept_networks, load_response_settings
 from pcs_racing_agents.learning.responses.best_reply import excess_estimate
 
 SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epochs=30, patience=8)
@@ -73,9 +71,8 @@ def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(sl
     assert again.loss == first.loss
     for own, others in zip(first.network.layers.weights, again.network.layers.weights, strict=True):
         np.testing.assert_array_equal(own, others)
-    # A run that goes on does not train again what is there.
-    from pcs_racing_agents.learning.responses import kept_networks
 
+    # A run that goes on does not train again what is there.
     def never(*arguments, **options):
         raise AssertionError("trained again")
 
@@ -92,20 +89,19 @@ def test_a_driver_with_one_policy_can_be_replied_to_in_enough_races(games, setti
     assert not (tmp_path / "few" / "chunks").exists()
 
 
-def test_the_command_prints_the_loss_and_writes_it(tmp_path, capsys):
+def test_the_command_prints_the_loss_and_writes_it(tmp_path, printed, told):
     pytest.importorskip("torch", reason="torch is not installed")
     config = tmp_path / "small.yaml"
     config.write_text("rounds: 1\nmembers: 1\nhidden: [8]\nepochs: 2\n", encoding="utf-8")
     out = tmp_path / "reply"
-    command = ["best-reply", "never-switch", "--track", "Tarnfjord", "Pipkin", "--duration", "2.5", "--starts", "8"]
-    assert main([*command, "--config", str(config), "--races", "80", "--out", str(out)]) == 0
-    printed = capsys.readouterr().out
-    assert "learner: 8 games branched at every step" in printed
-    with open(out / "best_reply.csv", newline="", encoding="utf-8") as file:
-        rows = {row["track"]: row for row in csv.DictReader(file)}
+    command = ["best-reply", "never-switch", "--track", "Tarnfjord", "Pipkin", "--duration", 2.5, "--starts", 8]
+    command += ["--config", config, "--out", out, "--races"]
+    text = printed(*command, 80)
+    assert "learner: 8 games branched at every step" in text
+    lines = (out / "best_reply.csv").read_text(encoding="utf-8").splitlines()
+    rows = {row["track"]: row for row in csv.DictReader(lines)}
     assert list(rows) == ["Tarnfjord", "Pipkin", "all"]
     assert int(rows["all"]["races"]) == 80
-    assert f"{float(rows['all']['loss']):+.3f}" in printed
+    assert f"{float(rows['all']['loss']):+.3f}" in text
     assert (out / "reply" / "manifest.yaml").is_file()
-    assert main([*command, "--config", str(config), "--races", "81", "--out", str(out)]) == 2  # another run
-    assert "races" in capsys.readouterr().err
+    assert "races" in told(*command, 81)  # another run

@@ -3,10 +3,8 @@ import pytest
 from random_layers import random_layers
 from refusal import refused
 
-from pcs_racing import make_game
-from pcs_racing.base.errors import InputError
+from pcs_racing import InputError, load_game_config, make_game
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.config import load_game_config
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.drivers import planner_driver
@@ -96,20 +94,12 @@ def test_impossible_requests_are_refused(game, setting, tmp_path):
             learn_response([game, other], [never_switch(setting)], setting, ResponseSettings(), job)
 
 
-GAME = GameIdentity(("a", "b", "c"), ("left", "right"), (0.35,), "toy", "0" * 64, "paper")
-
-
 def network(seed: int, hidden: tuple[int, ...] = (5, 4), clipped: bool = False) -> RegretNetwork:
     rng = np.random.default_rng(seed)
-    return RegretNetwork(
-        name=f"net-{seed}",
-        identity=GAME,
-        target="advantage",
-        clipped=clipped,
-        layers=random_layers(3, *hidden, 2, seed=seed),
-        mean=rng.normal(size=3).astype(np.float32),
-        scale=rng.uniform(0.5, 2.0, 3).astype(np.float32),
-    )
+    game = GameIdentity(("a", "b", "c"), ("left", "right"), (0.35,), "toy", "0" * 64, "paper")
+    layers = random_layers(3, *hidden, 2, seed=seed)
+    mean, scale = rng.normal(size=3).astype(np.float32), rng.uniform(0.5, 2.0, 3).astype(np.float32)
+    return RegretNetwork(f"net-{seed}", game, "advantage", clipped, layers, mean, scale)
 
 
 def test_the_merged_network_puts_out_the_mean_of_members_of_one_kind():

@@ -38,9 +38,8 @@ def random_tree(seed: int, *shape: int, chance: int = 0, blur: int = 0) -> GameT
     tree = GameTree.from_payoffs(rng.normal(size=(chance, *shape) if chance else shape), weights)
     if not blur:
         return tree
-    return tree.with_observations(
-        [tuple(rng.integers(0, blur, tree.nodes(k)) for _ in range(2)) for k in range(tree.depth)]
-    )
+    seen = [tuple(rng.integers(0, blur, tree.nodes(k)) for _ in range(2)) for k in range(tree.depth)]
+    return tree.with_observations(seen)
 
 
 def random_profile(tree: GameTree, seed: int = 0, sharp: float = 1.0):
