@@ -48,8 +48,8 @@ from pcs_racing_agents.agents.fits import load_fit, shipped_fits
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.benchmark.card import board_page, read_card, read_cards, write_card
+from pcs_racing_agents.configs import shipped_configs
 from pcs_racing_agents.jobs.chunks import chunk_file, read_chunk, write_chunk
-from pcs_racing_agents.jobs.configuration import shipped_configs
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations

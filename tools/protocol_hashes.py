@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 from pcs_racing_agents.benchmark.protocol import load_protocol
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.configs import shipped_configs
 
 
 def main() -> None:

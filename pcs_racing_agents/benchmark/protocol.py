@@ -21,7 +21,7 @@ from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.benchmark.card_values import SHA256
-from pcs_racing_agents.jobs.configuration import load_config
+from pcs_racing_agents.configs import load_config
 from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.tournament.play import game_rules
 

@@ -13,7 +13,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.commands import Option, SettingOptions, command
 from pcs_racing_agents.cli.options import AGENT_HELP, DEFAULT_TRACK, ArchiveName, Circuits, Rules, Workers, archive_for
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.configs import shipped_configs
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.learning.ppo.settings import PPOSettings

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import TRACK_HELP, Workers
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.configs import shipped_configs
 
 
 @command(

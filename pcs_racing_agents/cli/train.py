@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError, require
 from pcs_racing_agents.cli.commands import Option, SettingOptions, command
 from pcs_racing_agents.cli.options import Workers, output_folder
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.configs import shipped_configs
 from pcs_racing_agents.jobs.folders import hold_folder
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.results.tables import write_csv

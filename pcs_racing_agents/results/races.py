@@ -245,10 +245,10 @@ def closeness_text(races: RaceTable) -> str:
 
 def narrow(values: NDArray[Any]) -> NDArray[Any]:
     """Return whole numbers in the narrowest signed type that holds them, and other numbers as they are."""
-    if values.dtype.kind != "i" or values.size == 0:
+    if values.dtype.kind != "i":
         return values
     # -1 stands for missing values, so there must always be room for it.
-    lowest, highest = min(-1, values.min()), max(0, values.max())
+    lowest, highest = values.min(initial=-1), values.max(initial=0)
     return values.astype(np.promote_types(np.min_scalar_type(lowest), np.min_scalar_type(-1 - highest)))
 
 

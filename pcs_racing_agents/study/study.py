@@ -20,7 +20,7 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import build, parse_agent
-from pcs_racing_agents.jobs.configuration import load_config
+from pcs_racing_agents.configs import load_config
 from pcs_racing_agents.jobs.progress import Progress, show_progress
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings

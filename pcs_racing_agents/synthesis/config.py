@@ -11,7 +11,7 @@ from pcs_racing.base.settings import Settings, checked, choice, names, number, s
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig, load_race_config
-from pcs_racing_agents.jobs.configuration import load_config, shipped_configs
+from pcs_racing_agents.configs import load_config, shipped_configs
 from pcs_racing_agents.synthesis.mo_cma_es import LOSSES, MEANS
 from pcs_racing_agents.synthesis.optimisers import METHODS
 

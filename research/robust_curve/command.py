@@ -9,7 +9,7 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.learn import POOL, Games, Pool, run_identity
 from pcs_racing_agents.cli.options import Workers, can_draw
-from pcs_racing_agents.jobs.configuration import shipped_configs
+from pcs_racing_agents.configs import shipped_configs
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.jobs.progress import show_progress
 

@@ -102,6 +102,9 @@ def test_opponents_do_what_they_are_called():
     careful = Careful()
     assert episode(DuelEnv(opponent=careful, **SHORT), 4)[1][2]["opponent_move"] == 2
     assert set(careful.asked) == {((1, 25), True)}
+    drawing = Careful()
+    episode(DuelEnv(opponent=drawing, deterministic_opponent=False, **SHORT), 4)
+    assert set(drawing.asked) == {((1, 25), False)}
 
 
 class Chooses:
