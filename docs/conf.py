@@ -1,5 +1,6 @@
 """Settings of the documentation's site: ``make docs`` builds it into ``out/docs``."""
 
+import subprocess
 import sys
 import tomllib
 from importlib.util import find_spec
@@ -9,6 +10,9 @@ import numba
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
+# Circuits are built here, compiled, and kept in the cache: below it would take a minute for each.
+BUILD = "import pcs_racing; [pcs_racing.load_track(name) for name in pcs_racing.list_tracks()]"
+subprocess.run([sys.executable, "-c", BUILD], cwd=HERE.parent, check=True)
 # Compiled functions are then functions, with their signatures. Notebooks run in processes of their own, compiled.
 numba.config.DISABLE_JIT = True
 
