@@ -49,7 +49,7 @@ def test_draws_follow_the_chances_and_rounding_never_draws_what_is_impossible():
     np.testing.assert_array_equal(hash_rows(zeros, 1), hash_rows(-zeros, 1))
     # Chances that add up to a bit less or more than 1.
     rows = np.random.default_rng(1).normal(size=(5000, 2)).astype(np.float32)
-    for chances in ([0.0, 1.0 - 1e-16, 0.0], [0.3, 0.3, 0.4 - 1e-12], [0.0, 1e-300, 0.0], [0.1] * 10):
+    for chances in ([0.0, 1.0 - 1e-16, 0.0], [0.3, 0.3, 0.4 - 1e-12], [0.0, 1e-300, 0.0], [5e-324, 0.0], [0.1] * 10):
         assert (np.array(chances)[draw(np.tile(chances, (5000, 1)), rows, 3)] > 0.0).all()
 
 

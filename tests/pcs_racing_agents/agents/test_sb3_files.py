@@ -32,6 +32,8 @@ def test_moves_are_those_of_the_model(tmp_path, activation, monkeypatch):
     policy, expected = load_sb3_policy(tmp_path / "mine.zip"), model.predict(ROWS, deterministic=True)[0]
     np.testing.assert_array_equal(policy.predict(ROWS)[0], expected)
     assert len(set(expected.tolist())) > 1
+    backwards = dict(reversed(model.policy.state_dict().items()))
+    assert actor_of("mine", backwards, policy.activation).content_hash == policy.content_hash
     refused("of 46 numbers; here they have 45", policy.predict, ROWS[:, 1:])
     with torch.no_grad():
         model.policy.action_net.bias[1] = float("nan")

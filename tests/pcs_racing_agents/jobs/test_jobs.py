@@ -338,6 +338,7 @@ def test_fingerprints_tell_values_apart():
     values = [
         0, 0.0, False, "0", b"0", None, [], [0], [[0]], [0, 0], {}, {0: 0}, {"0": 0}, np.zeros(1), np.zeros(2),
         np.zeros((1, 1)), np.zeros(1, np.float32), np.int64(0), config, load_race_config("contest"), float("nan"),
+        len, fingerprint,
     ]  # fmt: skip
     assert len({fingerprint(value) for value in values}) == len(values)
     assert fingerprint(config, np.arange(3)) == fingerprint(load_race_config("paper"), np.arange(3))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcs_racing_agents.results.race_files import race_table
-from pcs_racing_agents.results.races import Categorical, RaceRow, concatenate_races
+from pcs_racing_agents.results.races import Categorical, RaceRow, concatenate_races, series_of
 
 words = st.sampled_from(["a", "b, c", "", "d"])
 steps = st.integers(0, 3)
@@ -53,6 +53,12 @@ def test_a_pair_is_a_track_two_agents_and_a_seed():
     assert [row.seed for row in table.with_seeds([9, 11])] == [9]
     assert len(table.with_seeds([])) == 0
     assert table.with_seeds([]).pairs == {}
+
+
+def test_a_series_is_won_by_who_won_more_of_its_races():
+    rows = [RaceRow(race=k, winner=winner, crash="wall") for k, winner in enumerate(("opponent", "ego", "ego"))]
+    series = series_of(race_table([*rows, RaceRow(race=3, winner="opponent"), RaceRow(race=4)]), 3)
+    assert [(row.race, row.winner, row.crash) for row in series] == [(0, "ego", "none"), (3, "opponent", "none")]
 
 
 def test_worth_switches_places_and_missing_words_of_races():
