@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import CONTEST, parse_policy
+from pcs_racing import CONTEST, load_track, parse_policy
 from pcs_racing_agents.agents import Driver, make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.jobs import open_job
@@ -64,7 +64,7 @@ def test_the_best_lead_plan_is_found(training, short):
 
 def test_a_candidate_scores_its_own_wins(oval, archive):
     """Known answers: in the paper's race pace wins, so the slowest candidate beats a slower car and no faster one."""
-    setting = make_setting(archive, game_rules("paper", moves=2, step_seconds=4.0))
+    setting = make_setting(archive, game_rules("paper", moves=3, step_seconds=8.0))
     slowest = build("best-fixed", setting, target=0)
     scores = [
         fits.evaluate(
@@ -80,9 +80,11 @@ def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(training, oval, s
     refused("one track", fits.TrainingRaces, (oval,), (), short)
     refused("psro needs", fits.fit_psro, training, [build("never-switch", short)])
     names = ("always-aggressiveness+", "always-restraint+", "never-switch", "random-moves")
-    members = [build(name, short) for name in names]
-    training = fits.TrainingRaces((oval,), (members[0],), short, races=10)
+    longer = make_setting(short.archive, game_rules(CONTEST, moves=3, step_seconds=8.0))
+    members = [build(name, longer) for name in names]
+    training = fits.TrainingRaces((load_track("Pipkin"),), (members[0],), longer, races=10)
     meta = fits.fit_psro(training, members)
+    assert np.count_nonzero(meta.payoffs) > 0
     assert meta.weights.sum() == pytest.approx(1.0)
     np.testing.assert_array_equal(meta.payoffs, -meta.payoffs.T)
     assert (meta.weights @ meta.payoffs).min() >= -1e-6  # nobody beats the mixture on these races
