@@ -21,6 +21,7 @@ FLOORS = [
     ("agents", "synthesis/", "MO-CMA-ES: archives of policies"),
     ("agents", "payoffs/", "all pairs of a pool race; headroom"),
     ("agents", "jobs/  results/  pictures/", "long work that resumes; tables; style"),
+    ("agents", "configs/", "settings of studies and searches, by name"),
     ("environment", "testing/", "checks for your own planners, archives, axes"),
     ("environment", "f1tenth/", "the F1TENTH gym's interface, for its programs"),
     ("environment", "envs/", "PettingZoo, Gymnasium, Stable-Baselines3"),
