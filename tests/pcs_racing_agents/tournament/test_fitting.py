@@ -64,7 +64,7 @@ def test_the_best_lead_plan_is_found(training, short):
 
 def test_a_candidate_scores_its_own_wins(oval, archive):
     """Known answers: in the paper's race pace wins, so the slowest candidate beats a slower car and no faster one."""
-    setting = make_setting(archive, game_rules("paper", moves=3, step_seconds=8.0))
+    setting = make_setting(archive, game_rules("paper", moves=2, step_seconds=4.0))
     slowest = build("best-fixed", setting, target=0)
     scores = [
         fits.evaluate(
