@@ -311,8 +311,8 @@ def mend_docstring(app, what, name, thing, options, lines) -> None:
     del app, thing, options
     if lines and lines[0].startswith("Alias for field number"):
         lines.clear()  # a field of a named tuple without a comment of ours
-    if what in ("data", "attribute", "property") and lines and not lines[0].startswith("shape"):
-        lines[:0] = ["..", ""]  # or napoleon takes what stands before a colon for its type
+    if what in ("data", "attribute", "property") and lines:
+        lines[:0] = ["..", ""]  # or napoleon takes what stands before a colon for its type, and Sphinx links its words
     for page, (module, class_name, _) in ENVIRONMENTS.items():
         if name == f"{module}.{class_name}":
             lines[:] = [lines[0], "", f"Its page is :doc:`/generated/{page}`.", ""]

@@ -42,8 +42,8 @@ class Beams(NamedTuple):
     first: float  #: Angle of the first beam relative to the car's heading, counter-clockwise, rad.
     step: float  #: Angle from each beam to the next, rad.
     max_range: float  #: Longest range that is reported, m.
-    cos: NDArray[np.float64]  #: Cosines of the beams' angles, shape (beams,).
-    sin: NDArray[np.float64]  #: Sines, the same.
+    cos: NDArray[np.float64]  #: shape (beams,): Of the beams' angles.
+    sin: NDArray[np.float64]  #: shape (beams,)
 
 
 @inner_kernel(forceinline=True)

@@ -68,7 +68,7 @@ class World(NamedTuple):
     setup: Setup
     beams: Beams
     tables: np.ndarray  #: shape (2, DIRECTIONS): Sine and cosine of the directions of the gym's march.
-    sides: np.ndarray  #: From the lidar to the car's side along each beam, as the gym takes it, m, shape (beams,).
+    sides: np.ndarray  #: shape (beams,), m: From the lidar to the car's side along each beam, as the gym takes it.
     params: np.ndarray  #: shape (N, 18)
 
 
