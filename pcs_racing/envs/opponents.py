@@ -26,6 +26,7 @@ from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.state import GameState
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy, planner_names
+from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.state import RaceState, empty_state, take
 
 
@@ -103,7 +104,7 @@ def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:
     if is_model(given) and not isinstance(given, str | Path):
         own = callable(getattr(given, "get_env", None)) and given.get_env() is not None
         return model_policy(given) if own else policy_of(given, competitor_name(given), options, cars)
-    named = isinstance(given, str) and given.partition(":")[0].strip() in planner_names()
+    named = isinstance(given, str) and split_name(given)[0] in planner_names()
     return parse_policy(given) if named else given
 
 

@@ -27,8 +27,10 @@ from pcs_racing.game.competitor_collections import collections
 from pcs_racing.game.moves import check_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
+from pcs_racing.planners.own_files import one_line
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy, planner_names
+from pcs_racing.planners.shipped import split_name
 
 Observation = NDArray[np.float32]
 Function = Callable[[Observation, np.random.Generator], Any]
@@ -190,22 +192,23 @@ def ask_moves(
     if len(rows) == 0:
         return moves
     answer: Any
-    if isinstance(competitor, RandomMoves):
-        allowed = [np.flatnonzero(mask) for mask in game.action_mask(state)[rows, car]]
-        drawn = [each[generators[row].integers(len(each))] for row, each in zip(rows, allowed, strict=True)]  # type: ignore[index]
-        answer = np.array(drawn)
-    elif isinstance(competitor, Decider):
-        answer = competitor.decide(game, take_games(state, rows), car)
-    # One that only chooses keeps its policy; one that can also predict is asked below.
-    elif isinstance(competitor, Chooser) and not isinstance(competitor, Predictor):
-        answer = np.full(len(rows), len(names) - 1)  # to stay
-    else:
-        seen = (game.observation(state)[:, car] if observation is None else observation)[rows]
-        if isinstance(competitor, Predictor):
-            answer = _predicted(competitor, seen, rows, memories, deterministic)
-        else:
-            answer = [competitor(one, generators[row]) for row, one in zip(rows, seen, strict=True)]  # type: ignore[index]
     player = f"competitor {competitor_name(competitor)!r}"
+    with one_line(player):  # whatever their code raises
+        if isinstance(competitor, RandomMoves):
+            allowed = [np.flatnonzero(mask) for mask in game.action_mask(state)[rows, car]]
+            drawn = [each[generators[row].integers(len(each))] for row, each in zip(rows, allowed, strict=True)]  # type: ignore[index]
+            answer = np.array(drawn)
+        elif isinstance(competitor, Decider):
+            answer = competitor.decide(game, take_games(state, rows), car)
+        # One that only chooses keeps its policy; one that can also predict is asked below.
+        elif isinstance(competitor, Chooser) and not isinstance(competitor, Predictor):
+            answer = np.full(len(rows), len(names) - 1)  # to stay
+        else:
+            seen = (game.observation(state)[:, car] if observation is None else observation)[rows]
+            if isinstance(competitor, Predictor):
+                answer = _predicted(competitor, seen, rows, memories, deterministic)
+            else:
+                answer = [competitor(one, generators[row]) for row, one in zip(rows, seen, strict=True)]  # type: ignore[index]
     moves[rows] = check_moves(answer, names, rows.shape, ("game",), rows=rows, player=player)
     return moves
 
@@ -271,7 +274,7 @@ def make_competitor(text: str, game: RaceGame) -> Competitor:
         for i, move in enumerate(game.competitor_moves):
             if "".join(move.split()) == wanted:
                 return SameMove(f"{ALWAYS}{move}", i)
-    name = text.partition(":")[0].strip()
+    name = split_name(text)[0]
     if name in planner_names():
         return parse_policy(text)
     # Last: what other packages bring is only imported for names that are not ours.

@@ -7,17 +7,17 @@ A class is a driver if it has one of these methods, of which the first counts:
 
 ``ranges`` are 1080 beams over 4.7 rad from right to left, up to 30 m; ``ego_odom`` has ``pose_x``, ``pose_y``,
 ``pose_theta``, ``linear_vel_x``, ``linear_vel_y`` and ``angular_vel_z``; ``obs`` has these, the ranges as ``scan`` and
-the vehicle's state. A driver is made anew for every race and asked every 0.02 s. What it keeps in its attributes is no
-part of the race's state: such a race repeats from its start, but cannot go on from a copy in its middle.
+the vehicle's state. A node of ROS 2 is a driver as well (:mod:`pcs_racing.planners.ros_nodes`). The file is run again
+for every race (:mod:`pcs_racing.planners.own_files`), and its driver asked every 0.02 s. What it keeps in attributes
+and globals is no part of the race's state: such a race repeats from its start, but cannot go on from a copy in its
+middle.
 """
 
-import sys
+import os
 from dataclasses import dataclass, field
 from functools import lru_cache
-from importlib.util import module_from_spec, spec_from_file_location
 from itertools import count
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,10 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.planners import view as _view
+from pcs_racing.planners.own_files import Run, one_line, run_file
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.registry import get_planner, planner_names, register_planner
+from pcs_racing.planners.ros_nodes import Node, ask_node
 from pcs_racing.track.track import Track
 
 METHODS = ("process_observation", "process_lidar", "plan")
@@ -37,7 +39,6 @@ ODOMETRY = {
 }  # fmt: skip
 STATE = [_view.OWN_X, _view.OWN_Y, _view.OWN_DELTA, _view.OWN_V, _view.OWN_PSI, _view.OWN_PSI_DOT, _view.OWN_BETA]
 
-_PREFIX = "drivers of "
 _lidar = lru_cache(maxsize=8)(Lidar)  # 1080 beams over 4.7 rad, up to 30 m
 
 
@@ -46,29 +47,36 @@ class _Drivers:
     """The function ``drive`` of a planner: the first parameter says which class of the file drives."""
 
     path: str
-    classes: list[type] = field(init=False)
-    racing: dict[float, Any] = field(init=False, default_factory=dict)  #: Drivers by the number in their memory.
-    numbers: "count[int]" = field(init=False, default_factory=lambda: count(1))
+    names: list[str] = field(init=False)  #: The file's drivers.
+    racing: dict[float, Run] = field(init=False, default_factory=dict)  #: Runs of the file by the number in memory.
+    numbers: "count[int]" = field(init=False, default_factory=lambda: count((os.getpid() << 24) + 1))
+    takes_seed = True  # as two more arguments: seed and car
 
     def __post_init__(self) -> None:
-        self.classes = driver_classes(self.path)
-        if not self.classes:
-            raise InputError(f"{self.path} has no driver: a class with a method {' or '.join(METHODS)}")
+        self.names = list(driver_classes(self.path))
+        if not self.names:
+            raise InputError(f"{self.path} has no driver: a class with a method {' or '.join(METHODS)}, or a ROS node")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _Drivers, (self.path,)
 
     def __call__(
-        self, track: Track, theta: NDArray[np.float64], view: NDArray[np.float64], memory: NDArray[np.float64]
-    ) -> tuple[float, float]:
-        cls = self.classes[min(int(theta[0]), len(self.classes) - 1)]
-        try:
-            if memory[0] == 0.0:
-                memory[0] = next(self.numbers)
-                self.racing[memory[0]] = cls()
-            return _ask(self.racing[memory[0]], track, view)
-        except Exception as error:  # whatever their code raises
-            raise InputError(f"driver {self.path}:{cls.__name__}: {type(error).__name__}: {error}") from error
+        self, track: Track, theta: NDArray[np.float64], view: NDArray[np.float64], memory: NDArray[np.float64],
+        seed: int = 0, car: int = 0,
+    ) -> tuple[float, float]:  # fmt: skip
+        name = self.names[min(int(theta[0]), len(self.names) - 1)]
+        if memory[0] == 0.0:
+            number = next(self.numbers)
+            self.racing[number] = Run(Path(self.path), number, (seed, car))
+            memory[0] = number
+        if memory[0] not in self.racing:
+            raise InputError(f"driver {self.path}:{name} is asked in the middle of a race that another process began")
+        run = self.racing[float(memory[0])]
+        run.now = max(run.now, float(view[_view.TIME]))
+        with run.entered(f"driver {self.path}:{name}"):
+            if run.driver is None:
+                run.driver = getattr(run.module, name)()
+            return _ask(run.driver, track, view)
 
 
 def _ask(driver: Any, track: Track, view: NDArray[np.float64]) -> tuple[float, float]:
@@ -77,6 +85,10 @@ def _ask(driver: Any, track: Track, view: NDArray[np.float64]) -> tuple[float, f
     size = (float(view[_view.OPP_LENGTH]), float(view[_view.OPP_WIDTH]))
     ranges = _lidar(track).scan(view[[_view.OWN_X, _view.OWN_Y, _view.OWN_PSI]], opponent, opponent_size=size)
     odometry = {name: float(view[index]) for name, index in ODOMETRY.items()} | {"linear_vel_y": 0.0}
+    if isinstance(driver, Node):
+        x, y, theta = opponent.tolist()
+        other = {"pose_x": x, "pose_y": y, "pose_theta": theta, "linear_vel_x": float(view[_view.OPP_V])}
+        return ask_node(driver, float(view[_view.TIME]), ranges, odometry, odometry | other | {"angular_vel_z": 0.0})
     if hasattr(driver, "process_observation"):
         speed, steering = driver.process_observation(ranges=ranges, ego_odom=odometry)
     elif hasattr(driver, "process_lidar"):
@@ -88,37 +100,21 @@ def _ask(driver: Any, track: Track, view: NDArray[np.float64]) -> tuple[float, f
     return float(steering), float(speed)
 
 
-def run_file(path: str | Path) -> ModuleType:
-    """Run a Python file, once in this process, and return it as a module."""
-    path = Path(path)
-    name = f"{_PREFIX}{path.resolve()}".replace(".", ":")  # behind a dot pickle would look for a part of a package
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = spec_from_file_location(name, path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        raise InputError(f"there is no Python file {path}")
-    module = sys.modules[name] = module_from_spec(spec)
-    sys.path.insert(0, str(path.resolve().parent))  # for the files beside it that it imports
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:  # whatever their code raises
-        del sys.modules[name]
-        raise InputError(f"{path} can't be loaded: {type(error).__name__}: {error}") from error
-    finally:
-        sys.path.pop(0)
-    return module
+def is_driver(made: Any) -> bool:
+    """Return whether an object is a class that drives."""
+    if not isinstance(made, type) or made is Node:
+        return False
+    return issubclass(made, Node) or any(callable(getattr(made, method, None)) for method in METHODS)
 
 
-def files_run() -> list[str]:
-    """Return the files that this process has run: another one needs them to unpack objects of their classes."""
-    return [str(module.__file__) for name, module in sys.modules.items() if name.startswith(_PREFIX)]
-
-
-def driver_classes(path: str | Path) -> list[type]:
-    """Return the drivers among the classes of a file, which is run, in their order."""
+def driver_classes(path: str | Path) -> dict[str, type]:
+    """Return the drivers of a file, which is run, by name: its own classes in their order, then those beside it."""
     module = run_file(path)
-    own = [value for value in vars(module).values() if isinstance(value, type) and value.__module__ == module.__name__]
-    return [cls for cls in own if any(callable(getattr(cls, method, None)) for method in METHODS)]
+    found = {name: value for name, value in vars(module).items() if isinstance(value, type)}
+    with one_line(f"{path} can't be loaded"):
+        own = {name: cls for name, cls in found.items() if cls.__module__ == module.__name__ and is_driver(cls)}
+        beside = f"{module.__name__}."
+        return own | {n: cls for n, cls in found.items() if cls.__module__.startswith(beside) and is_driver(cls)}
 
 
 def drivers_from(path: str | Path) -> dict[str, Policy]:
@@ -130,8 +126,8 @@ def drivers_from(path: str | Path) -> dict[str, Policy]:
     name = Path(path).as_posix()
     if name not in planner_names():
         drive = _Drivers(name)
-        which = Parameter("driver", 0.0, float(len(drive.classes)), 0.0, "which class of the file drives, from 0")
-        variants = {cls.__name__: (float(i),) for i, cls in enumerate(drive.classes)}
+        which = Parameter("driver", 0.0, float(len(drive.names)), 0.0, "which class of the file drives, from 0")
+        variants = {driver: (float(i),) for i, driver in enumerate(drive.names)}
         register_planner(Planner(name, (which,), drive=drive, memory_size=1, variants=variants))
     planner = get_planner(name)
-    return {cls: planner.policy(cls) for cls in planner.variants}
+    return {driver: planner.policy(driver) for driver in planner.variants}

@@ -13,7 +13,7 @@ from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.planner import Planner, Policy
-from pcs_racing.planners.shipped import SHIPPED
+from pcs_racing.planners.shipped import SHIPPED, split_name
 
 ENTRY_POINTS = "pcs_racing.planners"
 """Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
@@ -30,7 +30,8 @@ def register_planner(planner: Planner | str, *, name: str | None = None) -> None
     """
     if isinstance(planner, Planner):
         name = planner.name
-    if not isinstance(name, str) or not name or any(sign in name for sign in ":=, \t\n"):
+    # The name of a file is its path, with any signs.
+    if not isinstance(name, str) or not name or (name[-3:] != ".py" and any(sign in name for sign in ":=, \t\n")):
         raise InputError(f"planner name {name!r} must be text without ':', '=', ',' and spaces")
     if isinstance(planner, Planner):
         taken = name in planner_names() and get_planner(name) is not planner
@@ -70,7 +71,8 @@ def parse_policy(text: str) -> Policy:
     """
     if not isinstance(text, str):
         raise InputError(f"policy {text!r} must be text such as 'lattice:pace=0.8'")
-    name, separator, rest = "".join(text.split()).partition(":")
+    name, separator, rest = split_name(text)
+    rest = "".join(rest.split())
     planner = get_planner(name)
     if not separator:
         return planner.policy(name=name)

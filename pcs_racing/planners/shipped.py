@@ -1,5 +1,7 @@
 """The names of the planners of this package, apart from their code, which takes a second to import."""
 
+import re
+
 SHIPPED = {
     "alpha-racer": "pcs_racing.planners.alpha_racer:ALPHA_RACER",
     "bimatrix-game": "pcs_racing.planners.bimatrix:BIMATRIX",
@@ -22,3 +24,13 @@ SHIPPED = {
     "stanley": "pcs_racing.planners.stanley:STANLEY",
 }
 """The planners of this package: name and place. A new one is a file and a line here."""
+
+
+def split_name(text: str) -> tuple[str, str, str]:
+    """Return the name of a planner or an agent, the colon behind it, and the rest, as ``str.partition`` does.
+
+    The name may be the path of a Python file, with spaces and the drive of Windows.
+    """
+    file = re.match(r"\s*((?:[A-Za-z]:[\\/])?[^:]*\.py)\s*(?:(:)(.*))?$", text, re.DOTALL)
+    name, separator, rest = file.groups("") if file else text.partition(":")
+    return name.strip(), separator, rest

@@ -201,13 +201,14 @@ def _ask_python_drivers(
             given = theta[race, car, : len(planner.parameters)]
             given.flags.writeable = False
             who = f"race {race}, car {car}: planner {planner.name!r}"
+            more = (int(state.seed[race]), car) if hasattr(planner.drive, "takes_seed") else ()
             try:
-                answer = planner.drive(track, given, view.copy(), own)
-            except Exception as error:  # whatever their code raises
+                answer = planner.drive(track, given, view.copy(), own, *more)
+            except (Exception, SystemExit) as error:  # whatever their code raises
                 raise InputError(f"{who} raised {type(error).__name__}: {error}") from error
             try:
                 command = np.asarray(answer, dtype=np.float64)
-            except (TypeError, ValueError):
+            except Exception:  # whatever an object of theirs raises
                 command = np.array(np.nan)
             if command.shape != (2,) or not np.isfinite(command).all():
                 raise InputError(

@@ -9,9 +9,11 @@ from typing import Any
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import is_model
-from pcs_racing.planners.imported import METHODS, drivers_from, run_file
+from pcs_racing.planners.imported import drivers_from, is_driver
+from pcs_racing.planners.own_files import one_line, run_file
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy, planner_names
+from pcs_racing.planners.shipped import split_name
 
 
 def own_code(text: str, *given: Any) -> Any:
@@ -21,7 +23,12 @@ def own_code(text: str, *given: Any) -> Any:
     what is ``given``, if it needs an argument or several are given. A module is looked for in the working directory as
     well. A policy's name is the text, by which another process finds the code again; a file alone is its first driver.
     """
-    place, separator, name = text.partition(":")
+    with one_line(text):
+        return _made(text, *given)
+
+
+def _made(text: str, *given: Any) -> Any:
+    place, separator, name = split_name(text)
     file = place.endswith(".py")
     if file and not separator:
         return replace(next(iter(drivers_from(place).values())), name=text)
@@ -40,16 +47,18 @@ def own_code(text: str, *given: Any) -> Any:
             module = importlib.import_module(place)
         except ImportError as error:
             raise InputError(f"{place} can't be imported: {error}") from error
-    made = getattr(module, name, None)
-    if isinstance(made, type) and any(callable(getattr(made, method, None)) for method in METHODS):
+    made: Any = getattr(module, name, None)
+    if made is None:
+        raise InputError(f"{text} is no driver and no agent: {place} has no class and no function {name!r}")
+    if is_driver(made):
         # The planner has the path as it is given, as on a command line that names the file.
-        given_here = file and module.__name__ == made.__module__
-        made = drivers_from(place if given_here else inspect.getfile(made))[made.__name__]
+        known = drivers_from(place if file else inspect.getfile(made))
+        made = known[name if name in known else made.__name__]
     elif callable(made):
         needed = [one for one in inspect.signature(made).parameters.values() if one.default is one.empty]
         made = made(*given) if len(given) > 1 else made(*given[: len(needed)])
     if made is None:
-        raise InputError(f"{text} is no driver and no agent: {place} has no class and no function {name!r}")
+        raise InputError(f"{text} gives None; it must give a driver or an agent")
     made = made.policy() if isinstance(made, Planner) else made
     return replace(made, name=text) if isinstance(made, Policy) else made
 

@@ -22,7 +22,9 @@ from pcs_racing.base.files import plain_yaml
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.competitor import is_model
 from pcs_racing.game.config import GameConfig
+from pcs_racing.planners.own_files import one_line
 from pcs_racing.planners.registry import parse_policy, planner_names
+from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import RaceConfig
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor, driver_of_model
 from pcs_racing_agents.agents.own_code import own_code
@@ -162,12 +164,13 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
     A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``; others may be code of your
     own (:mod:`pcs_racing_agents.agents.own_code`).
     """
-    name, separator, rest = str(text).strip().partition(":")
+    name, separator, rest = split_name(str(text))
     # "lane-switcher:3" is a variant of the planner, not an option of the agent of that name.
     if not separator or name not in entries() or name in planner_names():
         own = own_code(str(text).strip(), setting)
         if own is not None:
-            return as_competitor(own, str(text).strip())
+            with one_line(str(text)):
+                return as_competitor(own, str(text).strip())
         return build(str(text).strip(), setting, seed=seed)
     options: dict[str, Any] = {}
     for option in rest.split(","):

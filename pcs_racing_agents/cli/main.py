@@ -15,6 +15,7 @@ from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.shipped import SHIPPED as PLANNERS
+from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import load_race_config
 from pcs_racing.track.maps import find_shipped
 from pcs_racing_agents.agents.shipped import SHIPPED as AGENTS
@@ -108,6 +109,8 @@ def run_parsed(parsed: argparse.Namespace) -> int:
         terminated = isinstance(stop, Terminated)
         print(f"pcs-racing: {'terminated' if terminated else 'interrupted'}", file=sys.stderr)
         return 143 if terminated else 130
+    except SystemExit as stop:  # of an agent, say
+        return _fail(InputError(f"code of your own ended the process: SystemExit: {stop.code}"))
     except Exception as error:
         # Here, since it takes as long to import as a race to drive.
         from pcs_racing_agents.jobs.executors import is_lost
@@ -178,7 +181,7 @@ def check_names(words: Sequence[str]) -> None:
         if word.startswith("--"):
             option, _, word = word.partition("=")
         kind = kinds.get(option)
-        name, colon, rest = word.partition(":")
+        name, colon, rest = split_name(word)
         if not word or kind is None or os.path.exists(word) or os.sep in word or (kind == "race" and "." in word):
             continue
         if kind == "track":

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Annotated
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import PAPER, PRESETS, RaceConfig, load_race_config
 from pcs_racing_agents.cli.commands import Option
 
@@ -82,7 +83,7 @@ def load_drivers(parsed: Namespace) -> None:
     """Make known the drivers of the Python files that a command line names, like their_file.py:Class; they are run."""
     for value in vars(parsed).values():
         for text in value if isinstance(value, list | tuple) else [value]:
-            name = text.partition(":")[0] if isinstance(text, str) else ""
+            name = split_name(text)[0] if isinstance(text, str) else ""
             if name.endswith(".py"):
                 from pcs_racing.planners.imported import driver_classes, drivers_from
 

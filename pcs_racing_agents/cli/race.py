@@ -13,6 +13,7 @@ from pcs_racing.base.errors import InputError, UnknownNameError, require
 from pcs_racing.base.seeds import race_seed
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import planner_names
+from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_races, starts_of, winners
@@ -94,7 +95,7 @@ def _policy(option: str, text: str) -> Policy:
     try:
         return parse_driver(text)
     except UnknownNameError:
-        name = text.partition(":")[0].strip()
+        name = split_name(text)[0]
         if name in planner_names() or (name not in AGENTS and not name.startswith("always-")):
             raise
     raise InputError(

@@ -19,7 +19,7 @@ from typing import Any
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.planners.imported import files_run, run_file
+from pcs_racing.planners.own_files import files_run, run_file
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.jobs.folders import JobError, package_version
 

@@ -97,3 +97,11 @@ def test_functions_and_random_moves_draw_from_the_generator_of_each_game_that_is
 @pytest.mark.parametrize("answer", [4.5, 99, -1, "left", None])
 def test_an_impossible_answer_names_who_gave_it(game, state, answer):
     refused(r"competitor 'poor'", ask_moves, SameMove("poor", answer), game, state, 0)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("lost"), SystemExit(0), AssertionError()])
+def test_whatever_a_competitor_raises_is_one_line(game, state, error):
+    def fails(observation, rng):
+        raise error
+
+    refused(f"competitor 'fails': {type(error).__name__}", ask_moves, fails, game, state, 0, generators=generators())

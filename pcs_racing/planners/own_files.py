@@ -1,0 +1,271 @@
+"""Runs of a Python file of somebody else: each run has its own globals, modules, random numbers and clock.
+
+A module in the file's folder, or in a folder that the file adds to ``sys.path``, belongs to the run: two files with a
+``utils`` beside each drive with their own one. A race runs the file again, so that globals begin as the file sets them.
+While its code runs, the global generators of ``random``, numpy and torch are the run's own, seeded by the race, and its
+module ``time`` shows the time of the race.
+"""
+
+import argparse
+import builtins
+import importlib
+import random
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import lru_cache, partial
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from threading import RLock
+from types import CodeType, ModuleType
+from typing import Any, NoReturn
+
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.planners import ros_nodes
+
+EPOCH = 1_700_000_000.0
+"""Time that a clock of a race shows at its start, s since 1970: programs take 0 for "not yet"."""
+
+_PREFIX = "drivers of "
+_SHARED = {*sys.builtin_module_names, "pcs_racing", "pcs_racing_agents"}
+_PLAIN = {*_SHARED, *sys.stdlib_module_names, "numpy", "numba"} - {"random"}
+"""Packages that draw no random numbers unless the file asks for them."""
+_TICK = 1e-5  # s that a reading of the clock takes: a loop that waits for a time ends
+
+_import = builtins.__import__
+_entropy: Any = importlib.import_module("numpy.random.bit_generator")
+_lock = RLock()  # held while own code runs: it has the global generators, and may not be made for threads
+_runs: dict[str, "Run"] = {}
+
+
+class Run:
+    """One run of a file: as in a race with a seed and a clock, or once in this process without them."""
+
+    def __init__(self, path: Path, number: int = 0, seed: tuple[int, ...] = (0,)) -> None:
+        self.path, self.template = (
+            path,
+            f"{_PREFIX}{path.resolve()}".replace(".", ":"),
+        )  # of a dot pickle makes a package
+        self.name = f"{self.template}#{number}" if number else self.template
+        self.now = 0.0  #: Time of the race, s.
+        self.driver: Any = None
+        self._folders, self._known_path = [str(path.resolve().parent)], list[str]()
+        self._owned: dict[str, bool] = {}
+        self._draws = self._active = False
+        self._seed, torch = int(np.random.SeedSequence(seed).generate_state(1)[0]), sys.modules.get("torch")
+        states = random.Random(self._seed).getstate(), np.random.MT19937(self._seed), {"has_gauss": 0}
+        tensor = torch.Generator().manual_seed(self._seed).get_state() if torch is not None else None
+        self._generators: Any = *states, tensor, lambda size: random.getrandbits(size)
+        self._outside: Any = None  # the generators of this process while own code runs
+        self._stand_ins = {"argparse": _over(argparse, ArgumentParser=_Parser), **ros_nodes.modules()}
+        self._stand_ins["importlib"] = _over(importlib, import_module=self._import_module)
+        if number:
+            self._stand_ins["time"] = self._time()
+        # Made last: the file may import the modules beside it at once.
+        self.module = self._load()
+
+    def _load(self) -> ModuleType:
+        spec = spec_from_file_location(self.name, self.path, submodule_search_locations=self._folders)
+        if not self.path.is_file() or spec is None or not isinstance(spec.loader, SourceFileLoader):
+            raise InputError(f"there is no Python file {self.path}")
+        loader = spec.loader = _Loader(self.name, str(self.path.resolve()))
+        module = sys.modules[self.name] = module_from_spec(spec)
+        _runs[self.name] = self
+        try:
+            with self.entered(f"{self.path} can't be loaded"):
+                self._seed_generators()
+                loader.exec_module(module)
+        except BaseException:
+            _code.cache_clear()
+            del _runs[self.name]
+            for name in [name for name in sys.modules if name.partition(".")[0] == self.name]:
+                del sys.modules[name]
+            raise
+        return module
+
+    @contextmanager
+    def entered(self, what: str) -> Iterator[None]:
+        """Let own code run within the block; an error of any kind becomes one line that begins with ``what``."""
+        with _lock, one_line(what, ()):
+            argv, self._known_path, self._active = sys.argv, sys.path[:], True
+            sys.argv = [str(self.path)]
+            if self._draws:
+                self._seed_generators()
+            try:
+                yield
+            finally:
+                self._note_folders()
+                sys.argv, sys.path[:], self._active = argv, self._known_path, False
+                if self._outside is not None:
+                    self._generators, self._outside = _swap(self._outside), None
+
+    def _note_folders(self) -> None:
+        """Take the folders that own code has added to ``sys.path`` for folders of the run."""
+        if sys.path != self._known_path:
+            added = [one for one in sys.path if one not in self._known_path and one not in self._folders]
+            self._folders += added
+            self._owned.clear()
+
+    def _seed_generators(self) -> None:
+        if self._outside is None:
+            self._outside = _swap(self._generators)
+
+    def _owns(self, head: str) -> bool:
+        """Return whether a module belongs to the run: it lies in one of its folders."""
+        if self._active:
+            self._note_folders()
+        if head not in self._owned:
+            spec = None if head in _SHARED else PathFinder.find_spec(f"{self.name}.{head}", self._folders)
+            if spec is not None and spec.origin is None:  # a folder without __init__.py gives way to a package
+                other = PathFinder.find_spec(head)
+                spec = None if other is not None and other.origin is not None else spec
+            self._owned[head] = spec is not None
+        return self._owned[head]
+
+    def import_own(
+        self, name: str, names: Any = None, local: Any = None, fromlist: Sequence[str] | None = (), level: int = 0
+    ) -> Any:
+        """Import as ``__import__`` does; the run's own modules under its name, and stand-ins for some others."""
+        head, dot, _ = name.partition(".")
+        if level == 0 and self._owns(head):
+            module = _import(f"{self.name}.{name}", names, local, fromlist)
+            return module if fromlist else sys.modules[f"{self.name}.{head}"]
+        if level == 0 and (stand_in := self._stand_ins.get(name if fromlist else head)) is not None:
+            if dot and name not in self._stand_ins:
+                _import(name)
+            return stand_in
+        if level == 0 and head not in _PLAIN:
+            self.draw()
+        module = _import(name, names, local, fromlist, level)
+        if head == "torch" and self._outside is not None and self._outside[3] is None:
+            sys.modules["torch"].manual_seed(self._seed)
+        return module
+
+    def _import_module(self, name: str, package: str | None = None) -> Any:
+        return importlib.import_module(name, package) if name[0] == "." else self.import_own(name, fromlist=("x",))
+
+    def draw(self) -> None:
+        """Give own code generators of its own from now on: it may draw random numbers."""
+        self._draws = True
+        if self._active:
+            self._seed_generators()
+
+    def read_clock(self) -> float:
+        """Return the time of the race, s since 1970."""
+        self.now += _TICK
+        return EPOCH + self.now
+
+    def _time(self) -> ModuleType:
+        def in_ns() -> int:
+            return round(1e9 * self.read_clock())
+
+        def sleep(seconds: float) -> None:
+            self.now += seconds
+
+        seconds = ["time", "monotonic", "perf_counter", "process_time", "thread_time"]
+        own: dict[str, Any] = dict.fromkeys(seconds, self.read_clock)
+        return _over(time, sleep=sleep, **own, **dict.fromkeys([f"{name}_ns" for name in seconds], in_ns))
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser in a file that is given no arguments: what it misses is an error of the file."""
+
+    def error(self, message: str) -> NoReturn:
+        raise SystemExit(f"it reads arguments of a command line, and there are none for it: {message}")
+
+
+def _over(real: ModuleType, **own: Any) -> ModuleType:
+    """Return a module that shows some values of its own in front of those of another one."""
+    module = ModuleType(real.__name__, real.__doc__)
+    module.__dict__.update(own, __getattr__=partial(getattr, real))
+    return module
+
+
+def _swap(given: Any) -> Any:
+    """Let the global generators be the given ones, and return those that they were."""
+    torch, (state, bits, gauss, torch_state, randbits) = sys.modules.get("torch"), given
+    tensor = torch.get_rng_state() if torch is not None else None
+    theirs: Any = np.random  # its global generator, which no type describes
+    was = random.getstate(), theirs.get_bit_generator(), theirs.get_state(legacy=False), tensor, _entropy.randbits
+    random.setstate(state)
+    theirs.set_bit_generator(bits)
+    if gauss["has_gauss"]:
+        theirs.set_state(gauss)
+    if torch is not None and torch_state is not None:
+        torch.set_rng_state(torch_state)
+    _entropy.randbits = randbits  # where numpy's generators without a seed get one
+    return was
+
+
+@contextmanager
+def one_line(what: str, passing: type[Exception] | tuple[()] = InputError) -> Iterator[None]:
+    """Turn an error of any kind, the end of the process among them, into one line; Ctrl-C passes, and our errors."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except passing:
+        raise
+    except BaseException as error:
+        try:
+            said = f"{type(error).__name__}: {error}"
+        except Exception:  # an error whose text raises one
+            said = type(error).__name__
+        raise InputError(f"{what}: {said}") from error
+
+
+@lru_cache(maxsize=1024)
+def _code(path: str) -> CodeType | None:
+    """Bytecode of a file, the same for all runs in this process."""
+    return SourceFileLoader("-", path).get_code("-")
+
+
+class _Loader(SourceFileLoader):
+    """Runs a file of a run, with the run's imports."""
+
+    def get_code(self, fullname: str) -> CodeType | None:
+        return _code(self.path)
+
+    def exec_module(self, module: ModuleType) -> None:
+        run = _runs[module.__name__.partition(".")[0]]
+        module.__dict__["__builtins__"] = {**vars(builtins), "__import__": run.import_own}
+        if b"random" in self.get_data(self.path):
+            run.draw()
+        super().exec_module(module)
+        # What numba has compiled for one run does for all: it takes globals as constants.
+        first = sys.modules.get(module.__name__.replace(run.name, run.template, 1))
+        for name, value in vars(first).items() if first is not None else ():
+            if isinstance(value, Dispatcher) and isinstance(vars(module).get(name), Dispatcher):
+                setattr(module, name, value)
+
+
+class _Finder(MetaPathFinder):
+    """Finds the modules of runs, by which pickle finds their classes as well."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(fullname, path, target) if fullname.startswith(_PREFIX) else None
+        if spec is not None and isinstance(spec.loader, SourceFileLoader):
+            spec.loader = _Loader(fullname, spec.loader.path)
+        return spec
+
+
+sys.meta_path.insert(0, _Finder())
+
+
+def run_file(path: str | Path) -> ModuleType:
+    """Run a Python file, once in this process, and return it as a module."""
+    name = f"{_PREFIX}{Path(path).resolve()}".replace(".", ":")
+    return (_runs.get(name) or Run(Path(path))).module
+
+
+def files_run() -> list[str]:
+    """Return the files that this process has run: another one needs them to unpack objects of their classes."""
+    return [str(run.path.resolve()) for run in _runs.values() if run.name == run.template]
