@@ -18,7 +18,9 @@ _PLACES = {
     "SteerActionEnum",
     "simulator": "Simulator RaceCar ScanSimulator2D pid pid_accl pid_steer vehicle_dynamics_ks vehicle_dynamics_st",
     "lines": "Track TrackSpec Raceline CubicSpline2D nearest_point_on_trajectory",
-    "rendering": "EnvRenderer RenderSpec TrackRenderer get_vertices",
+    "rendering": "EnvRenderer RenderSpec TrackRenderer make_renderer",
+    "geometry": "get_vertices collision collision_multiple get_range ray_cast check_ttc_jit",
+    "observations": "observation_factory",
 }
 NAMES = {name: module for module, names in _PLACES.items() for name in names.split()}
 

@@ -3,6 +3,7 @@
 import os
 import runpy
 import sys
+from pathlib import Path
 
 from pcs_racing.base.errors import InputError
 
@@ -15,13 +16,16 @@ def main(given: list[str]) -> int:
             file=sys.stderr,
         )
         return 2
+    from pcs_racing.f1tenth.copies import use_copy
     from pcs_racing.f1tenth.stand_ins import install
 
     install()
     program = os.path.abspath(given[0])
+    os.environ.pop("PCS_RACING_GYM_COPY", None)  # of another program
     sys.argv[:] = [given[0], *given[1:]]
     sys.path.insert(0, os.path.dirname(program))
     try:
+        use_copy(Path(program))
         runpy.run_path(program, run_name="__main__")
     except InputError as error:
         print(f"error: {error}", file=sys.stderr)

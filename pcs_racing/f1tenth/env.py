@@ -20,17 +20,30 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.lines import Track, starting_poses
 from pcs_racing.f1tenth.maps import load_map
-from pcs_racing.f1tenth.observations import ORIGINAL, observation
+from pcs_racing.f1tenth.observations import ORIGINAL, Observation
 from pcs_racing.f1tenth.rendering import EnvRenderer, RenderSpec, TrackRenderer
-from pcs_racing.f1tenth.simulator import DEFAULT_PARAMS, MOST_CARS, Simulator, merged_params, warn_of_unknown
+from pcs_racing.f1tenth.simulator import (
+    BEAMS,
+    DEFAULT_PARAMS,
+    FIELD_OF_VIEW,
+    MOST_CARS,
+    Simulator,
+    merged_params,
+    warn_of_unknown,
+)
 
 Callback = Callable[[Any], None]
+Integrator = Enum("Integrator", "RK4 Euler")
 
 _BOTH: dict[str, Any] = {
-    "seed": 12345, "params": DEFAULT_PARAMS, "num_agents": 2, "timestep": 0.01, "ego_idx": 0
+    "seed": 12345, "params": DEFAULT_PARAMS, "num_agents": 2, "timestep": 0.01, "ego_idx": 0,
+    "num_beams": BEAMS, "fov": FIELD_OF_VIEW,
 }  # fmt: skip
-_A: dict[str, Any] = {**_BOTH, "map": "vegas", "map_ext": ".png", "lidar_dist": 0.0}
-_B: dict[str, Any] = {
+DEFAULTS_A: dict[str, Any] = {
+    **_BOTH, "map": "vegas", "map_ext": ".png", "lidar_dist": 0.0, "integrator": Integrator["RK4"]
+}  # fmt: skip
+"""Keywords of generation A; those of a copy of the gym that a program brings along may differ."""
+DEFAULTS_B: dict[str, Any] = {
     **_BOTH, "map": "Spielberg", "integrator": "rk4", "model": "st", "control_input": ["speed", "steering_angle"],
     "observation_config": {"type": None}, "reset_config": {"type": None},
 }  # fmt: skip
@@ -41,9 +54,10 @@ _FACTS = {
     "lap_counts": k.LAPS, "toggle_list": k.TOGGLES, "start_xs": k.START_X, "start_ys": k.START_Y,
     "start_thetas": k.START_PSI,
 }  # fmt: skip
+_INSTEAD = {"action_type": "env.config['control_input']", "poses": "env.sim.agent_poses", "scan": "env.sim.agent_scans"}
+"""Where else something is that the gym's environments have."""
 _MODES = ["human", "human_fast", "rgb_array"]
 
-Integrator = Enum("Integrator", "RK4 Euler")
 DynamicModel = Enum("DynamicModel", "KS ST")
 IntegratorType = Enum("IntegratorType", "RK4 Euler")
 LongitudinalActionEnum = Enum("LongitudinalActionEnum", "Accl Speed")
@@ -82,6 +96,7 @@ class F110Env(gymnasium.Env[Any, Any]):
     render_callbacks: list[Callback]
     current_obs: Any = None  # of the class, where programs of generation A reach for it
     observation_space: Any = None  # of generation A, as in gym
+    near_start, num_toggles, start_thresh = True, 0, 0.5  # which the gym has, and never changes
 
     def __new__(cls, *args: Any, **named: Any) -> Self:
         """Choose the generation by the arguments."""
@@ -104,7 +119,10 @@ class F110Env(gymnasium.Env[Any, Any]):
             (control[0] == "accl", control[1][-1] == "d"),
         )
         setup = k.Setup(model, integrator, *inputs, self.timestep, self.lidar_dist, self.ego_idx, self.faithful, False)
-        self.sim = Simulator(self.params, self.num_agents, self.seed, setup)
+        beams = check_whole("num_beams", values["num_beams"], 2, 100_000, ConfigError)
+        fov = float(check_number("fov", values["fov"], 1e-3, 2.0 * np.pi, error=ConfigError))
+        self.sim = Simulator(self.params, self.num_agents, self.seed, setup, beams, fov)
+        self.sim.integrator = self.integrator
         self._find_action_space()
 
     def _find_action_space(self) -> None:
@@ -129,8 +147,17 @@ class F110Env(gymnasium.Env[Any, Any]):
     def __getattr__(self, name: str) -> Any:
         """Facts of all cars under the gym's names, shape (N,), and the time."""
         if "sim" not in self.__dict__ or name not in (*_FACTS, "current_time"):
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+            hint = f"; this is {_INSTEAD[name]}" if name in _INSTEAD else ""
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r} here{hint}")
         return self.sim.cars[:, _FACTS[name]] if name in _FACTS else self.sim.time
+
+    near_starts = property(lambda self: self.sim.cars[:, k.AWAY] == 0.0)  #: Whether each car is at its start.
+
+    @property
+    def start_rot(self) -> Any:
+        """Rotation into the frame of the ego's start, shape (2, 2)."""
+        sine, cosine = np.sin(-self.start_thetas[self.ego_idx]), np.cos(-self.start_thetas[self.ego_idx])
+        return np.array([[cosine, -sine], [sine, cosine]])
 
     @property
     def render_obs(self) -> dict[str, Any] | None:
@@ -170,9 +197,10 @@ class GenerationA(F110Env):
     render_callbacks: list[Callback] = []  # noqa: RUF012 of all environments together
 
     def __init__(self, *, faithful: bool = True, render_mode: str | None = None, **named: Any) -> None:
-        warn_of_unknown("f110-v0", named, [*_A, "integrator", "faithful"])
-        self.integrator, self.render_mode = named.get("integrator", Integrator["RK4"]), render_mode
-        integrator, values = getattr(self.integrator, "name", None), {**_A, **named}
+        warn_of_unknown("f110-v0", named, [*DEFAULTS_A, "faithful"])
+        values, self.render_mode = {**DEFAULTS_A, **named}, render_mode
+        self.integrator = values["integrator"]
+        integrator = getattr(self.integrator, "name", None)
         if integrator not in ("RK4", "Euler"):
             raise ConfigError(f"integrator is {self.integrator!r:.200}; it must be Integrator.RK4 or .Euler")
         self._set_up(values, k.OLD_ST if faithful else k.ST, _PAIRS[1], integrator == "Euler", faithful)
@@ -240,7 +268,8 @@ class GenerationB(F110Env):
         self.update_map(self.map)
         self.agent_ids = [f"agent_{i}" for i in range(self.num_agents)]
         self.observation_config = values["observation_config"]
-        self.observation_space, self._observe = observation(self, self.observation_config)
+        self.observation_type = Observation(self, self.observation_config)
+        self.observation_space, self._observe = self.observation_type.space(), self.observation_type._observe
         if render_mode is not None:
             check_choice("render_mode", render_mode, _MODES, ConfigError)
         self.render_mode, self.render_spec = render_mode, RenderSpec()
@@ -250,7 +279,7 @@ class GenerationB(F110Env):
     @classmethod
     def default_config(cls) -> dict[str, Any]:
         """Return the configuration that a given one changes."""
-        return deepcopy(_B)
+        return deepcopy(DEFAULTS_B)
 
     def _merge(self, config: Any) -> None:
         if config is not None and not isinstance(config, Mapping):
@@ -258,7 +287,7 @@ class GenerationB(F110Env):
                 f"config is of type {type(config).__name__}; give a dictionary such as {{'num_agents': 2}} (EnvConfig "
                 "belongs to the development line of the gym, which is not served)"
             )
-        warn_of_unknown("config", config or {}, _B)
+        warn_of_unknown("config", config or {}, DEFAULTS_B)
         merged_params(DEFAULT_PARAMS, (config or {}).get("params", {}))
         self.config = deep_update(self.config, config or {})
 

@@ -19,6 +19,8 @@ from pcs_racing.track.maps import MAX_BYTES, find_map, find_shipped, list_tracks
 from pcs_racing.track.track import Track
 
 FREE_ABOVE = 128  # grey level
+own_folders: list[Path] = []
+"""Folders of maps that a program brings along."""
 
 
 class GymMap(NamedTuple):
@@ -40,7 +42,8 @@ def find_yaml(name: str | os.PathLike[str]) -> Path:
     Names are those of the folders in ``$PCS_RACING_MAPS`` and of the shipped circuits; case does not matter.
     """
     text = os.fspath(name)
-    for path in (Path(text), Path(f"{text}.yaml"), Path(f"{text}_map.yaml")):
+    places = [Path(folder, f"{text}{end}") for folder in (Path(), *own_folders) for end in (".yaml", "_map.yaml")]
+    for path in (Path(text), *places):
         if path.suffix in (".yaml", ".yml") and os.path.isfile(path):
             return path
     if os.path.isdir(text):

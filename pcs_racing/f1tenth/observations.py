@@ -9,7 +9,7 @@ from gymnasium import spaces
 from pcs_racing.base.checks import check_names
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.f1tenth import kernel as k
-from pcs_racing.f1tenth.simulator import BEAMS, RANGE
+from pcs_racing.f1tenth.simulator import RANGE
 
 FEATURES = (
     "scan", "pose_x", "pose_y", "pose_theta", "linear_vel_x", "linear_vel_y", "ang_vel_z", "delta", "beta", "collision",
@@ -36,7 +36,7 @@ def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
         raise ConfigError(f"observation_config is {config!r:.200}; it must be a dictionary with a 'type'")
     kind = config["type"] or "original"
     if kind == "original":
-        return _original_space(env.num_agents), lambda laps: _original(env, laps)
+        return _original_space(env.num_agents, env.sim.lidar.beams), lambda laps: _original(env, laps)
     if kind == "features":
         features = check_names("observation_config: features", config.get("features"), error=ConfigError)
         for name in features:
@@ -47,24 +47,44 @@ def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
     else:
         known = ", ".join(["original", "features", *TYPES])
         raise ConfigError(f"observation_config: type is {kind!r:.80}; it must be one of {known}")
-    one = {name: _bounds(name) for name in features}
+    one = {name: _bounds(name, env.sim.lidar.beams) for name in features}
     return spaces.Dict({name: spaces.Dict(one) for name in env.agent_ids}), lambda laps: _features(env, laps, features)
+
+
+class Observation:
+    """Observations of a kind, for programs that ask for them themselves."""
+
+    def __init__(self, env: Any, config: Mapping[str, Any]) -> None:
+        self.env, (self._space, self._observe) = env, observation(env, config)
+
+    def space(self) -> spaces.Space[Any]:
+        """Return the space of the observations."""
+        return self._space
+
+    def observe(self) -> dict[str, Any]:
+        """Return what is observed now."""
+        return self._observe(None)
+
+
+def observation_factory(env: Any, type: str | None, **named: Any) -> Observation:  # noqa: A002
+    """Return the observations of an ``observation_config`` with these keys."""
+    return Observation(env, {"type": type, **named})
 
 
 def _box(low: float, high: float, *shape: int) -> spaces.Space[Any]:
     return spaces.Box(low, high, shape, np.float32)
 
 
-def _bounds(name: str, *cars: int) -> spaces.Space[Any]:
+def _bounds(name: str, beams: int, *cars: int) -> spaces.Space[Any]:
     """Space of a feature, or of one of the original numbers of all cars."""
     if name.startswith("scan"):
-        return _box(0.0, RANGE + 0.5 * len(cars), *cars, BEAMS)
+        return _box(0.0, RANGE + 0.5 * len(cars), *cars, beams)
     return _box(0.0 if name[:3] in ("col", "lap") else -_LARGE, 1.0 if name[:3] == "col" else _LARGE, *cars)
 
 
-def _original_space(cars: int) -> spaces.Dict:
+def _original_space(cars: int, beams: int) -> spaces.Dict:
     names = ("scans", "linear_vels_y", "lap_times", "lap_counts", *ORIGINAL)
-    return spaces.Dict({"ego_idx": spaces.Discrete(cars)} | {name: _bounds(name, cars) for name in names})
+    return spaces.Dict({"ego_idx": spaces.Discrete(cars)} | {name: _bounds(name, beams, cars) for name in names})
 
 
 def _original(env: Any, laps: Any) -> dict[str, Any]:

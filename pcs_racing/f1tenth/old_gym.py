@@ -2,7 +2,10 @@
 
 import multiprocessing
 import sys
-from collections.abc import Collection, Sequence
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Sequence
+from functools import partial
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from inspect import Parameter, isclass, signature
@@ -10,6 +13,9 @@ from types import ModuleType
 from typing import Any
 
 import gymnasium
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 
 # Where Stable-Baselines3 is handed an environment: by module, a function or a class.
 _ENTRANCES = {"vec_env.patch_gym": "_patch_env", "env_checker": "check_env", "monitor": "Monitor"}
@@ -45,6 +51,10 @@ class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         obs, reward, *rest = self.env.step(self.action(action))
         return (self.observation(obs), self.reward(reward), *rest)
 
+    def seed(self, seed: int | None = None) -> Any:
+        """Seed what is wrapped, if it can be: the gym's environments keep a number under this name."""
+        return self.env.seed(seed) if callable(getattr(self.env, "seed", None)) else [seed]  # type: ignore[attr-defined]
+
     def render(self, *args: Any, **named: Any) -> Any:
         """Render what is wrapped, with any arguments."""
         return self.env.render(*args, **named)
@@ -53,9 +63,10 @@ class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
 class TimeLimit(Wrapper):
     """Ends an episode after so many steps, and says so among the infos."""
 
-    def __init__(self, env: Any, max_episode_steps: int) -> None:
+    def __init__(self, env: Any, max_episode_steps: int | None = None) -> None:
         super().__init__(env)
-        self._most, self._left = max_episode_steps, max_episode_steps
+        self._most = max_episode_steps or getattr(env.spec, "max_episode_steps", None) or sys.maxsize
+        self._left = self._most
 
     def reset(self, *args: Any, **named: Any) -> Any:
         """Begin an episode."""
@@ -68,6 +79,227 @@ class TimeLimit(Wrapper):
         obs, reward, done, info = super().step(action)
         more = {"TimeLimit.truncated": not done} if self._left <= 0 else {}
         return obs, reward, done or self._left <= 0, info | more
+
+
+class TransformObservation(Wrapper):
+    """Changes observations by a function."""
+
+    def __init__(self, env: Any, f: Callable[[Any], Any], observation_space: Any = None) -> None:
+        super().__init__(env)
+        self.f, self.observation = f, f  # type: ignore[assignment]
+        self.observation_space = observation_space or env.observation_space
+
+
+class TransformReward(Wrapper):
+    """Changes rewards by a function."""
+
+    def __init__(self, env: Any, f: Callable[[Any], Any]) -> None:
+        super().__init__(env)
+        self.f, self.reward = f, f  # type: ignore[assignment]
+
+
+class ClipAction(Wrapper):
+    """Clips actions to the bounds of their space."""
+
+    def action(self, action: Any) -> Any:
+        """Return the clipped action."""
+        return np.clip(action, self.action_space.low, self.action_space.high)  # type: ignore[attr-defined]
+
+
+class RescaleAction(Wrapper):
+    """Takes actions between two bounds, and gives the wrapped environment those of its space."""
+
+    def __init__(self, env: Any, min_action: Any, max_action: Any) -> None:
+        super().__init__(env)
+        space = env.action_space
+        self.min_action, self.max_action = (np.zeros_like(space.low) + bound for bound in (min_action, max_action))
+        self.action_space = gymnasium.spaces.Box(self.min_action, self.max_action, dtype=space.dtype)
+
+    def action(self, action: Any) -> Any:
+        """Return the action in the wrapped environment's bounds."""
+        low, high = self.env.action_space.low, self.env.action_space.high  # type: ignore[attr-defined]
+        return np.clip(low + (high - low) * (action - self.min_action) / (self.max_action - self.min_action), low, high)
+
+
+class FlattenObservation(TransformObservation):
+    """Makes one vector of an observation."""
+
+    def __init__(self, env: Any) -> None:
+        space = env.observation_space
+        super().__init__(env, partial(gymnasium.spaces.flatten, space), gymnasium.spaces.flatten_space(space))
+
+
+class FilterObservation(TransformObservation):
+    """Keeps some entries of an observation that is a dictionary."""
+
+    def __init__(self, env: Any, filter_keys: Sequence[str] | None = None) -> None:
+        kept = env.observation_space.spaces
+        kept = {key: value for key, value in kept.items() if filter_keys is None or key in filter_keys}
+        super().__init__(env, lambda obs: {key: obs[key] for key in kept}, gymnasium.spaces.Dict(kept))
+
+
+class FrameStack(Wrapper):
+    """Gives the last observations together, at first the first one repeated."""
+
+    def __init__(self, env: Any, num_stack: int, lz4_compress: bool = False) -> None:
+        super().__init__(env)
+        self.num_stack, self.frames, one = num_stack, deque[Any](maxlen=num_stack), env.observation_space
+        low, high = (np.repeat(bound[None], num_stack, axis=0) for bound in (one.low, one.high))
+        self.observation_space = gymnasium.spaces.Box(low, high, dtype=one.dtype)
+
+    def observation(self, observation: Any) -> Any:
+        """Return the last observations, shape (num_stack, ...)."""
+        self.frames.extend([observation] * max(1, self.num_stack - len(self.frames)))
+        return np.stack(list(self.frames))
+
+    def reset(self, *args: Any, **named: Any) -> Any:
+        """Begin an episode."""
+        self.frames.clear()
+        return super().reset(*args, **named)
+
+
+class RunningMeanStd:
+    """Mean and variance of all that was seen."""
+
+    def __init__(self, epsilon: float = 1e-4, shape: tuple[int, ...] = ()) -> None:
+        self.mean, self.var, self.count = np.zeros(shape), np.ones(shape), epsilon
+
+    def update(self, x: Any) -> None:
+        """Take in a batch, shape (N, ...)."""
+        number, total, change = len(x), self.count + len(x), np.mean(x, axis=0) - self.mean
+        squares = self.var * self.count + np.var(x, axis=0) * number + change**2 * self.count * number / total
+        self.mean, self.var, self.count = self.mean + change * number / total, squares / total, total
+
+
+class NormalizeObservation(Wrapper):
+    """Scales observations by the mean and the variance of all so far."""
+
+    def __init__(self, env: Any, epsilon: float = 1e-8) -> None:
+        super().__init__(env)
+        self.many = bool(getattr(env, "is_vector_env", False))
+        space = env.single_observation_space if self.many else env.observation_space
+        self.obs_rms, self.epsilon = RunningMeanStd(shape=space.shape), epsilon
+
+    def observation(self, observation: Any) -> Any:
+        """Return the scaled observation."""
+        self.obs_rms.update(np.asarray(observation if self.many else [observation]))
+        return (observation - self.obs_rms.mean) / np.sqrt(self.obs_rms.var + self.epsilon)
+
+
+class NormalizeReward(Wrapper):
+    """Scales rewards by the variance of the discounted return."""
+
+    def __init__(self, env: Any, gamma: float = 0.99, epsilon: float = 1e-8) -> None:
+        super().__init__(env)
+        self.return_rms, self.gamma, self.epsilon = RunningMeanStd(shape=()), gamma, epsilon
+        self.returns = np.zeros(getattr(env, "num_envs", 1))
+
+    def step(self, action: Any) -> Any:
+        """Step what is wrapped, and take its reward into the return."""
+        obs, rewards, done, *rest = super().step(action)
+        self.returns = self.returns * self.gamma + rewards
+        self.return_rms.update(self.returns)
+        self.returns[np.asarray(done) | np.zeros(len(self.returns), np.bool_)] = 0.0
+        return obs, rewards / np.sqrt(self.return_rms.var + self.epsilon), done, *rest
+
+
+class RecordEpisodeStatistics(Wrapper):
+    """Adds return ``r``, length ``l`` and seconds ``t`` of an episode to the infos of its last step."""
+
+    def __init__(self, env: Any, deque_size: int = 100) -> None:
+        super().__init__(env)
+        self.num_envs, self.many = getattr(env, "num_envs", 1), bool(getattr(env, "is_vector_env", False))
+        self.return_queue, self.length_queue = deque[Any](maxlen=deque_size), deque[Any](maxlen=deque_size)
+        self.t0, self.episode_count = time.perf_counter(), 0
+        self.episode_returns, self.episode_lengths = np.zeros(self.num_envs, np.float32), np.zeros(self.num_envs, int)
+
+    def reset(self, *args: Any, **named: Any) -> Any:
+        """Begin an episode."""
+        self.episode_returns, self.episode_lengths = 0.0 * self.episode_returns, 0 * self.episode_lengths
+        return super().reset(*args, **named)
+
+    def step(self, action: Any) -> Any:
+        """Step what is wrapped, and add up."""
+        obs, rewards, done, *rest, infos = super().step(action)
+        self.episode_returns, self.episode_lengths = self.episode_returns + rewards, self.episode_lengths + 1
+        listed = [dict(info) for info in (infos if self.many else [infos])]
+        ended = np.asarray(done) | np.any(rest, axis=0) if rest else np.asarray(done)
+        for i in np.flatnonzero(ended | np.zeros(self.num_envs, np.bool_)):
+            total, length = self.episode_returns[i], int(self.episode_lengths[i])
+            listed[i]["episode"] = {"r": total, "l": length, "t": round(time.perf_counter() - self.t0, 6)}
+            self.return_queue.append(total)
+            self.length_queue.append(length)
+            self.episode_count += 1
+            self.episode_returns[i] = self.episode_lengths[i] = 0
+        return obs, rewards, done, *rest, tuple(listed) if self.many else listed[0]
+
+
+class SyncVectorEnv(gymnasium.Env[Any, Any]):
+    """Several environments that are stepped together; one that ends is reset, and its last observation is in infos."""
+
+    is_vector_env = True
+
+    def __init__(self, env_fns: Sequence[Callable[[], Any]], *args: Any, **named: Any) -> None:
+        self.envs = [make() for make in env_fns]
+        self.num_envs, first = len(self.envs), self.envs[0]
+        self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
+        self.observation_space, self.action_space = (
+            batch_space(space, self.num_envs) for space in (first.observation_space, first.action_space)
+        )
+
+    def seed(self, seeds: Any = None) -> None:
+        """Seed the environments: each by its own seed, or by this one and those that follow."""
+        each = (
+            seeds if isinstance(seeds, list) else [None if seeds is None else seeds + i for i in range(self.num_envs)]
+        )
+        for env, seed in zip(self.envs, each, strict=True):
+            env.seed(seed)
+
+    def reset(self, *args: Any, **named: Any) -> Any:
+        """Begin an episode in all."""
+        return self._together([_observed(env.reset(*args, **named)) for env in self.envs])
+
+    def step(self, actions: Any) -> Any:
+        """Step all with one action each."""
+        answers = [list(env.step(action)) for env, action in zip(self.envs, actions, strict=True)]
+        for env, answer in zip(self.envs, answers, strict=True):
+            if answer[2]:
+                answer[-1] = {**answer[-1], "terminal_observation": answer[0]}
+                answer[0] = _observed(env.reset())
+        rewards, done = (np.array([answer[i] for answer in answers]) for i in (1, 2))
+        return self._together([answer[0] for answer in answers]), rewards, done, tuple(one[-1] for one in answers)
+
+    def close(self) -> None:
+        """Close all."""
+        for env in self.envs:
+            env.close()
+
+    def _together(self, observations: list[Any]) -> Any:
+        out: Any = create_empty_array(self.single_observation_space, self.num_envs)
+        return concatenate(self.single_observation_space, observations, out)
+
+
+def make_vector(id: str, num_envs: int = 1, asynchronous: bool = True, **named: Any) -> SyncVectorEnv:  # noqa: A002
+    """Make several environments of a name, which are stepped together."""
+    return SyncVectorEnv([partial(gymnasium.make, id, **named)] * num_envs)
+
+
+def _observed(answer: Any) -> Any:
+    """Return the observation of what a reset answers."""
+    return answer[0] if isinstance(answer, tuple) else answer
+
+
+WRAPPERS: dict[str, Any] = {
+    cls.__name__: cls
+    for cls in (
+        Wrapper, TimeLimit, TransformObservation, TransformReward, ClipAction, RescaleAction, FlattenObservation,
+        FilterObservation, FrameStack, NormalizeObservation, NormalizeReward, RecordEpisodeStatistics,
+    )
+}  # fmt: skip
+WRAPPERS |= dict.fromkeys(("ObservationWrapper", "RewardWrapper", "ActionWrapper", "OrderEnforcing"), Wrapper)
+WRAPPERS["RunningMeanStd"] = RunningMeanStd
+MODULES = "time_limit transform_observation transform_reward clip_action rescale_action flatten_observation "
+MODULES += "filter_observation frame_stack normalize record_episode_statistics order_enforcing"
 
 
 class Today(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -133,8 +365,15 @@ def _adapted(function: Any, place: int) -> Any:
     return call
 
 
+def _seed(self: Any, seed: int | None = None) -> list[Any]:
+    """Seed an environment's generator, as environments did that were written for gym."""
+    self._np_random, used = seeding.np_random(seed)
+    return [used]
+
+
 def install() -> None:
-    """Adapt Stable-Baselines3 as soon as it is imported, and let processes that the program starts begin like it."""
+    """Let environments have a ``seed``, adapt Stable-Baselines3 once it is imported, and prepare worker processes."""
+    gymnasium.Env.seed = _seed  # type: ignore[attr-defined]
     sys.meta_path.insert(0, _Adapter())
     if "forkserver" in multiprocessing.get_all_start_methods():
         multiprocessing.set_forkserver_preload(["pcs_racing.f1tenth.in_workers"])

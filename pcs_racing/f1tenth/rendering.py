@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.f1tenth.geometry import get_vertices
 from pcs_racing.f1tenth.maps import GymMap
 from pcs_racing.race.painting import COLOURS, FINER, Camera, paint_car
 from pcs_racing.race.rendering import Window
@@ -23,14 +24,6 @@ HALF_SIZE = np.array([0.5 * F1TENTH.length, 0.5 * F1TENTH.width])
 
 Frame = NDArray[np.uint8]
 Colour = tuple[int, ...]
-
-
-def get_vertices(pose: ArrayLike, length: float, width: float) -> NDArray[np.float64]:
-    """Return the corners of a car at x, y, heading: rear left, rear right, front right, front left, shape (4, 2)."""
-    x, y, theta = np.asarray(pose, np.float64)
-    sine, cosine = np.sin(theta), np.cos(theta)
-    corners = 0.5 * np.array([[-length, width], [-length, -width], [length, -width], [length, width]])
-    return corners @ np.array([[cosine, sine], [-sine, cosine]]) + (x, y)
 
 
 def has_display() -> bool:
@@ -114,6 +107,22 @@ class TrackRenderer(_Painter):
     def __init__(self, loaded: GymMap, spec: RenderSpec, *, window: bool, fps: float) -> None:
         super().__init__(loaded, spec.window_size, spec.window_size, window, fps)
         self.render_spec, self._shown = spec, window
+        self._callbacks, self._told = list[Callable[[Any], None]](), dict[str, Any]()
+
+    def add_renderer_callback(self, callback_fn: Callable[[Any], None]) -> None:
+        """Call a function with this renderer in :meth:`render`."""
+        self._callbacks.append(callback_fn)
+
+    def update(self, state: dict[str, Any]) -> None:
+        """Take what an environment's ``render_obs`` says."""
+        self._told = state
+
+    def render(self) -> Frame | None:
+        """Draw what :meth:`update` took, and return the frame unless it is shown."""
+        x, y, theta = (np.asarray(self._told[f"poses_{name}"]) for name in ("x", "y", "theta"))
+        still = 0.0 * x
+        states = np.stack([x, y, self._told.get("steering_angles", still), still, theta, still, still], axis=1)
+        return self.draw(states, float(self._told.get("sim_time", 0.0)), self._callbacks)
 
     def draw(self, states: NDArray[np.float64], now: float, callbacks: list[Callable[[Any], None]]) -> Frame | None:
         """Draw the cars and what the callbacks add; return the frame unless it is shown."""
@@ -143,6 +152,15 @@ class TrackRenderer(_Painter):
     def render_closed_lines(self, points: ArrayLike, color: Colour = (0, 0, 255), size: float = 1) -> None:
         """Draw a line through points and back to the first."""
         self.render_lines(np.concatenate([points, np.asarray(points)[:1]]), color, size)
+
+
+def make_renderer(
+    params: Any, track: Any, agent_ids: Any, render_mode: str | None = None, render_fps: float = 100
+) -> tuple[TrackRenderer | None, RenderSpec]:
+    """Return a renderer of a track, or None without a mode, and its settings."""
+    spec, window = RenderSpec(), render_mode != "rgb_array"
+    made = TrackRenderer(track.loaded, spec, window=window, fps=render_fps) if render_mode is not None else None
+    return made, spec
 
 
 class Drawing(SimpleNamespace):

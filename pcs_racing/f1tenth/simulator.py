@@ -1,7 +1,7 @@
 """The cars of the F1TENTH gym, one step after the other; and what planners import of it: models, controllers, lidar."""
 
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.lidar_kernel import WORK_SHAPE
 from pcs_racing.f1tenth import kernel as k
+from pcs_racing.f1tenth.geometry import check_ttc_jit, collision_multiple, get_vertices, ray_cast
 from pcs_racing.f1tenth.kernel import KS, OLD_ST, ST, handling, pid_accl, pid_steer, scan_map, write_rates
 from pcs_racing.f1tenth.maps import GymMap, load_map
 from pcs_racing.track.loading import load_track
@@ -66,6 +67,20 @@ def pid(speed, steer, current_speed, current_steer, max_sv, max_a, max_v, min_v)
     return pid_accl(speed, current_speed, max_a, max_v, min_v), pid_steer(steer, current_steer, max_sv)
 
 
+_MAP_FACTS: dict[str, Callable[[GymMap], Any]] = {
+    "map_resolution": lambda loaded: loaded.resolution,
+    "map_height": lambda loaded: loaded.free.shape[0],
+    "map_width": lambda loaded: loaded.free.shape[1],
+    "map_img": lambda loaded: np.where(loaded.free, 255.0, 0.0),
+    "dt": lambda loaded: loaded.grid.distance[1:-1, 1:-1],
+    "origin": lambda loaded: [*loaded.origin, 0.0],
+    "orig_x": lambda loaded: loaded.origin[0],
+    "orig_y": lambda loaded: loaded.origin[1],
+    "orig_s": lambda loaded: 0.0,
+    "orig_c": lambda loaded: 1.0,
+}
+
+
 class ScanSimulator2D:
     """A lidar on a map; ``eps`` and ``theta_dis`` of the gym's march are ignored, for ranges are exact."""
 
@@ -75,7 +90,17 @@ class ScanSimulator2D:
         self._some_track = load_track(list_tracks()[0])
         self._lidar = Lidar(self._some_track, num_beams, fov, max_range)
         self._map: GymMap | None = None
-        self.num_beams, self.fov, self.max_range = num_beams, fov, max_range
+        self.num_beams, self.fov, self.max_range, self.eps, self.theta_dis = num_beams, fov, max_range, eps, theta_dis
+        self.angle_increment = self.get_increment()
+        self.theta_index_increment = theta_dis * self.angle_increment / (2.0 * np.pi)
+        turn = np.linspace(0.0, 2.0 * np.pi, theta_dis)
+        self.sines, self.cosines = np.sin(turn), np.cos(turn)
+
+    def __getattr__(self, name: str) -> Any:
+        """Facts of the map under the gym's names; None without a map."""
+        if name not in _MAP_FACTS:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return None if self._map is None else _MAP_FACTS[name](self._map)
 
     def set_map(self, map_path: Any, map_ext: str | None = None) -> bool:
         """Measure on this map from now on."""
@@ -124,7 +149,61 @@ class RaceCar:
 
     def __init__(self, simulator: "Simulator", index: int) -> None:
         self._simulator, self._index, self.params = simulator, index, dict(simulator.params)
-        self.num_beams, self.fov, self.scan_angles = BEAMS, FIELD_OF_VIEW, simulator.lidar.angles
+        self.num_beams, self.fov, self.scan_angles = simulator.lidar.beams, simulator.lidar.fov, simulator.lidar.angles
+        self.cosines, self.seed = np.cos(self.scan_angles), simulator.seed
+        self.is_ego = index == simulator.setup.ego
+
+    ttc_thresh, steer_buffer_size = k.STOP_TIME, 2
+    accel = steer_angle_vel = 0.0  # in the gym as well: its controllers keep to themselves what they ask for
+    time_step = property(lambda self: self._simulator.setup.dt)
+    integrator = property(lambda self: self._simulator.integrator)
+    side_distances = property(lambda self: self._simulator._world.sides)
+    scan_rng = property(lambda self: self._simulator.rng)
+    opp_poses = property(lambda self: np.delete(self._simulator.agent_poses, self._index, axis=0))
+    scan_simulator = property(lambda self: self._simulator.scan_simulator)
+
+    def __getattr__(self, name: str) -> Any:
+        """Refuse parts of a step, which this simulator makes for all cars at once."""
+        hint = ": env.sim.step(actions) drives all cars" if name.startswith("update_") else ""
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r} here{hint}")
+
+    @property
+    def steer_buffer(self) -> Floats:
+        """Steering that has not come into effect, the newest first; shape (0,) to (2,)."""
+        row = self._simulator.cars[self._index]
+        return row[[k.SECOND, k.FIRST]][: self._simulator.steps]
+
+    def update_params(self, params: Any) -> None:
+        """Change parameters of this car."""
+        self._simulator.update_params(params, self._index)
+
+    def set_map(self, map_path: Any, map_ext: str | None = None) -> None:
+        """Drive on another map, all cars."""
+        self._simulator.set_map(map_path, map_ext)
+
+    def reset(self, pose: ArrayLike) -> None:
+        """Put this car at a pose, at rest."""
+        at, row = check_array("pose", pose, (3,), minimum=-1e6, maximum=1e6), self._simulator.cars[self._index]
+        row[: k.CONTACT] = 0.0
+        row[[k.X, k.Y, k.PSI]] = row[k.AT_X : k.AT_PSI + 1] = at
+        row[k.WALL] = 0.0
+
+    def ray_cast_agents(self, scan: Floats) -> Floats:
+        """Shorten the ranges of a scan, in place, by the other cars."""
+        for pose in self.opp_poses:
+            ray_cast(self.state[[0, 1, 4]], scan, self.scan_angles, get_vertices(pose, *self._size()))
+        return scan
+
+    def check_ttc(self, current_scan: Floats) -> bool:
+        """Return whether a scan says that a wall is hit, and stop the car if so."""
+        ahead = self.scan_angles, self.cosines, self.side_distances, self.ttc_thresh
+        hit = bool(check_ttc_jit(current_scan, self.state[3], *ahead))
+        self.state[3:] *= not hit
+        self._simulator.cars[self._index, k.WALL] = hit
+        return hit
+
+    def _size(self) -> tuple[float, float]:
+        return self.params["length"], self.params["width"]
 
     @property
     def state(self) -> Floats:
@@ -134,13 +213,6 @@ class RaceCar:
     @state.setter
     def state(self, value: ArrayLike) -> None:
         self.state[:] = check_array("state", value, self.state.shape, minimum=-1e6, maximum=1e6)
-
-    @property
-    def scan_simulator(self) -> ScanSimulator2D:
-        """A lidar of its own on the same map."""
-        lidar = ScanSimulator2D(BEAMS, FIELD_OF_VIEW, max_range=RANGE)
-        lidar.set_map(self._simulator.map)
-        return lidar
 
     @property
     def in_collision(self) -> bool:
@@ -153,17 +225,18 @@ class SameNoise:
 
     BLOCK, KEPT = 64, 32  # steps drawn at once, and blocks that are kept: 18 MB
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, beams: int) -> None:
+        self._beams = beams
         self._rng, self._kept, self._after = np.random.default_rng(seed), list[Floats](), None
 
     def block(self, number: int) -> Floats:
-        """Return what is added to the ranges, shape (64, 1, 1080), m; blocks are asked for in order."""
+        """Return what is added to the ranges, shape (64, 1, beams), m; blocks are asked for in order."""
         if number < len(self._kept):
             return self._kept[number]
         if number == self.KEPT:  # of this episode or of an earlier one
             self._after = self._after or self._rng.bit_generator.state  # type: ignore[assignment]
             self._rng.bit_generator.state = self._after  # type: ignore[assignment]
-        drawn = NOISE * self._rng.standard_normal((self.BLOCK, 1, BEAMS))
+        drawn = NOISE * self._rng.standard_normal((self.BLOCK, 1, self._beams))
         self._kept += [drawn] if number < self.KEPT else []
         return drawn
 
@@ -176,28 +249,38 @@ class Simulator:
 
     #: shape (N, COLUMNS): A new array in each step, as programs keep what they were given.
     cars: Floats
-    agent_scans: Floats  #: shape (N, 1080), m
+    agent_scans: Floats  #: shape (N, beams), m
 
-    def __init__(self, params: dict[str, float], cars: int, seed: int, setup: k.Setup) -> None:
+    def __init__(
+        self, params: dict[str, float], cars: int, seed: int, setup: k.Setup, beams: int = BEAMS,
+        fov: float = FIELD_OF_VIEW,
+    ) -> None:  # fmt: skip
         self.params, self.num_agents, self.seed, self.setup = params, cars, seed, setup
         self._some_track = load_track(list_tracks()[0])  # read by nobody, but compiled code wants one
-        self.lidar = Lidar(self._some_track, BEAMS, FIELD_OF_VIEW, RANGE)
+        self.lidar = Lidar(self._some_track, beams, fov, RANGE)
         turn = np.linspace(0.0, 2.0 * np.pi, k.DIRECTIONS)
         self._tables = np.stack([np.sin(turn), np.cos(turn)])
-        self._work, self._inverse = np.empty(WORK_SHAPE), np.empty(BEAMS)
-        self.cars, self.agent_scans = np.zeros((cars, k.COLUMNS)), np.zeros((cars, BEAMS))
+        self._work, self._inverse = np.empty(WORK_SHAPE), np.empty(beams)
+        self.cars, self.agent_scans = np.zeros((cars, k.COLUMNS)), np.zeros((cars, beams))
         self.agents = [RaceCar(self, i) for i in range(cars)]
-        self.rng, self._noise, self._steps = np.random.default_rng(seed), SameNoise(seed), 0
+        self.rng, self._noise, self.steps = np.random.default_rng(seed), SameNoise(seed, beams), 0
         self.time, self.started = 0.0, False  # s
 
+    time_step = property(lambda self: self.setup.dt)
+    ego_idx = property(lambda self: self.setup.ego)
+    model = property(lambda self: "ks" if self.setup.model == k.KS else "st")
+    integrator: Any = None  #: As the environment was given it.
     states = property(lambda self: self.cars[:, :7])
     agent_poses = property(lambda self: self.cars[:, k.AT_X : k.AT_PSI + 1])
     agent_steerings = property(lambda self: self.cars[:, 2])
     collisions = property(lambda self: self.cars[:, k.CRASHED])
     collision_idx = property(lambda self: self.cars[:, k.CONTACT])
 
-    def set_map(self, loaded: GymMap) -> None:
+    def set_map(self, map_path: Any, map_ext: str | None = None) -> None:
         """Drive on another map from now on."""
+        loaded = map_path if isinstance(map_path, GymMap) else load_map(map_path, map_ext)
+        self.scan_simulator = ScanSimulator2D(self.lidar.beams, self.lidar.fov, max_range=RANGE)
+        self.scan_simulator.set_map(loaded)
         self.map, self.track = loaded, loaded.circuit or self._some_track
         self.setup = self.setup._replace(on_circuit=loaded.circuit is not None)
         self._grid = loaded.grid if self.setup.faithful else loaded.grid._replace(open_outside=False)
@@ -211,6 +294,11 @@ class Simulator:
         for car in self.agents if index < 0 else [self.agents[index]]:
             car.params = merged_params(car.params, params)
         self._build()
+
+    def check_collision(self) -> None:
+        """Find contacts of the cars where they are now, and note them in ``collisions`` and ``collision_idx``."""
+        bodies = [get_vertices(car.state[[0, 1, 4]], *car._size()) for car in self.agents]
+        self.cars[:, k.CRASHED], self.cars[:, k.CONTACT] = collision_multiple(np.stack(bodies))
 
     def _build(self) -> None:
         rows = np.array([[car.params[name] for name in DEFAULT_PARAMS] for car in self.agents])
@@ -233,7 +321,7 @@ class Simulator:
             self.cars[:, k.LAP_TIME : k.LAPS + 1] = before[:, k.LAP_TIME : k.LAPS + 1]
         elif self.setup.on_circuit:
             self.cars[:, k.PLACE] = self.track.to_frenet(at[:, :2])[:, 0]
-        self._steps, self.time, self.started = 0, 0.0, True
+        self.steps, self.time, self.started = 0, 0.0, True
         self.rng = rng or self.rng
 
     def step(self, control_inputs: ArrayLike) -> bool:
@@ -251,14 +339,14 @@ class Simulator:
                 f"action is {given:.200}; it must be finite numbers of shape ({self.num_agents}, 2), steering and speed"
             )
         if self.setup.faithful:
-            number, at = divmod(self._steps, SameNoise.BLOCK)
+            number, at = divmod(self.steps, SameNoise.BLOCK)
             if at == 0:
                 self._drawn = self._noise.block(number)
             noise = self._drawn[at]
         else:
-            noise = NOISE * self.rng.standard_normal((self.num_agents, BEAMS))
-        self._steps, self.time = self._steps + 1, self.time + self.setup.dt
-        self.cars, self.agent_scans = self.cars.copy(), np.empty((self.num_agents, BEAMS))
+            noise = NOISE * self.rng.standard_normal(self.agent_scans.shape)
+        self.steps, self.time = self.steps + 1, self.time + self.setup.dt
+        self.cars, self.agent_scans = self.cars.copy(), np.empty(self.agent_scans.shape)
         arguments = (self._world, self.cars, actions, noise, self.time, self.agent_scans, self._inverse, self._work)
         if _advance is None:
             _compile(arguments)

@@ -53,15 +53,17 @@ def _contents() -> dict[str, dict[str, Any]]:
     """What each module holds: those of the gym all names of it that are here."""
     known = {name: getattr(f1tenth, name) for name in f1tenth.NAMES} | {"gym": gymnasium, "np": np}
     track = {"find_track_dir": lambda name: find_yaml(name).parent, "FEATURES": FEATURES}
-    shared = "Env Space make register spaces vector logger"
+    shared = "Env Space make register spaces logger"
     gym = {name: getattr(gymnasium, name) for name in shared.split()} | {"__version__": "0.21.0"}
-    gym |= dict.fromkeys(("Wrapper", "ObservationWrapper", "RewardWrapper", "ActionWrapper"), old_gym.Wrapper)
-    gym["TimeLimit"] = old_gym.TimeLimit
+    vector = {"make": old_gym.make_vector, **dict.fromkeys(("SyncVectorEnv", "AsyncVectorEnv"), old_gym.SyncVectorEnv)}
+    gym |= old_gym.WRAPPERS
+    wrappers = [f"gym.wrappers.{name}" for name in old_gym.MODULES.split()]
     own = ("gym.spaces", "gym.error", "gym.utils", "gym.utils.seeding", "gym.envs.registration")
     a = known | {"F110Env": env.GenerationA, "vehicle_dynamics_st": simulator.old_dynamics_st}
     b = known | track | {"F110Env": env.GenerationB}
     return {
-        **dict.fromkeys(("gym", "gym.core", "gym.wrappers", "gym.envs"), gym),
+        **dict.fromkeys(("gym", "gym.core", "gym.wrappers", "gym.envs", *wrappers), gym),
+        **dict.fromkeys(("gym.vector", "gym.vector.sync_vector_env", "gym.vector.async_vector_env"), vector),
         **{name: vars(import_module(name.replace("gym", "gymnasium", 1))) for name in own},
         "gym.logger": vars(gymnasium.logger) | dict.fromkeys(("set_level", "setLevel"), _ignored),
         **dict.fromkeys(("f110_gym", "f110_gym.envs", *(f"f110_gym.envs.{name}" for name in _A.split())), a),
@@ -116,6 +118,8 @@ def _missing(module: str) -> Any:
     def get(name: str) -> Any:
         if name.startswith("__"):
             raise AttributeError(name)
+        if module.startswith("gym.wrappers"):
+            raise NotServedError(module, name)
         if module.startswith("gym"):
             return getattr(import_module(module.replace("gym", "gymnasium", 1)), name)
         raise NotServedError(module, name)

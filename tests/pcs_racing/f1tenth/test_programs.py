@@ -124,6 +124,84 @@ if __name__ == '__main__':
     model = PPO('MlpPolicy', env, n_steps=32, n_epochs=1, seed=5, device='cpu').learn(32)
     print('driven', round(score, 2), env.env.seeded)
 """
+D = """
+import gym
+import numpy as np
+from gym.wrappers.normalize import RunningMeanStd
+from f1tenth_gym.envs.rendering import make_renderer
+from f1tenth_gym.envs.track import Track
+class Scans(gym.ObservationWrapper):
+    def __init__(self, env):
+        super().__init__(env)
+        self.observation_space = gym.spaces.Box(0.0, 40.0, (108,), np.float32)
+        self.action_space = gym.spaces.Box(-1.0, 1.0, (1, 2), np.float32)
+    def observation(self, obs):
+        return obs['scans'][0][::10].astype(np.float32)
+    def reset(self):
+        return super().reset(np.array(POSES[:1]))[0]
+def make_env():
+    env = Scans(gym.make('f110_gym:f110-v0', map=MAP, map_ext='.png', num_agents=1))
+    env = gym.wrappers.TimeLimit(env, 20)
+    env = gym.wrappers.RecordEpisodeStatistics(env)
+    env = gym.wrappers.ClipAction(env)
+    env = gym.wrappers.NormalizeObservation(env)
+    env = gym.wrappers.TransformObservation(env, lambda obs: np.clip(obs, -10, 10))
+    env = gym.wrappers.NormalizeReward(env, gamma=0.99)
+    env = gym.wrappers.TransformReward(env, lambda reward: np.clip(reward, -10, 10))
+    env.seed(1)
+    return env
+envs = gym.vector.SyncVectorEnv([make_env for _ in range(2)])
+obs, kept, returns, rewards = envs.reset(), [], [], 0.0
+assert obs.shape == (2, 108) and abs(obs).max() <= 10.0
+mean = RunningMeanStd(shape=(108,))
+for _ in range(25):
+    obs, reward, done, infos = envs.step(np.full((2, 1, 2), [0.1, 5.0]))
+    rewards += reward
+    returns += [info['episode']['r'] for info in infos if 'episode' in info]
+    kept += [info['terminal_observation'].shape for info in infos if 'episode' in info]
+assert kept == [(108,)] * 2 and (rewards > 0.2).all() and envs.envs[0].sim.agents[0].state[3] > 0.0
+one = Scans(gym.make('f110_gym:f110-v0', map=MAP, map_ext='.png', num_agents=1))
+stacked = gym.wrappers.FrameStack(gym.wrappers.RescaleAction(one, -2.0, 2.0), 4)
+assert stacked.reset().shape == (4, 108) == stacked.observation_space.shape
+obs, reward, done, info = gym.wrappers.FlattenObservation(stacked).step(np.array([[0.0, 2.0]]))
+assert obs.shape == (432,) and not done
+class Mine(gym.Env):
+    def seed(self, seed=None):
+        return super().seed(seed) + [self.np_random.random() >= 0.0]
+assert Mine().seed(3) == [3, True]
+track = Track.from_track_name(MAP)
+renderer, settings = make_renderer(None, track, ['agent_0'], 'rgb_array', 50)
+renderer.update({'poses_x': [0.0], 'poses_y': [0.0], 'poses_theta': [0.0]})
+print('driven', round(float(np.mean(returns)), 2), renderer.render().shape[0])
+"""
+COPY = """
+from f110_gym.envs.base_classes import Integrator
+class F110Env:
+    def __init__(self, **kwargs):
+        try:
+            self.timestep = kwargs['timestep']
+        except:
+            self.timestep = 0.02
+        try:
+            self.params = kwargs['params']
+        except:
+            self.params = {'mu': 0.8, 'width': 0.3}
+        self.integrator = kwargs.get('integrator', Integrator.Euler)
+        self.map_ext = kwargs['map_ext']
+        raise SystemExit('the copy is run')
+"""
+CARS = """
+class RaceCar(object):
+    def __init__(self, params, seed, is_ego=False, time_step=0.01, num_beams=1440, fov=6.28):
+        pass
+"""
+E = """
+import gym, numpy as np
+env = gym.make('f110_gym:f110-v0', map='mine', num_agents=1)
+obs, step, done, info = env.reset(np.array(POSES[:1]))
+car = env.sim.agents[0]
+print('driven', step, len(obs['scans'][0]), car.fov, car.params['mu'], car.params['lf'], env.integrator.name)
+"""
 
 
 def run(program, cwd, *paths, seconds=300):
@@ -136,7 +214,10 @@ def run(program, cwd, *paths, seconds=300):
     )
 
 
-@pytest.mark.parametrize(("program", "driven"), [(A, "driven 0.5 1.0 0.0"), (B, "driven 0.31"), (C, "driven 0.2 5")])
+DRIVEN = [(A, "driven 0.5 1.0 0.0"), (B, "driven 0.31"), (C, "driven 0.2 5"), (D, "driven 0.2 800")]
+
+
+@pytest.mark.parametrize(("program", "driven"), DRIVEN)
 def test_a_program_runs_without_an_edit(program, driven, tmp_path):
     write_ring(tmp_path)
     poses = f"MAP, POSES = 'ring', {[place(0.0), place(1.0)]}\n"
@@ -145,9 +226,30 @@ def test_a_program_runs_without_an_edit(program, driven, tmp_path):
     assert (done.returncode, done.stdout.strip()) == (0, driven), done.stderr
 
 
+@pytest.mark.parametrize("place_of_copy", ["f110_gym/envs", "gym/f110_gym/envs"])
+def test_a_program_drives_by_the_defaults_of_the_copy_that_it_brings_along(place_of_copy, tmp_path):
+    """Read from its text: integrator, step, lidar, parameters and maps. Nothing of it is run."""
+    envs = tmp_path / place_of_copy
+    (envs / "maps").mkdir(parents=True)
+    ring = write_ring(envs / "maps")
+    for file in ring.parent.glob(f"{ring.stem}.*"):
+        file.rename(file.with_stem("mine"))
+    (envs / "maps/mine.yaml").write_text((envs / "maps/mine.yaml").read_text().replace(ring.stem, "mine"))
+    (envs.parent / "__init__.py").write_text("raise SystemExit('the copy is run')")
+    (envs / "f110_env.py").write_text(COPY)
+    (envs / "base_classes.py").write_text(CARS)
+    (tmp_path / "program.py").write_text(f"POSES = {[place(0.0)]}\n{E}")
+    done = run("program.py", tmp_path)
+    assert (done.returncode, done.stdout.strip()) == (0, "driven 0.02 1440 6.28 0.8 0.15875 Euler"), done.stderr
+    said = next(line for line in done.stderr.splitlines() if "defaults of its own" in line)
+    for word in ("timestep 0.02", "num_beams 1440", "fov 6.28", "mu 0.8", "integrator Euler"):
+        assert word in said
+
+
 @pytest.mark.parametrize(
     ("program", "words"),
     [
+        ("import gym; gym.wrappers.AtariPreprocessing", "AtariPreprocessing"),
         ("from f1tenth_gym.envs.env_config import EnvConfig", "EnvConfig"),
         ("import gym; gym.make('f110_gym:f110-v0', map='vegas')", "vegas"),
         ("import f1tenth_gym, gymnasium; gymnasium.make('f1tenth-v0', config={'map': 'Pipkin', 'model': 'mb'})", "mb"),
