@@ -2,7 +2,8 @@
 
 import ast
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ _NAMES = (
     "seed", "num_agents", "timestep", "ego_idx", "integrator", "lidar_dist", "num_beams", "fov", "params", "model",
     "control_input",
 )  # fmt: skip
+_OF_CARS = ("num_beams", "fov", "integrator")
 _LARGEST = 1_000_000  # bytes of a file
 
 
@@ -39,8 +41,8 @@ def drive_by(copy: Path) -> str:
     """Let environments have the defaults of a copy, and return in words which of them differ from the gym's."""
     defaults = _PACKAGES[copy.name]
     found = {key: value for key, value in read_defaults(copy).items() if key in defaults}
-    if isinstance(params := found.get("params", {}), dict):
-        found["params"] = {**defaults["params"], **params}
+    params = found.pop("params", {})
+    found["params"] = {**defaults["params"], **(params if isinstance(params, dict) else {})}
     if type(found.get("integrator")) is not type(defaults["integrator"]):
         found.pop("integrator", None)  # of a class that this generation does not ask
     found = {key: value for key, value in found.items() if value != defaults[key]}
@@ -53,72 +55,48 @@ def drive_by(copy: Path) -> str:
 
 
 def read_defaults(copy: Path) -> dict[str, Any]:
-    """Return the defaults that stand in the text of a copy, of the names that are served."""
+    """Return the defaults that stand in the text of a copy, of the names that are served: the last of each counts.
+
+    The environment's count for more than the simulator's, and these for more than the car's.
+    """
     found: dict[str, Any] = {}
-    cars = _classes(copy / "envs" / "base_classes.py")
-    for name in ("RaceCar", "Simulator"):  # what the one hands to the other counts
-        if name in cars:
-            found |= {key: value for key, value in _arguments(cars[name]) if key in ("num_beams", "fov", "integrator")}
-    for node in (node for name in ("RaceCar", "Simulator") if name in cars for node in ast.walk(cars[name])):
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("RaceCar", "ScanSimulator2D"):
-            given = [*zip(("num_beams", "fov"), node.args if "Scan" in node.func.id else (), strict=False)]  # type: ignore[attr-defined]
-            given += [(key.arg or "", key.value) for key in node.keywords]
-            found |= {key: value for key, value in _known(given) if key in ("num_beams", "fov")}
-    return found | dict(_environment(_classes(copy / "envs" / "f110_env.py").get("F110Env")))
+    files = {"base_classes": ("RaceCar", "Simulator"), "f110_env": ("F110Env",)}
+    for file, name in ((copy / "envs" / f"{file}.py", name) for file, names in files.items() for name in names):
+        with suppress(SyntaxError, ValueError, OSError, RecursionError):
+            tree = ast.parse(read_limited(file, _LARGEST, "a file of a copy of the gym"))
+            pairs = [pair for node in tree.body if getattr(node, "name", "") == name for pair in _pairs(node)]
+            served = _NAMES if name == "F110Env" else _OF_CARS
+            found |= {key: value for key, value in _known(pairs) if key in served and value is not None}
+    return found
 
 
-def _classes(file: Path) -> dict[str, ast.ClassDef]:
-    if not file.is_file():
-        return {}
-    try:
-        tree = ast.parse(read_limited(file, _LARGEST, "a file of a copy of the gym"))
-    except (SyntaxError, ValueError, RecursionError):
-        return {}
-    return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+def _pairs(cls: ast.stmt) -> Iterator[tuple[Any, ast.expr | None]]:
+    """Names and values in a class: defaults and keywords of functions, attributes of self, ``get``, dictionaries."""
+    for node in ast.walk(cls):
+        if isinstance(node, ast.arguments):
+            named = [*node.posonlyargs, *node.args]
+            yield from ((one.arg, value) for one, value in zip(named[::-1], node.defaults[::-1], strict=False))
+            yield from ((one.arg, value) for one, value in zip(node.kwonlyargs, node.kw_defaults, strict=True))
+        elif isinstance(node, ast.Assign):
+            yield from ((getattr(target, "attr", None), node.value) for target in node.targets)
+        elif isinstance(node, ast.Dict):
+            yield from ((getattr(key, "value", None), value) for key, value in zip(node.keys, node.values, strict=True))
+        elif isinstance(node, ast.Call):
+            yield from ((keyword.arg, keyword.value) for keyword in node.keywords)
+            if getattr(node.func, "attr", "") == "get" and len(node.args) == 2:
+                yield getattr(node.args[0], "value", None), node.args[1]
+            elif getattr(node.func, "id", "") == "ScanSimulator2D":
+                yield from zip(("num_beams", "fov"), node.args, strict=False)
 
 
-def _arguments(cls: ast.ClassDef) -> Iterator[tuple[str, Any]]:
-    """Defaults of the arguments of ``__init__``."""
-    for function in cls.body:
-        if isinstance(function, ast.FunctionDef) and function.name == "__init__":
-            named, values = function.args.args, function.args.defaults
-            last = named[len(named) - len(values) :]
-            yield from _known([(one.arg, value) for one, value in zip(last, values, strict=True)])
-            pairs = zip(function.args.kwonlyargs, function.args.kw_defaults, strict=True)
-            yield from _known([(one.arg, value) for one, value in pairs if value is not None])
-
-
-def _environment(cls: ast.ClassDef | None) -> Iterator[tuple[str, Any]]:
-    """Defaults of the environment: arguments, what ``self.NAME`` is without a keyword, ``kwargs.get``, and a config."""
-    if cls is None:
-        return
-    yield from _arguments(cls)
-    for function in (node for node in cls.body if isinstance(node, ast.FunctionDef)):
-        for node in ast.walk(function) if function.name in ("__init__", "default_config") else ():
-            if isinstance(node, ast.Assign):
-                for target in node.targets:
-                    if isinstance(target, ast.Attribute) and getattr(target.value, "id", "") == "self":
-                        yield from _known([(target.attr, node.value)])
-            elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "get" and len(node.args) == 2:
-                yield from _known([(getattr(node.args[0], "value", ""), node.args[1])])
-            elif isinstance(node, ast.Dict) and function.name == "default_config":
-                yield from _known(
-                    [(getattr(key, "value", ""), value) for key, value in zip(node.keys, node.values, strict=True)]
-                )
-
-
-def _known(pairs: list[tuple[Any, ast.expr]]) -> Iterator[tuple[str, Any]]:
-    """Names that are served, with the values of expressions that are plain values or members of ``Integrator``."""
+def _known(pairs: Iterable[tuple[Any, ast.expr | None]]) -> Iterator[tuple[Any, Any]]:
+    """Names with the values of expressions that are plain values or members of ``Integrator``."""
     for name, value in pairs:
         if name == "integrator" and isinstance(value, ast.Attribute) and value.attr in ("RK4", "Euler"):
             yield name, env.Integrator[value.attr]
-        elif name in _NAMES:
-            try:
-                found = ast.literal_eval(value)
-            except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
-                continue
-            if found is not None:
-                yield name, found
+        elif value is not None:
+            with suppress(ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
+                yield name, ast.literal_eval(value)
 
 
 def use_copy(program: Path | None = None) -> None:

@@ -138,7 +138,7 @@ class F110Env(gymnasium.Env[Any, Any]):
         """Make a step; whether the episode has ended, and the infos."""
         if not self.sim.started:
             raise InputError("step() before reset(): the cars have no place yet; call reset() first")
-        done = self.sim.step(action)
+        done = self.sim.advance(action)
         infos: dict[str, Any] = {"checkpoint_done": self.sim.cars[:, k.TOGGLES] >= 4.0}
         if not self.faithful:
             infos["at_fault"] = self.sim.cars[:, k.AT_FAULT] > 0.0

@@ -16,6 +16,7 @@ import gymnasium
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
+from gymnasium.wrappers.utils import RunningMeanStd
 
 # Where Stable-Baselines3 is handed an environment: by module, a function or a class.
 _ENTRANCES = {"vec_env.patch_gym": "_patch_env", "env_checker": "check_env", "monitor": "Monitor"}
@@ -156,19 +157,6 @@ class FrameStack(Wrapper):
         """Begin an episode."""
         self.frames.clear()
         return super().reset(*args, **named)
-
-
-class RunningMeanStd:
-    """Mean and variance of all that was seen."""
-
-    def __init__(self, epsilon: float = 1e-4, shape: tuple[int, ...] = ()) -> None:
-        self.mean, self.var, self.count = np.zeros(shape), np.ones(shape), epsilon
-
-    def update(self, x: Any) -> None:
-        """Take in a batch, shape (N, ...)."""
-        number, total, change = len(x), self.count + len(x), np.mean(x, axis=0) - self.mean
-        squares = self.var * self.count + np.var(x, axis=0) * number + change**2 * self.count * number / total
-        self.mean, self.var, self.count = self.mean + change * number / total, squares / total, total
 
 
 class NormalizeObservation(Wrapper):

@@ -324,7 +324,15 @@ class Simulator:
         self.steps, self.time, self.started = 0, 0.0, True
         self.rng = rng or self.rng
 
-    def step(self, control_inputs: ArrayLike) -> bool:
+    def step(self, control_inputs: ArrayLike) -> dict[str, Any]:
+        """Advance all cars by one step, and return what generation A of the gym does: no laps and no end."""
+        self.advance(control_inputs)
+        columns = {"poses_x": k.X, "poses_y": k.Y, "poses_theta": k.PSI, "linear_vels_x": k.V, "ang_vels_z": k.PSI_DOT}
+        seen = {name: list(self.cars[:, column]) for name, column in columns.items()}
+        seen |= {"ego_idx": self.ego_idx, "scans": list(self.agent_scans), "linear_vels_y": [0.0] * self.num_agents}
+        return seen | {"collisions": self.collisions}
+
+    def advance(self, control_inputs: ArrayLike) -> bool:
         """Advance all cars by one step with actions of shape (N, 2): steering, then speed or acceleration.
 
         Whether the episode ends is returned.

@@ -7,29 +7,18 @@ timers run by the time of the race, and the last Ackermann message that it publi
 import math
 from array import array
 from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
+from dataclasses import dataclass
+from functools import cache, partial
 from importlib.util import find_spec
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
-_TYPES = {
-    "Time": "sec nanosec", "Header": "stamp:Time frame_id:''", "Vector3": "x y z", "Point": "x y z",
-    "Quaternion": "x y z w", "Pose": "position:Point orientation:Quaternion", "Twist": "linear:Vector3 angular:Vector3",
-    "PoseStamped": "header:Header pose:Pose", "PoseWithCovariance": "pose:Pose covariance:[]",
-    "PoseWithCovarianceStamped": "header:Header pose:PoseWithCovariance", "TwistWithCovariance": "twist:Twist",
-    "Odometry": "header:Header child_frame_id:'' pose:PoseWithCovariance twist:TwistWithCovariance",
-    "LaserScan": "header:Header angle_min angle_max angle_increment time_increment scan_time range_min range_max "
-    "ranges:[] intensities:[]",
-    "AckermannDrive": "steering_angle steering_angle_velocity speed acceleration jerk",
-    "AckermannDriveStamped": "header:Header drive:AckermannDrive",
-    "Bool": "data:False", "String": "data:''", "Float32": "data", "Float64": "data", "Int32": "data",
-    "Float32MultiArray": "layout:Free data:[]", "Float64MultiArray": "layout:Free data:[]",
-}  # fmt: skip
-"""Fields of messages: numbers, unless a type or a value follows a colon."""
 _PACKAGES = (
-    "ackermann_msgs builtin_interfaces geometry_msgs nav_msgs rcl_interfaces sensor_msgs std_msgs visualization_msgs"
-)
-_RCLPY = "clock callback_groups duration executors logging parameter qos time"
+    "ackermann_msgs", "builtin_interfaces", "geometry_msgs", "nav_msgs", "rcl_interfaces", "sensor_msgs", "std_msgs",
+    "visualization_msgs",
+)  # fmt: skip
+_RCLPY = ("clock", "callback_groups", "duration", "executors", "logging", "node", "parameter", "qos", "time")
+_VALUES = [f"{kind}{end}_value" for kind in ("bool", "integer", "double", "string", "byte") for end in ("", "_array")]
 
 
 class Free:
@@ -41,82 +30,56 @@ class Free:
     def __getattr__(self, name: str) -> Any:
         if name[:2] == "__":
             raise AttributeError(name)
-        vars(self)[name] = Free()
-        return vars(self)[name]
+        return vars(self).setdefault(name, Free())
 
     def __call__(self, *given: Any, **named: Any) -> Any:
         """Return another such object."""
         return Free(**named)
 
 
-class _FreeType(type):
+class _Constants(type):
     def __getattr__(cls, name: str) -> Any:
-        """Constants of a type of messages."""
+        """Return a constant of a type of messages: its name."""
         if name[:2] == "__":
             raise AttributeError(name)
         return name
 
 
+@cache
 def _message(name: str) -> type:
-    """Return a type of messages."""
-    fields = dict(field.partition(":")[::2] for field in _TYPES.get(name, "").split())
-
-    def make(self: Any, **given: Any) -> None:
-        values = {"": 0.0, "''": "", "False": False}
-        for field, kind in fields.items():
-            made = [] if kind == "[]" else values[kind] if kind in values else types[kind]()
-            setattr(self, field, made)
-        vars(self).update(given)
-
-    return _FreeType(name, (Free,), {"__init__": make if fields else Free.__init__})
+    """Return a type of messages, or of anything else."""
+    return _Constants(name, (Free,), {})
 
 
-types: Mapping[str, Any] = {name: _message(name) for name in _TYPES} | {"Free": Free}
-
-
+@dataclass(order=True)
 class Time:
     """A time or a duration, in ns."""
 
-    def __init__(self, *, seconds: float = 0, nanoseconds: float = 0, **other: Any) -> None:
-        self.nanoseconds = round(1e9 * seconds + nanoseconds)
+    nanoseconds: int
 
     def __sub__(self, other: Any) -> "Time":
-        return Time(nanoseconds=self.nanoseconds - other.nanoseconds)
+        return Time(self.nanoseconds - other.nanoseconds)
 
     def __add__(self, other: Any) -> "Time":
-        return Time(nanoseconds=self.nanoseconds + other.nanoseconds)
-
-    def __lt__(self, other: Any) -> bool:
-        return bool(self.nanoseconds < other.nanoseconds)
-
-    def __gt__(self, other: Any) -> bool:
-        return bool(self.nanoseconds > other.nanoseconds)
-
-    def to_msg(self) -> Any:
-        """Return the message of a time."""
-        seconds, rest = divmod(self.nanoseconds, 10**9)
-        return types["Time"](sec=seconds, nanosec=rest)
+        return Time(self.nanoseconds + other.nanoseconds)
 
     def seconds_nanoseconds(self) -> tuple[int, int]:
         """Return whole seconds, and the rest in ns."""
         return divmod(self.nanoseconds, 10**9)
 
-    @classmethod
-    def from_msg(cls, message: Any, **other: Any) -> "Time":
-        """Return the time of a message."""
-        return cls(seconds=message.sec, nanoseconds=message.nanosec)
+    def to_msg(self) -> Any:
+        """Return the message of a time."""
+        return Free(sec=self.nanoseconds // 10**9, nanosec=self.nanoseconds % 10**9)
 
 
-class _Parameter:
-    Type = Free()
+def _time(*, seconds: float = 0, nanoseconds: float = 0, **other: Any) -> Time:
+    return Time(round(1e9 * seconds + nanoseconds))
 
-    def __init__(self, name: str = "", type_: Any = None, value: Any = None) -> None:
-        self.name, self.value = name, value
 
-    def get_parameter_value(self) -> Any:
-        """Return the value as a message: under the name of every type."""
-        kinds = "bool integer double string byte_array bool_array integer_array double_array string_array"
-        return SimpleNamespace(**{f"{kind}_value": self.value for kind in kinds.split()})
+def _parameter(name: str = "", type_: Any = None, value: Any = None, **other: Any) -> Any:
+    """Return a parameter, whose value has the name of every type."""
+    values = SimpleNamespace(**dict.fromkeys(_VALUES, value))
+    return SimpleNamespace(name=name, value=value, get_parameter_value=lambda: values)
 
 
 class Node:
@@ -141,9 +104,9 @@ class Node:
         """Return an object that publishes messages."""
 
         def publish(message: Any) -> None:
-            drive = message.drive if type(message).__name__ == "AckermannDriveStamped" else message
-            if type(drive).__name__ == "AckermannDrive":
-                self._in_race.command = float(drive.steering_angle), float(drive.speed)
+            if type(message).__name__.startswith("AckermannDrive"):
+                drive = vars(message.drive if type(message).__name__.endswith("Stamped") else message)
+                self._in_race.command = float(drive.get("steering_angle", 0.0)), float(drive.get("speed", 0.0))
 
         return SimpleNamespace(publish=publish, topic_name=topic, get_subscription_count=lambda: 1)
 
@@ -154,44 +117,41 @@ class Node:
         self._in_race.timers.append(timer)
         return timer
 
-    def declare_parameter(self, name: str, value: Any = None, *other: Any, **named: Any) -> _Parameter:
+    def declare_parameter(self, name: str, value: Any = None, *other: Any, **named: Any) -> Any:
         """Declare a parameter, which has its default."""
-        made: _Parameter = self._in_race.parameters.setdefault(name, _Parameter(name, None, value))
-        return made
+        return self._in_race.parameters.setdefault(name, _parameter(name, None, value))
 
-    def declare_parameters(self, namespace: str, parameters: Any, *other: Any) -> list[_Parameter]:
+    def declare_parameters(self, namespace: str, parameters: Any, *other: Any) -> list[Any]:
         """Declare several parameters: names, or tuples that begin with name and default."""
         return [self.declare_parameter(*([one] if isinstance(one, str) else one)) for one in parameters]
 
-    def get_parameter(self, name: str) -> _Parameter:
+    def get_parameter(self, name: str) -> Any:
         """Return a parameter; without a declaration it has no value."""
-        found: _Parameter = self._in_race.parameters.get(name, _Parameter(name))
-        return found
+        return self._in_race.parameters.get(name, _parameter(name))
 
     def set_parameters(self, parameters: Any) -> None:
         """Change parameters."""
         self._in_race.parameters.update((one.name, one) for one in parameters)
 
-    def get_name(self) -> str:
+    def get_name(self) -> Any:
         """Return the name."""
-        return str(self._in_race.name)
+        return self._in_race.name
 
     def get_clock(self) -> Any:
         """Return the clock of the race."""
-        return SimpleNamespace(now=lambda: Time(seconds=self._in_race.now))
+        return SimpleNamespace(now=lambda: _time(seconds=self._in_race.now))
 
 
 def ask_node(
     node: Node, now: float, ranges: Any, odometry: Mapping[str, float], opponent: Mapping[str, float]
 ) -> tuple[float, float]:
     """Hand messages to a node at a time (s), and return the steering angle and the speed that it published last."""
-    own = node._in_race
-    own.now = now
-    header = types["Header"](stamp=Time(seconds=now).to_msg(), frame_id="map")
-    for wanted in ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "LaserScan"):
+    own, kinds = node._in_race, ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "LaserScan")
+    own.now, stamp = now, _time(seconds=now).to_msg()
+    for wanted in kinds:
         for kind, topic, callback in [one for one in own.heard if one[0] == wanted]:
             seen = opponent if "opp" in topic else odometry
-            callback(_scan(header, ranges) if kind == "LaserScan" else _odometry(kind, header, seen))
+            callback(_heard(kind, Free(stamp=stamp, frame_id="map"), ranges, seen))
     for timer in list(own.timers):
         timer.due = timer.due or now + timer.period
         while timer.on and timer.due <= now + 1e-9:
@@ -201,21 +161,17 @@ def ask_node(
     return command
 
 
-def _scan(header: Any, ranges: Any) -> Any:
-    step = 4.7 / (len(ranges) - 1)
-    beams = {"angle_min": -2.35, "angle_max": 2.35, "angle_increment": step, "range_max": 30.0, "scan_time": 0.02}
-    return types["LaserScan"](header=header, ranges=array("f", ranges), **beams)
-
-
-def _odometry(kind: str, header: Any, seen: Mapping[str, float]) -> Any:
+def _heard(kind: str, header: Any, ranges: Any, seen: Mapping[str, float]) -> Any:
+    """Return a message of the lidar or of a pose."""
+    if kind == "LaserScan":
+        beams = {"angle_min": -2.35, "angle_max": 2.35, "angle_increment": 4.7 / (len(ranges) - 1), "range_min": 0.0}
+        return Free(header=header, ranges=array("f", ranges), range_max=30.0, scan_time=0.02, **beams)
     half = 0.5 * seen["pose_theta"]
-    at = types["Point"](x=seen["pose_x"], y=seen["pose_y"])
-    pose = types["Pose"](position=at, orientation=types["Quaternion"](z=math.sin(half), w=math.cos(half)))
-    message = types[kind](header=header, pose=pose if kind == "PoseStamped" else types["PoseWithCovariance"](pose=pose))
-    if kind == "Odometry":
-        message.twist.twist.linear.x, message.twist.twist.linear.y = seen["linear_vel_x"], seen["linear_vel_y"]
-        message.twist.twist.angular.z = seen["angular_vel_z"]
-    return message
+    at = Free(x=seen["pose_x"], y=seen["pose_y"], z=0.0)
+    pose = Free(position=at, orientation=Free(x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)))
+    along = Free(x=seen["linear_vel_x"], y=seen["linear_vel_y"], z=0.0)
+    twist = Free(twist=Free(linear=along, angular=Free(x=0.0, y=0.0, z=seen["angular_vel_z"])))
+    return Free(header=header, pose=pose if kind == "PoseStamped" else Free(pose=pose), twist=twist)
 
 
 def _euler_from_quaternion(quaternion: Any, *axes: Any) -> tuple[float, float, float]:
@@ -231,29 +187,26 @@ def _module(name: str, **values: Any) -> ModuleType:
     def missing(other: str) -> Any:
         if other[:2] == "__":
             raise AttributeError(other)
-        return values.setdefault(other, _message(other))
+        return _message(other)
 
     module = ModuleType(name)
     module.__dict__.update(values, __getattr__=missing, __path__=[])
     return module
 
 
-@lru_cache(maxsize=1)
+@cache
 def modules() -> dict[str, ModuleType]:
     """Return the modules by name; none if ROS is installed."""
     if find_spec("rclpy") is not None:
         return {}
+    values = {"Time": _time, "Duration": _time, "Parameter": _parameter, "Node": Node}
+    children = {f"rclpy.{name}": _module(name, **values) for name in _RCLPY}
+    children |= {f"{package}.msg": _module(package) for package in _PACKAGES}
     nothing = dict.fromkeys(["init", "shutdown", "spin", "spin_once", "try_shutdown"], Free())
-    times = {"Time": Time, "Duration": Time, "Parameter": _Parameter}
-    made = {"rclpy": _module("rclpy", ok=lambda **named: False, create_node=Node, **nothing)}
-    made |= {f"rclpy.{name}": _module(f"rclpy.{name}", **times) for name in _RCLPY.split()}
-    made["rclpy.node"] = _module("rclpy.node", Node=Node)
-    for package in _PACKAGES.split():
-        made[package] = _module(package)
-        made[f"{package}.msg"] = _module(f"{package}.msg", **types)
+    made = {name: _module(name) for name in _PACKAGES}
+    made["rclpy"] = _module("rclpy", ok=lambda **named: False, create_node=Node, **nothing)
     made["tf_transformations"] = _module("tf_transformations", euler_from_quaternion=_euler_from_quaternion)
-    for name, module in made.items():
-        parent, _, child = name.rpartition(".")
-        if parent:
-            setattr(made[parent], child, module)
-    return made
+    for name, module in children.items():
+        parent, _, child = name.partition(".")
+        setattr(made[parent], child, module)
+    return made | children

@@ -250,6 +250,8 @@ def test_what_programs_reach_for(ring):
     car.update_params({"mu": 0.5})
     assert (car.params["mu"], env.sim.agents[1].params["mu"]) == (0.5, 1.0489)
     env.sim.set_map(str(ring), ".png")
+    seen = env.sim.step(np.zeros((2, 2)))
+    assert (len(seen["scans"]), seen["poses_x"], seen["ego_idx"]) == (2, env.sim.states[:, 0].tolist(), 0)
     for thing, name, words in [(car, "update_pose", "env.sim.step"), (env, "scan", "env.sim.agent_scans")]:
         with pytest.raises(AttributeError, match=words):
             getattr(thing, name)
