@@ -53,7 +53,7 @@ class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         return (self.observation(obs), self.reward(reward), *rest)
 
     def seed(self, seed: int | None = None) -> Any:
-        """Seed what is wrapped, if it can be: the gym's environments keep a number under this name."""
+        """Seed the environment; the gym's own environments keep a number under this name."""
         return self.env.seed(seed) if callable(getattr(self.env, "seed", None)) else [seed]  # type: ignore[attr-defined]
 
     def render(self, *args: Any, **named: Any) -> Any:
@@ -183,7 +183,7 @@ class NormalizeReward(Wrapper):
         self.returns = np.zeros(getattr(env, "num_envs", 1))
 
     def step(self, action: Any) -> Any:
-        """Step what is wrapped, and take its reward into the return."""
+        """Step the environment, and take its reward into the return."""
         obs, rewards, done, *rest = super().step(action)
         self.returns = self.returns * self.gamma + rewards
         self.return_rms.update(self.returns)
@@ -207,7 +207,7 @@ class RecordEpisodeStatistics(Wrapper):
         return super().reset(*args, **named)
 
     def step(self, action: Any) -> Any:
-        """Step what is wrapped, and add up."""
+        """Step the environment, and add up."""
         obs, rewards, done, *rest, infos = super().step(action)
         self.episode_returns, self.episode_lengths = self.episode_returns + rewards, self.episode_lengths + 1
         listed = [dict(info) for info in (infos if self.many else [infos])]
@@ -236,7 +236,7 @@ class SyncVectorEnv(gymnasium.Env[Any, Any]):
         )
 
     def seed(self, seeds: Any = None) -> None:
-        """Seed the environments: each by its own seed, or by this one and those that follow."""
+        """Seed the environments: by a list of seeds, or by one seed and its successors."""
         each = (
             seeds if isinstance(seeds, list) else [None if seeds is None else seeds + i for i in range(self.num_envs)]
         )

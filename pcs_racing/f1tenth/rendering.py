@@ -107,22 +107,22 @@ class TrackRenderer(_Painter):
     def __init__(self, loaded: GymMap, spec: RenderSpec, *, window: bool, fps: float) -> None:
         super().__init__(loaded, spec.window_size, spec.window_size, window, fps)
         self.render_spec, self._shown = spec, window
-        self._callbacks, self._told = list[Callable[[Any], None]](), dict[str, Any]()
+        self._callbacks, self._state = list[Callable[[Any], None]](), dict[str, Any]()
 
     def add_renderer_callback(self, callback_fn: Callable[[Any], None]) -> None:
         """Call a function with this renderer in :meth:`render`."""
         self._callbacks.append(callback_fn)
 
     def update(self, state: dict[str, Any]) -> None:
-        """Take what an environment's ``render_obs`` says."""
-        self._told = state
+        """Take the ``render_obs`` of an environment."""
+        self._state = state
 
     def render(self) -> Frame | None:
-        """Draw what :meth:`update` took, and return the frame unless it is shown."""
-        x, y, theta = (np.asarray(self._told[f"poses_{name}"]) for name in ("x", "y", "theta"))
+        """Draw the cars of :meth:`update`, and return the frame unless it is shown."""
+        x, y, theta = (np.asarray(self._state[f"poses_{name}"]) for name in ("x", "y", "theta"))
         still = 0.0 * x
-        states = np.stack([x, y, self._told.get("steering_angles", still), still, theta, still, still], axis=1)
-        return self.draw(states, float(self._told.get("sim_time", 0.0)), self._callbacks)
+        states = np.stack([x, y, self._state.get("steering_angles", still), still, theta, still, still], axis=1)
+        return self.draw(states, float(self._state.get("sim_time", 0.0)), self._callbacks)
 
     def draw(self, states: NDArray[np.float64], now: float, callbacks: list[Callable[[Any], None]]) -> Frame | None:
         """Draw the cars and what the callbacks add; return the frame unless it is shown."""

@@ -108,13 +108,13 @@ def is_driver(made: Any) -> bool:
 
 
 def driver_classes(path: str | Path) -> dict[str, type]:
-    """Return the drivers of a file, which is run, by name: its own classes in their order, then those beside it."""
+    """Return the drivers of a file, which is run, by name: first its classes, then classes of its folder's modules."""
     module = run_file(path)
     found = {name: value for name, value in vars(module).items() if isinstance(value, type)}
     with one_line(f"{path} can't be loaded"):
         own = {name: cls for name, cls in found.items() if cls.__module__ == module.__name__ and is_driver(cls)}
-        beside = f"{module.__name__}."
-        return own | {n: cls for n, cls in found.items() if cls.__module__.startswith(beside) and is_driver(cls)}
+        below = f"{module.__name__}."
+        return own | {n: cls for n, cls in found.items() if cls.__module__.startswith(below) and is_driver(cls)}
 
 
 def drivers_from(path: str | Path) -> dict[str, Policy]:

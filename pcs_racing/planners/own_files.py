@@ -1,9 +1,9 @@
 """Runs of a Python file of somebody else: each run has its own globals, modules, random numbers and clock.
 
 A module in the file's folder, or in a folder that the file adds to ``sys.path``, belongs to the run: two files with a
-``utils`` beside each drive with their own one. A race runs the file again, so that globals begin as the file sets them.
-While its code runs, the global generators of ``random``, numpy and torch are the run's own, seeded by the race, and its
-module ``time`` shows the time of the race.
+``utils`` in each of their folders use two modules. A race runs the file again, so that its globals are fresh. While its
+code runs, the global generators of ``random``, numpy and torch are the run's own, seeded by the race, and its module
+``time`` shows the time of the race.
 """
 
 import argparse
@@ -67,7 +67,7 @@ class Run:
         self._stand_ins["importlib"] = _over(importlib, import_module=self._import_module)
         if number:
             self._stand_ins["time"] = self._time()
-        # Made last: the file may import the modules beside it at once.
+        # Last: the file imports modules while it is loaded.
         self.module = self._load()
 
     def _load(self) -> ModuleType:
@@ -181,14 +181,14 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _over(real: ModuleType, **own: Any) -> ModuleType:
-    """Return a module that shows some values of its own in front of those of another one."""
+    """Return a module with some values of its own, and all others of another module."""
     module = ModuleType(real.__name__, real.__doc__)
     module.__dict__.update(own, __getattr__=partial(getattr, real))
     return module
 
 
 def _swap(given: Any) -> Any:
-    """Let the global generators be the given ones, and return those that they were."""
+    """Set the global generators, and return the generators before."""
     torch, (state, bits, gauss, torch_state, randbits) = sys.modules.get("torch"), given
     tensor = torch.get_rng_state() if torch is not None else None
     theirs: Any = np.random  # its global generator, which no type describes
