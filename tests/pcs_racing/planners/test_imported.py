@@ -185,6 +185,16 @@ def test_a_race_is_the_same_alone_among_others_and_again(top, lines, speed, file
         assert against_itself[1] != alone != speeds(driver, seed=2)[0]
 
 
+@pytest.mark.parametrize(
+    "top", ["from pcs_racing import Planner, register_planner", "import pcs_racing; from pcs_racing import Planner"]
+)
+def test_a_file_that_registers_planners_is_run_again(top, file):
+    call = "register_planner" if "register" in top else "pcs_racing.register_planner"
+    driver = team(file.parent / "own", DRIVER.format(f"{top}\n{call}(Planner('mine', ()))", "", "1.5"))
+    assert speeds(driver, 2) == [1.5, 1.5]
+    assert parse_policy("mine").planner.parameters == ()
+
+
 def test_functions_of_numba_are_compiled_once_for_all_races(file):
     top = "from numba import njit\nfrom compiled import half\n@njit\ndef twice(x):\n    return 2.0 * half(x)"
     half = "from numba import njit\n@njit\ndef half(x):\n    return 0.5 * x\n"
