@@ -1,4 +1,7 @@
-"""Code of your own where an agent or a driver is named: ``package.module:name``, ``file.py:name`` or ``model.zip``."""
+"""Code of your own where an agent or a driver is named: ``package.module:name``, ``file.py:name`` or ``model.zip``.
+
+Everything here runs code, and is called with words of the command line or by a program, never with names out of files.
+"""
 
 import importlib
 import inspect
@@ -12,6 +15,12 @@ from pcs_racing.game.competitor import is_model
 from pcs_racing.planners.imported import METHODS, drivers_from, run_file
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy, planner_names
+
+
+def is_code(text: str) -> bool:
+    """Return whether a text has the form of code; nothing is looked up."""
+    place, _, name = text.partition(":")
+    return place.endswith(".py") or (place.replace(".", "").isidentifier() and name.isidentifier())
 
 
 def own_code(text: str, *given: Any) -> Any:

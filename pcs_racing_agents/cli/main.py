@@ -19,7 +19,7 @@ from pcs_racing.race.config import load_race_config
 from pcs_racing.track.maps import find_shipped
 from pcs_racing_agents.agents.shipped import SHIPPED as AGENTS
 from pcs_racing_agents.cli.commands import Parser, add_commands
-from pcs_racing_agents.cli.options import Terminated, load_drivers
+from pcs_racing_agents.cli.options import Terminated
 
 FAILED = 2
 
@@ -91,7 +91,6 @@ def run_parsed(parsed: argparse.Namespace) -> int:
     logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
     try:
         with _terminable():
-            load_drivers(parsed)
             parsed.run(parsed)
             sys.stdout.flush()
     except (InputError, ModuleNotFoundError) as error:

@@ -1,7 +1,6 @@
 """What several commands share: options, checks of the files and folders that they write, pages in a browser."""
 
 import sys
-from argparse import Namespace
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager
@@ -20,6 +19,7 @@ TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map f
 OWN_CODE = "FILE.py:Class, module:function or model.zip"
 POLICY_HELP = f"planner, planner:variant, planner:parameter=value,... (see 'pcs-racing policies'), {OWN_CODE}"
 AGENT_HELP = f"name or name:option=value,... (see 'pcs-racing agents' and docs/agents.md), {OWN_CODE}"
+RACED_CODE = f"code of your own that raced in the folder, by the names that the results have: {OWN_CODE}"
 
 Circuit = Annotated[str, Option(TRACK_HELP, "T")]
 Circuits = Annotated[Sequence[str], Option(TRACK_HELP, "T")]
@@ -76,18 +76,6 @@ class Workers:
 def archive_for(archive: str | None, rules: RaceConfig) -> str:
     """Return the archive that was asked for; by default the one whose first axis is measured as the rules do it."""
     return archive or ("default" if rules.aggressiveness == PAPER.aggressiveness else "contest")
-
-
-def load_drivers(parsed: Namespace) -> None:
-    """Make known the drivers of the Python files that a command line names, like their_file.py:Class; they are run."""
-    for value in vars(parsed).values():
-        for text in value if isinstance(value, list | tuple) else [value]:
-            name = text.partition(":")[0] if isinstance(text, str) else ""
-            if name.endswith(".py"):
-                from pcs_racing.planners.imported import driver_classes, drivers_from
-
-                if driver_classes(name) or text == name:
-                    drivers_from(name)
 
 
 def can_draw(picture: str) -> bool:
