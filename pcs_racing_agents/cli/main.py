@@ -71,6 +71,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     It is 0, or 2 after an error that the user can correct, which is printed as one line on stderr; 130 after Ctrl-C,
     and 143 after SIGTERM.
     """
+    if sys.stderr is None:  # closed: nothing is read there, and no file that is opened later gets its number
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    if sys.stdout is None:
+        return _fail(InputError("the standard output is closed; send it to a file or to /dev/null"))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # what a terminal can't show is escaped: names of files, say
             stream.reconfigure(errors="backslashreplace")

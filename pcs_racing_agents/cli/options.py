@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
+from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.config import PAPER, PRESETS, RaceConfig, load_race_config
 from pcs_racing_agents.cli.commands import Option
@@ -99,6 +100,7 @@ def output_file(path: Path, *endings: str) -> Path:
 
 def output_folder(path: Path) -> Path:
     """Make a folder if it does not exist, and return its path."""
+    check_path("the folder", path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

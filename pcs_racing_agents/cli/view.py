@@ -225,7 +225,7 @@ def run_play(
 
         wheel = make_person_drive(rival, rules.seed, track=load_track(track), race=config, archive=loaded)
         wheel.answer("/begin/0")  # what does not fit is told now
-        with make_server(drive_page(wheel), wheel.answer, port or 0) as server:
+        with make_server(drive_page(wheel), wheel.answer, port or 0, method="POST") as server:
             run_server(server, "play", open_it=not no_open)
         return
     races = PersonRaces(make_game(load_track(track), loaded, config, stay=True), rival, rules.seed)

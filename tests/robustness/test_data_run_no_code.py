@@ -258,7 +258,7 @@ KINDS = {
     "map": Kind(
         shipped("maps", "Pipkin/Pipkin_map.yaml"),
         lambda file: [read_map(file.parent), load_map(file)],
-        "parse_ros_yaml _map_yaml _bytes _load",
+        "parse_ros_yaml _map_yaml read_inside _load",
     ),
     "track": Kind(shipped("maps", "Pipkin/Pipkin_track.yaml"), lambda file: read_map(file.parent), "parse_info"),
     "race": config(load_race_config, RaceConfig()),
@@ -280,7 +280,7 @@ KINDS = {
 }
 NAMELESS = {
     "load_settings", "read_settings", "parse_yaml", "load_config",  # the readers that the others call
-    "_cached", "load_cached", "_restore", "read_chunk", "read_lines",  # numbers alone
+    "_cached", "load_cached", "_restore", "read_chunk",  # numbers alone
     "tuned_environments", "tuned_ppo",  # a shipped file
     "parse_agent",  # a text, in which an option's value is no name of code
 }  # fmt: skip

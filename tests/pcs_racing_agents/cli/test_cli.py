@@ -427,6 +427,14 @@ def test_as_a_process(tmp_path):
     terminal = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = subprocess.run(drawn, capture_output=True, text=True, check=True, env=terminal)
     assert done.stdout.endswith("K\\xfcche.png\n")
+    closed = f"'{sys.executable}' -m pcs_racing_agents race --replay race.html >&-"
+    done = subprocess.run(closed, shell=True, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "pcs-racing: error: the standard output is closed; send it to a file or to /dev/null\n"
+    assert not (tmp_path / "race.html").exists()
+    closed = f"'{sys.executable}' -m pcs_racing_agents track show Nowhere 2>&-"
+    done = subprocess.run(closed, shell=True, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
     cut = f"'{sys.executable}' -m pcs_racing_agents policies | head -n 1"
     done = subprocess.run(cut, shell=True, capture_output=True, text=True, check=True)
     assert done.stderr == ""
