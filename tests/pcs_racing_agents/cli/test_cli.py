@@ -375,7 +375,7 @@ def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monk
         refused("here it must be a driver, not an agent", parse_driver, f"{place}:First")
 
 
-def test_own_code_races_in_other_processes_and_commands_find_it_again(tmp_path, monkeypatch, told, run):
+def test_own_code_races_in_other_processes_and_commands_find_it_again(tmp_path, monkeypatch, told, printed, run):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own_racers.py").write_text(OWN)
     cars = ["own_racers.py:Straight", "own_racers.py:First", "own_racers.py"]
@@ -390,6 +390,7 @@ def test_own_code_races_in_other_processes_and_commands_find_it_again(tmp_path, 
         assert ("(view and explain: --agents own_racers.py" in error) == (len(line) == 3)
     assert "own_racers.py:First (car 1) against own_racers.py:Straight" in text
     assert "makes no moves, so there is nothing to explain; nor does" in run(*explain, "--index", 2)[2]
+    assert "variants: Straight" in printed("policies", "own_racers.py")
     assert "'lattice' did not race in out; there are own_racers.py" in told("explain", "out", "--agents", "lattice")
 
 
