@@ -110,6 +110,8 @@ def server() -> tuple[int, list[str]]:
         return (played if path.count("/") > 2 else repeated).answer(path)
 
     found, faults = make_server("<p>the page", answer), []
+    # Here a request ends with the half of the connection on which it came; the viewer is still there.
+    found.RequestHandlerClass._left = lambda _: False  # type: ignore[attr-defined]
 
     def note(*_: Any) -> None:
         error = sys.exc_info()[1]

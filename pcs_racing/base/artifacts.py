@@ -16,6 +16,7 @@ from typing import Any
 
 import yaml
 
+from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
 
@@ -96,7 +97,7 @@ class ArtifactFormat(ManifestFormat):
         A new folder appears whole or not at all. In one that exists the manifest is written last: until then its digest
         belongs to other data, which :meth:`load` notices.
         """
-        folder = Path(folder)
+        folder = Path(check_path(f"the folder of {self.a_noun}", folder))
         manifest = self._manifest({**fields, self.digest_key: hashlib.sha256(data).hexdigest()})
         if not folder.exists():
             folder.parent.mkdir(parents=True, exist_ok=True)

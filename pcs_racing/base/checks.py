@@ -74,12 +74,14 @@ def check_number(
     A number of Python is returned as it is, one of numpy as a number of Python.
     """
     fine = is_number(value)
+    # A number of Python from here on: numpy would bring the limits into the value's own type, such as float16.
+    number: float = value.item() if isinstance(value, np.generic) else value
     # Compared only now: what is no number need not have an order.
-    fine = fine and (minimum is None or value >= minimum) and (maximum is None or value <= maximum)
-    if not fine or (above is not None and not value > above):
+    fine = fine and (minimum is None or number >= minimum) and (maximum is None or number <= maximum)
+    if not fine or (above is not None and not number > above):
         kind = "finite number" if minimum is maximum is above is None else "number"
         raise error(f"{name} is {value!r}; it must be a {kind}{within(minimum, maximum, above)}")
-    return value.item() if isinstance(value, np.generic) else value
+    return number
 
 
 def check_flag(name: str, value: Any, error: Error = InputError) -> bool:
@@ -97,8 +99,13 @@ def check_text(name: str, value: Any, error: Error = InputError) -> str:
 
 
 def check_path(name: str, value: Any, error: Error = InputError) -> str | os.PathLike[str]:
-    """Return a name or a path; whether there is such a file is not looked at."""
-    if not isinstance(value, str | os.PathLike) or not os.fspath(value):
+    """Return a name or a path that a file can have; whether there is such a file is not looked at."""
+    fine = isinstance(value, str | os.PathLike) and bool(os.fspath(value))
+    try:
+        fine = fine and b"\0" not in os.fsencode(value)
+    except UnicodeEncodeError:  # half a character
+        fine = False
+    if not fine:
         raise error(f"{name} is {value!r:.200}; it must be a name or a path")
     return value
 

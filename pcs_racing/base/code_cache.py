@@ -24,7 +24,7 @@ from typing import IO, Any
 
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-from pcs_racing.base.errors import say
+from pcs_racing.base.errors import say_once
 
 SIMULATOR = ("base", "track", "car", "planners", "race")
 """The lowest floors of ``pcs_racing``, which import nothing from the others: they have a digest of their own, so that
@@ -79,7 +79,7 @@ class CodeCache(FunctionCache):
         try:
             return super().load_overload(sig, target_context)
         except Exception:  # damaged pickles raise a dozen kinds
-            _say_once("cached code can't be read; it is compiled again")
+            say_once("cached code can't be read; it is compiled again")
             for file in Path(self.cache_path).glob(f"{glob.escape(self._impl.filename_base)}.*"):
                 with suppress(OSError):
                     file.unlink()
@@ -95,7 +95,7 @@ class CodeCache(FunctionCache):
             try:
                 super().save_overload(sig, data)
             except OSError as error:
-                _say_once(f"compiled code can't be kept in {self.cache_path}: {error.strerror}")
+                say_once(f"compiled code can't be kept in {self.cache_path}: {error.strerror}")
 
 
 @cache
@@ -143,6 +143,3 @@ def sources_digest(folder: Path, deep: bool = True) -> bytes:
         elif deep and entry.is_dir() and entry.name != "__pycache__":
             found.update(sources_digest(Path(entry.path)))
     return found.digest()
-
-
-_say_once = cache(say)

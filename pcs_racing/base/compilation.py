@@ -10,7 +10,7 @@ from numba import njit
 from numba.core.registry import CPUDispatcher
 
 from pcs_racing.base.code_cache import CodeCache
-from pcs_racing.base.errors import say
+from pcs_racing.base.errors import say, say_once
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -33,9 +33,9 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
             return dispatcher
         try:
             dispatcher._cache = CodeCache(function)  # what `enable_caching` does, with a cache of ours
-        except RuntimeError:  # numba finds no place for the code of a function that was typed at a prompt
+        except RuntimeError:  # numba finds no place for the code; of a function typed at a prompt nothing is said
             if Path(function.__code__.co_filename).is_file():
-                raise
+                say_once("compiled code can't be kept: no folder for it can be written; NUMBA_CACHE_DIR names one")
         return dispatcher
 
     return decorate if function is None else decorate(function)
@@ -115,11 +115,13 @@ def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
         yield False
         return
     with ExitStack() as turn:
+        kept = dispatcher.stats.cache_path is not None
         with suppress(OSError):  # nowhere to write to: then nothing is kept either, and every process compiles
-            _wait_for_turn(turn, dispatcher, what)
+            if kept:
+                _wait_for_turn(turn, dispatcher, what)
         # Asked once more: another process may have compiled it while this one waited.
         if not _on_disk(dispatcher):
-            say(f"compiling {what} (about {seconds} s, once; it is cached on disk)")
+            say(f"compiling {what} (about {seconds} s, {'once; it is cached on disk' if kept else 'in each process'})")
         turn.enter_context(_without_collecting_garbage())
         yield True
 
@@ -150,6 +152,8 @@ def _wait_for_turn(turn: ExitStack, dispatcher: Any, what: str) -> None:
 
 
 def _on_disk(dispatcher: Any) -> bool:
+    if dispatcher.stats.cache_path is None:
+        return False
     cache, name = Path(dispatcher.stats.cache_path), _cached_name(dispatcher)
     return cache.is_dir() and any(entry.name.startswith(name) for entry in cache.glob("*.nbi"))
 

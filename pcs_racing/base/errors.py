@@ -23,6 +23,7 @@ A function that raises anything else says so in its docstring.
 import difflib
 import sys
 from collections.abc import Iterable
+from functools import cache
 from importlib.util import find_spec
 
 _LONGEST = 300
@@ -74,6 +75,12 @@ def choices(name: str, known: Iterable[str]) -> str:
 def say(line: str) -> None:
     """Tell whoever waits what takes so long, or what is done again; on stderr, so that output stays output."""
     print(f"pcs-racing: {line}", file=sys.stderr, flush=True)
+
+
+@cache
+def say_once(line: str) -> None:
+    """Print a status message to stderr, once in this process."""
+    say(line)
 
 
 def require(*modules: str, extra: str = "mapping") -> None:

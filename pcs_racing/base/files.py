@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import InputError
 
 MAX_YAML = 200_000
@@ -34,6 +35,7 @@ _KINDS = "biufcUS"  # of arrays: booleans, numbers and texts
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     """Write a file completely or not at all: ``write`` fills a temporary file, which then replaces ``path``."""
+    check_path("the path of a file", path)
     if not path.parent.is_dir():
         raise InputError(f"can't write {path}: there is no folder {path.parent}")
     if path.is_dir():
@@ -58,6 +60,7 @@ def read_limited(path: str | os.PathLike[str], limit: int, kind: str, error: typ
     Whatever is wrong is an ``error``; without one, an :class:`OSError` stays what it is.
     """
     refused = error or InputError
+    check_path("the path of a file", path, refused)
     try:
         with open(path, "rb", opener=_open_at_once) as file:
             status = os.fstat(file.fileno())

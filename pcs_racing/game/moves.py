@@ -86,7 +86,8 @@ def duplicate_moves(table: Indices) -> NDArray[np.bool_]:
 
 def check_epsilon(epsilon: Any) -> tuple[float, ...]:
     """Return the step sizes of the moves as a tuple of different positive numbers."""
-    given = list(epsilon) if isinstance(epsilon, list | tuple) or np.ndim(epsilon) == 1 else [epsilon]
+    several = isinstance(epsilon, list | tuple) or (isinstance(epsilon, np.ndarray) and epsilon.ndim == 1)
+    given = list(epsilon) if several else [epsilon]
     lengths = [length.item() if isinstance(length, np.ndarray) and length.ndim == 0 else length for length in given]
     steps = tuple(float(length) for length in lengths if is_number(length) and 0.0 < length <= 10.0)
     if not steps or len(steps) < len(lengths) or len(set(steps)) < len(steps):

@@ -39,6 +39,9 @@ ODOMETRY = {
 }  # fmt: skip
 STATE = [_view.OWN_X, _view.OWN_Y, _view.OWN_DELTA, _view.OWN_V, _view.OWN_PSI, _view.OWN_PSI_DOT, _view.OWN_BETA]
 
+MAX_RUNS = 4096
+"""Races of a file whose modules and drivers are in memory."""
+
 _lidar = lru_cache(maxsize=8)(Lidar)  # 1080 beams over 4.7 rad, up to 30 m
 
 
@@ -66,11 +69,17 @@ class _Drivers:
     ) -> tuple[float, float]:  # fmt: skip
         name = self.names[min(int(theta[0]), len(self.names) - 1)]
         if memory[0] == 0.0:
+            if (
+                len(self.racing) >= MAX_RUNS
+            ):  # the oldest race is over: more races than that are not driven side by side
+                self.racing.pop(next(iter(self.racing))).forget()
             number = next(self.numbers)
             self.racing[number] = Run(Path(self.path), number, (seed, car))
             memory[0] = number
         if memory[0] not in self.racing:
-            raise InputError(f"driver {self.path}:{name} is asked in the middle of a race that another process began")
+            raise InputError(
+                f"driver {self.path}:{name} is asked in the middle of a race that another process began, or that began {MAX_RUNS} races ago"
+            )
         run = self.racing[float(memory[0])]
         run.now = max(run.now, float(view[_view.TIME]))
         with run.entered(f"driver {self.path}:{name}"):

@@ -26,6 +26,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 
+from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners import ros_nodes
 
@@ -48,10 +49,8 @@ class Run:
     """One run of a file: as in a race with a seed and a clock, or once in this process without them."""
 
     def __init__(self, path: Path, number: int = 0, seed: tuple[int, ...] = (0,)) -> None:
-        self.path, self.template = (
-            path,
-            f"{_PREFIX}{path.resolve()}".replace(".", ":"),
-        )  # of a dot pickle makes a package
+        self.path = Path(check_path("a Python file", path))
+        self.template = _template(path)
         self.name = f"{self.template}#{number}" if number else self.template
         self.now = 0.0  #: Time of the race, s.
         self.driver: Any = None
@@ -83,11 +82,15 @@ class Run:
                 loader.exec_module(module)
         except BaseException:
             _code.cache_clear()
-            del _runs[self.name]
-            for name in [name for name in sys.modules if name.partition(".")[0] == self.name]:
-                del sys.modules[name]
+            self.forget()
             raise
         return module
+
+    def forget(self) -> None:
+        """Remove the run and its modules from this process."""
+        del _runs[self.name]
+        for name in [name for name in sys.modules if name.partition(".")[0] == self.name]:
+            del sys.modules[name]
 
     @contextmanager
     def entered(self, what: str) -> Iterator[None]:
@@ -265,8 +268,13 @@ sys.meta_path.insert(0, _Finder())
 
 def run_file(path: str | Path) -> ModuleType:
     """Run a Python file, once in this process, and return it as a module."""
-    name = f"{_PREFIX}{Path(path).resolve()}".replace(".", ":")
-    return (_runs.get(name) or Run(Path(path))).module
+    path = Path(check_path("a Python file", path))
+    return (_runs.get(_template(path)) or Run(path)).module
+
+
+def _template(path: Path) -> str:
+    """Return the name of the first run of a file; of a dot in it, pickle would make a package."""
+    return f"{_PREFIX}{path.resolve()}".replace(".", ":")
 
 
 def files_run() -> list[str]:

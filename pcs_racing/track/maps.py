@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from pcs_racing.base.artifacts import shipped_folder
+from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import MapError, UnknownNameError, choices
 from pcs_racing.base.files import MAX_YAML, read_limited
 from pcs_racing.track.map_files import (
@@ -115,9 +116,11 @@ def read_bytes(files: MapFiles) -> dict[str, bytes]:
     """Read the files of a map, its picture included, by their paths within the folder."""
     texts = [file for file in (files.yaml, files.centerline, files.raceline, files.info) if file is not None]
     limits = {".csv": MAX_LINE}
-    contents = {_label(files, file): _bytes(files.folder, file, limits.get(file.suffix, MAX_YAML)) for file in texts}
+    contents = {
+        _label(files, file): read_inside(files.folder, file, limits.get(file.suffix, MAX_YAML)) for file in texts
+    }
     picture = _picture(files, parse_ros_yaml(files.yaml, contents[files.yaml.name]))
-    return contents | {_label(files, picture): _bytes(files.folder, picture, MAX_BYTES)}
+    return contents | {_label(files, picture): read_inside(files.folder, picture, MAX_BYTES)}
 
 
 def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
@@ -146,7 +149,7 @@ def write_map(content: MapFolder) -> Path:
 
     A new folder appears complete or not at all. In an existing one each file is replaced as a whole.
     """
-    name, folder = content.name, Path(content.folder)
+    name, folder = content.name, Path(check_path("the folder of a map", content.folder, MapError))
     if not name.isprintable() or name != name.strip(" .") or not name or set(name) & set('/\\:*?"<>|'):
         raise MapError(f"{name!r} can't name a map: letters, digits, '-', '_' and spaces between them can")
     same = not folder.exists() or (folder / f"{name}_map.yaml").is_file()
@@ -216,7 +219,7 @@ def _map_yaml(folder: Path) -> Path:
     maps = [file for file in everything if file.stem.endswith("_map")]
     if not maps:
         others = [file for file in everything if not file.stem.endswith("_track")]
-        maps = [file for file in others if "image" in parse_yaml(file, _bytes(folder, file, MAX_YAML))]
+        maps = [file for file in others if "image" in parse_yaml(file, read_inside(folder, file, MAX_YAML))]
     if len(maps) > 1:
         names = ", ".join(file.name for file in maps)
         raise MapError(f"{folder} holds several maps ({names}): name one of these files instead of the folder")
@@ -244,9 +247,10 @@ def _label(files: MapFiles, file: Path) -> str:
     return os.path.relpath(file, files.folder)
 
 
-def _bytes(folder: Path, file: Path, limit: int) -> bytes:
-    """Content of a file of a map; one that a link leads out of the folder for is none."""
+def read_inside(folder: Path, file: Path, limit: int) -> bytes:
+    """Return the content of a file of a folder; a file that a link leads out of the folder for is refused."""
+    check_path("the path of a file", file, MapError)
     with suppress(OSError, RuntimeError):  # a loop of links can't be read, either
         if not file.resolve().is_relative_to(folder.resolve()):
-            raise MapError(f"{file} is a link out of the map's folder; put the file itself there")
+            raise MapError(f"{file} is a link out of its folder; put the file itself there")
     return read_limited(file, limit, "the file of a map", MapError)

@@ -1,4 +1,7 @@
-"""Code of your own where an agent or a driver is named: ``package.module:name``, ``file.py:name`` or ``model.zip``."""
+"""Code of your own where an agent or a driver is named: ``package.module:name``, ``file.py:name`` or ``model.zip``.
+
+Everything here runs code, and is called with words of the command line or by a program, never with names out of files.
+"""
 
 import importlib
 import inspect
@@ -14,6 +17,12 @@ from pcs_racing.planners.own_files import one_line, run_file
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.planners.shipped import split_name
+
+
+def is_code(text: str) -> bool:
+    """Return whether a text has the form of code; nothing is looked up."""
+    place, _, name = split_name(text)
+    return place.endswith(".py") or (place.replace(".", "").isidentifier() and name.isidentifier())
 
 
 def own_code(text: str, *given: Any) -> Any:

@@ -26,7 +26,7 @@ from pcs_racing.base.dense import DenseLayers, dense_forward, weight_count
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.files import MAX_YAML, parse_json, parse_yaml, read_limited, write_atomically
-from pcs_racing.envs.models import kept_arguments, model_policy
+from pcs_racing.envs.models import KEPT, kept_arguments, model_policy
 from pcs_racing.planners.planner import Policy
 
 MAX_BYTES = 50_000_000
@@ -113,11 +113,13 @@ class Sb3Policy:
 
 def load_sb3_policy(path: Path) -> Sb3Policy:
     """Read a policy that ``model.save(path)`` wrote, of PPO, A2C, MaskablePPO, SAC, TD3 or DDPG with an MlpPolicy."""
+    # Before torch is imported, which takes seconds.
+    content = read_limited(path, MAX_BYTES, "a policy", InputError)
     require("torch", extra="learning")
     import torch
 
     try:
-        with zipfile.ZipFile(io.BytesIO(read_limited(path, MAX_BYTES, "a policy"))) as file:
+        with zipfile.ZipFile(io.BytesIO(content)) as file:
             # Sizes as the archive states them: reading stops there, so a small file can't unpack to a huge one.
             if sum(entry.file_size for entry in file.infolist()) > MAX_BYTES:
                 raise InputError(
@@ -127,8 +129,6 @@ def load_sb3_policy(path: Path) -> Sb3Policy:
             state = torch.load(io.BytesIO(file.read("policy.pth")), map_location="cpu", weights_only=True)
         if not isinstance(settings, dict) or not isinstance(state, dict):
             raise InputError("its settings and its weights must be mappings")
-    except FileNotFoundError:
-        raise InputError(f"there is no file {path}") from None
     # Archives, compressed data and torch's format are damaged in a dozen ways.
     except Exception as error:
         said = str(error).partition("\n")[0]
@@ -244,6 +244,11 @@ def load_model(path: str | Path) -> Policy:
     arguments = parse_yaml(file, read_limited(file, MAX_YAML, "the arguments of a model", InputError))
     if not isinstance(arguments, dict):
         raise InputError(f"{file} holds {arguments!r:.80}; it must hold the arguments of an environment by name")
+    for key in arguments:
+        if key not in (*KEPT, "cars", "vehicle", "scale"):
+            raise InputError(
+                f"{file}: the argument {key!r} is unknown; there are cars, vehicle, scale, {', '.join(KEPT)}"
+            )
     if "scale" in arguments:
         model = replace(model, scale=_read_scale(file, arguments.pop("scale"), model.layers.sizes[0]))
     return model_policy(model, name=str(path), **arguments)

@@ -9,6 +9,7 @@ agent is built.
 
 import difflib
 import inspect
+import shlex
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -27,7 +28,7 @@ from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import RaceConfig
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor, driver_of_model
-from pcs_racing_agents.agents.own_code import own_code
+from pcs_racing_agents.agents.own_code import is_code, own_code
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.shipped import SHIPPED
 
@@ -134,7 +135,7 @@ def build(name: str, setting: Setting, *, seed: int = 0, **options: Any) -> Any:
         return driver_of_model(name)
     # An agent may have the name of a planner; anything else that begins with one is a policy.
     if name not in available:
-        if name.partition(":")[0] in planner_names() and not options:
+        if split_name(name)[0] in planner_names() and not options:
             return as_competitor(parse_policy(name))
         near = difflib.get_close_matches(name, available, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
@@ -158,20 +159,26 @@ def build_member(member: str | Agent, setting: Setting, seed: int) -> Agent:
     return agent
 
 
-def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
+def parse_agent(text: str, setting: Setting, *, seed: int = 0, code: bool = False) -> Competitor:
     """Make an agent from text: a name, or a name with options as in ``"cfr-argmax:network=out/net"``.
 
-    A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``; others may be code of your
-    own (:mod:`pcs_racing_agents.agents.own_code`).
+    A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``. With ``code`` the text may
+    be code of your own, which is run (:mod:`pcs_racing_agents.agents.own_code`): never set it for a text from a file.
     """
-    name, separator, rest = split_name(str(text))
+    text = str(text).strip()
+    name, separator, rest = split_name(text)
     # "lane-switcher:3" is a variant of the planner, not an option of the agent of that name.
     if not separator or name not in entries() or name in planner_names():
-        own = own_code(str(text).strip(), setting)
+        own = own_code(text, setting) if code else None
         if own is not None:
-            with one_line(str(text)):
-                return as_competitor(own, str(text).strip())
-        return build(str(text).strip(), setting, seed=seed)
+            with one_line(text):
+                return as_competitor(own, text)
+        if is_code(text) and name not in planner_names() and not code:
+            raise UnknownNameError(
+                f"agent {text!r} is unknown: no file may name code. If it is yours, register it, or name it on the "
+                f"command line (view and explain: --agents {shlex.quote(text)})"
+            )
+        return build(text, setting, seed=seed)
     options: dict[str, Any] = {}
     for option in rest.split(","):
         key, equals, value = option.partition("=")
@@ -182,7 +189,7 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0) -> Competitor:
         except InputError:
             raise InputError(f"agent {text!r}: {value!r} is no value; it must be a number or plain text") from None
     agent = build(name, setting, seed=seed, **options)
-    return as_competitor(agent, str(text).strip())
+    return as_competitor(agent, text)
 
 
 @dataclass(frozen=True)
@@ -240,7 +247,7 @@ def _first_line(function: Callable[..., Any]) -> str:
 def load_entrant(
     text: str, setting: Setting, *, drive: bool = False, weights: Path | None = None, name: str | None = None
 ) -> Competitor:
-    """Return the competitor that a text names.
+    """Return the competitor that a word of the command line names, by code of your own as well.
 
     Parameters
     ----------
@@ -265,7 +272,7 @@ def load_entrant(
     if is_model(text) and not Path(text).with_suffix(".yaml").is_file():
         return as_competitor(load_sb3_policy(Path(text)), name or Path(text).stem)
     if weights is None:
-        return as_competitor(parse_agent(text, setting), name)
+        return as_competitor(parse_agent(text, setting, code=True), name)
     if not weights.is_file():
         raise InputError(f"there is no file of weights {weights}")
     made = own_code(text, setting, weights)

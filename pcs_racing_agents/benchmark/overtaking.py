@@ -21,8 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import read_limited
+from pcs_racing.base.errors import MapError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
@@ -34,6 +33,7 @@ from pcs_racing.race.start_grid import settle
 from pcs_racing.race.state import empty_state
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.map_files import parse_csv
+from pcs_racing.track.maps import read_inside
 from pcs_racing.track.track import Track, build_track
 from pcs_racing_agents.benchmark.overtaken import overtaken
 from pcs_racing_agents.results.tables import aligned
@@ -47,6 +47,8 @@ ASIDE, WALL_AIR = 0.57, 0.45  # m: distance of the lanes that are made here from
 SPACING = 0.5  # m between the samples of a line
 COLUMNS = ("s", "x", "y", "heading", "curvature", "speed", "acceleration")
 MAX_LINE = 16 * 2**20  # bytes of a file of a line
+MAX_SPEED = 20.0  # m/s
+MAX_GAP = 2.0  # m between two points of a line
 MERGE = 8  # samples before and behind a narrow place over which a lane comes in
 PUBLISHED = ("End2Race, published", 0.942, 0.592)  # shares without collision and overtaking, of 2,400 scenarios
 
@@ -78,8 +80,7 @@ def read_lines(track: Track, folder: Path) -> Lines:
     tables = []
     for k in range(LINES):
         path = folder / f"{track.name}_line{k}.csv"
-        data = read_limited(path, MAX_LINE, f"a line of {track.name}", InputError)
-        tables.append(parse_csv(path, data, COLUMNS, ";"))
+        tables.append(_checked(track, path, parse_csv(path, read_inside(folder, path, MAX_LINE), COLUMNS, ";")))
     arrays, center = track.arrays, track.centerline
     if np.median(np.diff(track.to_frenet(tables[1][:, 1:3])[:, 0])) < 0.0:
         center = center[::-1][:, [0, 1, 3, 2]]
@@ -92,6 +93,24 @@ def read_lines(track: Track, folder: Path) -> Lines:
         d[k] = np.interp(places, *_rising(sd[:, 0], sd[:, 1]), period=on.length)
         speed[k] = np.interp(places, *_rising(sd[:, 0], table[:, 5]), period=on.length)
     return Lines(on, d, speed)
+
+
+def _checked(track: Track, path: Path, table: Floats) -> Floats:
+    """Return the table of a line, of which all points are checked."""
+    xy, speed, half = table[:, 1:3], table[:, 5], 0.5 * track.length
+    for wrong, right in (
+        (np.diff(table[:, 0], append=np.inf) <= 0.0, "s must rise from point to point"),
+        ((speed <= 0.0) | (speed > MAX_SPEED), f"the speed must be above 0 and at most {MAX_SPEED:g} m/s"),
+        (track.wall_distance(xy) <= 0.0, "it must lie between the walls"),
+        (np.hypot(*np.diff(xy, axis=0, append=xy[:1]).T) > MAX_GAP, f"the next point must be within {MAX_GAP:g} m"),
+    ):
+        if wrong.any():
+            raise MapError(f"{path}, point {np.argmax(wrong) + 1}: {right}")
+    # The sum is 0 or a number of laps, since the line is closed.
+    steps = np.mod(np.diff(s := track.to_frenet(xy)[:, 0], append=s[0]) + half, track.length) - half
+    if round(abs(steps.sum()) / track.length) != 1:
+        raise MapError(f"{path} must go round {track.name} once")
+    return table
 
 
 def _places(track: Track) -> Floats:

@@ -3,7 +3,7 @@
 import hashlib
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple, Unpack
 
@@ -247,7 +247,10 @@ def load_hidden(protocol: Protocol, file: Path, folder: Path) -> tuple[str, Prot
         raise InputError(
             f"{file} has the SHA-256 {digest}; protocol {protocol.config.name!r} states {protocol.config.hidden}"
         )
-    config = HiddenConfig(**read_settings(file))
+    values, known = read_settings(file), [field.name for field in fields(HiddenConfig)]
+    if set(values) != set(known):
+        raise InputError(f"{file} holds {', '.join(map(str, values))}; a hidden part holds {', '.join(known)}")
+    config = HiddenConfig(**values)
     tracks = {}
     for i, seed in enumerate(config.circuits):
         name = f"Hidden{i + 1}"

@@ -50,6 +50,10 @@ def run(
 def run_policies(planner: Annotated[str | None, Option("name of the planner to list (default: all)")] = None) -> None:
     """List planners with the bounds and meanings of their parameters."""
     names = [planner] if planner else planner_names()
+    if planner is not None and planner.endswith(".py"):
+        from pcs_racing.planners.imported import drivers_from
+
+        drivers_from(planner)
     print("\n\n".join(_describe(get_planner(name)) for name in names))
 
 

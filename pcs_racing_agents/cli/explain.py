@@ -1,5 +1,6 @@
 """``pcs-racing explain``: explain the moves of an agent in one race, or summarise them over many races."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,6 +10,7 @@ from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import (
     AGENT_HELP,
     DEFAULT_TRACK,
+    RACED_CODE,
     TRACK_HELP,
     ArchiveName,
     Rules,
@@ -26,8 +28,11 @@ class _Planned:
     """Races between two agents that are planned here, in place of a folder of results."""
 
     agents: Annotated[
-        tuple[str, str] | None, Option(f"instead of a folder: the agents of car 0 and car 1: {AGENT_HELP}", "AGENT")
-    ] = None
+        Sequence[str],
+        Option(
+            f"instead of a folder: the agents of car 0 and car 1: {AGENT_HELP}; with a folder: {RACED_CODE}", "AGENT"
+        ),
+    ] = ()
     track: Annotated[str | None, Option(f"with --agents: {TRACK_HELP} (default: {DEFAULT_TRACK})", "T")] = None
     rules: Rules
     archive: ArchiveName = None
@@ -38,7 +43,6 @@ class _Planned:
         from pcs_racing.track.loading import load_track
         from pcs_racing_agents.tournament import plan_tournament
 
-        assert self.agents is not None
         config = self.rules.config()
         plan = plan_tournament(
             load_track(DEFAULT_TRACK if self.track is None else self.track),
@@ -47,6 +51,7 @@ class _Planned:
             archive=archive_for(self.archive, config),
             races_per_pair=20 if self.races is None else self.races,
             seed=self.rules.seed,
+            code=True,
         )
         return plan.pairings[0]
 
@@ -76,8 +81,8 @@ def run(
     out: Annotated[Path | None, Option("folder for the pictures, the text and the replay", "DIR")] = None,
 ) -> None:
     """Explain the moves of an agent in a race: its observations, its moves and their effect."""
-    if (results is None) == (planned.agents is None):
-        raise InputError("give a folder of results, or two agents with --agents; one of the two")
+    if results is None and len(planned.agents) != 2:
+        raise InputError("give a folder of results, or two agents with --agents")
     if results is not None:
         own = {"track": planned.track, "duration": planned.rules.duration, "races": planned.races}
         for option, value in own.items():
@@ -101,7 +106,7 @@ def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, 
 
     results = None
     if folder is not None:
-        results = open_results(folder)
+        results = open_results(folder, planned.agents)
         row = results.row(number)
         pairing, race = results.pairing(row), row.race
     else:
@@ -147,12 +152,11 @@ def _situations(folder: Path | None, planned: _Planned, agent: str, out: Path | 
     from pcs_racing_agents.view.results_folder import open_results
 
     if folder is not None:
-        pairings = list(open_results(folder).pairings(agent))
+        pairings = list(open_results(folder, planned.agents).pairings(agent))
     else:
-        agents = planned.agents or ()
-        if agent not in agents:
-            raise InputError(f"--situations is {agent!r}; it must be one of {', '.join(agents)}")
-        pairings = [(planned.pairing(), agents.index(agent))]
+        if agent not in planned.agents:
+            raise InputError(f"--situations is {agent!r}; it must be one of {', '.join(planned.agents)}")
+        pairings = [(planned.pairing(), planned.agents.index(agent))]
     total, first = sum(len(pairing) for pairing, _ in pairings), pairings[0][0]
     played = play_pairings(
         [pairing for pairing, _ in pairings], name=agent, observations=True, progress=show_progress()

@@ -62,7 +62,7 @@ class Games:
         """Return the agents of these names."""
         from pcs_racing_agents.agents.zoo import parse_agent
 
-        return [parse_agent(text, setting, seed=self.rules.seed) for text in texts]
+        return [parse_agent(text, setting, seed=self.rules.seed, code=True) for text in texts]
 
 
 @command(

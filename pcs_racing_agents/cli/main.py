@@ -20,7 +20,7 @@ from pcs_racing.race.config import load_race_config
 from pcs_racing.track.maps import find_shipped
 from pcs_racing_agents.agents.shipped import SHIPPED as AGENTS
 from pcs_racing_agents.cli.commands import Parser, add_commands
-from pcs_racing_agents.cli.options import Terminated, load_drivers
+from pcs_racing_agents.cli.options import Terminated
 
 FAILED = 2
 
@@ -72,6 +72,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     It is 0, or 2 after an error that the user can correct, which is printed as one line on stderr; 130 after Ctrl-C,
     and 143 after SIGTERM.
     """
+    if sys.stderr is None:  # closed: nothing is read there, and no file that is opened later gets its number
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    if sys.stdout is None:
+        return _fail(InputError("the standard output is closed; send it to a file or to /dev/null"))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # what a terminal can't show is escaped: names of files, say
             stream.reconfigure(errors="backslashreplace")
@@ -92,7 +96,6 @@ def run_parsed(parsed: argparse.Namespace) -> int:
     logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
     try:
         with _terminable():
-            load_drivers(parsed)
             parsed.run(parsed)
             sys.stdout.flush()
     except (InputError, ModuleNotFoundError) as error:

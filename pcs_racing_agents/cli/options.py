@@ -1,7 +1,6 @@
 """What several commands share: options, checks of the files and folders that they write, pages in a browser."""
 
 import sys
-from argparse import Namespace
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager
@@ -10,8 +9,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
+from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import InputError
-from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import PAPER, PRESETS, RaceConfig, load_race_config
 from pcs_racing_agents.cli.commands import Option
 
@@ -21,6 +20,7 @@ TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map f
 OWN_CODE = "FILE.py:Class, module:function or model.zip"
 POLICY_HELP = f"planner, planner:variant, planner:parameter=value,... (see 'pcs-racing policies'), {OWN_CODE}"
 AGENT_HELP = f"name or name:option=value,... (see 'pcs-racing agents' and docs/agents.md), {OWN_CODE}"
+RACED_CODE = f"code of your own that raced in the folder, by the names that the results have: {OWN_CODE}"
 
 Circuit = Annotated[str, Option(TRACK_HELP, "T")]
 Circuits = Annotated[Sequence[str], Option(TRACK_HELP, "T")]
@@ -79,18 +79,6 @@ def archive_for(archive: str | None, rules: RaceConfig) -> str:
     return archive or ("default" if rules.aggressiveness == PAPER.aggressiveness else "contest")
 
 
-def load_drivers(parsed: Namespace) -> None:
-    """Make known the drivers of the Python files that a command line names, like their_file.py:Class; they are run."""
-    for value in vars(parsed).values():
-        for text in value if isinstance(value, list | tuple) else [value]:
-            name = split_name(text)[0] if isinstance(text, str) else ""
-            if name.endswith(".py"):
-                from pcs_racing.planners.imported import driver_classes, drivers_from
-
-                if driver_classes(name) or text == name:
-                    drivers_from(name)
-
-
 def can_draw(picture: str) -> bool:
     """Return whether matplotlib is installed; if not, print on stderr which picture is missing and what to install."""
     if find_spec("matplotlib") is not None:
@@ -112,6 +100,7 @@ def output_file(path: Path, *endings: str) -> Path:
 
 def output_folder(path: Path) -> Path:
     """Make a folder if it does not exist, and return its path."""
+    check_path("the folder", path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:

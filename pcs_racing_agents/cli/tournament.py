@@ -66,6 +66,7 @@ def run(
         archive=archive_for(archive, config),
         races_per_pair=races,
         seed=rules.seed,
+        code=True,
     )
     with workers.start() as executor:
         if out is None:

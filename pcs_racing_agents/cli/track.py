@@ -6,13 +6,13 @@ from typing import Annotated
 import yaml
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import write_atomically
+from pcs_racing.base.files import MAX_YAML, write_atomically
 from pcs_racing.race.calibration import calibrate
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.frames import write_track_picture
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.map_files import parse_info
-from pcs_racing.track.maps import list_tracks
+from pcs_racing.track.maps import list_tracks, read_inside
 from pcs_racing.track.track import Calibration, Track, calibration_values
 from pcs_racing_agents.cli.commands import Command, Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuit, Race, output_file
@@ -119,7 +119,7 @@ def _write_calibration(track: Track, preset: str, calibration: Calibration) -> P
         raise InputError(f"track {track.name!r} does not come from a folder: there is nowhere to write")
     path = track.folder / f"{track.name}_track.yaml"
     # Entries for other rules, and what a person has added, stay as they are.
-    info = parse_info(path, path.read_bytes()) if path.is_file() else {}
+    info = parse_info(path, read_inside(track.folder, path, MAX_YAML)) if path.is_file() else {}
     info["calibration"] = {**info.get("calibration", {}), preset: calibration_values(calibration)}
     text = yaml.safe_dump(info, sort_keys=False, allow_unicode=True)
     write_atomically(path, lambda file: file.write(text.encode()))

@@ -14,6 +14,7 @@ from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import (
     AGENT_HELP,
     DEFAULT_TRACK,
+    RACED_CODE,
     ArchiveName,
     Circuit,
     NoOpen,
@@ -60,6 +61,7 @@ def run(
         bool, Option("write no file; serve the page from this machine, where any race can be watched")
     ] = False,
     port: Port = None,
+    agents: Annotated[Sequence[str], Option(RACED_CODE, "AGENT")] = (),
     no_open: NoOpen = False,
 ) -> None:
     """Write a page that lists the races of a tournament or a study and plays them."""
@@ -80,7 +82,7 @@ def run(
     if len(index) > MOST_REPLAYS:
         raise InputError(f"--index names {len(index)} races; a page holds at most {MOST_REPLAYS}")
     target = _page_file(results, out)
-    folder, file = _find(results)
+    folder, file = _find(results, agents)
     if folder is None and (replays or index or serve):
         raise InputError(f"can't drive races of {results} again: {LONE_FILE}")
     table = folder.races if folder is not None else read_results(file)
@@ -113,7 +115,7 @@ def _page_file(path: Path, out: Path | None) -> Path:
     return output_file(out or path / "view.html", ".html")
 
 
-def _find(path: Path) -> "tuple[ResultsFolder | None, Path]":
+def _find(path: Path, agents: Sequence[str]) -> "tuple[ResultsFolder | None, Path]":
     """Return the folder of the races and their file; None for a file without a manifest."""
     from pcs_racing_agents.view.results_folder import open_results
 
@@ -129,7 +131,7 @@ def _find(path: Path) -> "tuple[ResultsFolder | None, Path]":
         folder = path.parent if path.name == "results.csv" else path.with_suffix("")
     elif not (path / "job.yaml").is_file() and (path / "results.csv").is_file():
         return None, path / "results.csv"
-    results = open_results(folder)
+    results = open_results(folder, agents)
     ratings = results.tournament and results.study is not None
     return results, folder.with_suffix(".csv") if ratings else folder / "results.csv"
 
@@ -217,13 +219,13 @@ def run_play(
     check_seed(rules.seed)
     config = rules.config()
     loaded = load_archive(archive_for(archive, config))
-    rival = parse_agent(opponent, make_setting(loaded, config), seed=rules.seed)
+    rival = parse_agent(opponent, make_setting(loaded, config), seed=rules.seed, code=True)
     if drive:
         from pcs_racing_agents.view.person_race import drive_page, make_person_drive
 
         wheel = make_person_drive(rival, rules.seed, track=load_track(track), race=config, archive=loaded)
         wheel.answer("/begin/0")  # what does not fit is told now
-        with make_server(drive_page(wheel), wheel.answer, port or 0) as server:
+        with make_server(drive_page(wheel), wheel.answer, port or 0, method="POST") as server:
             run_server(server, "play", open_it=not no_open)
         return
     races = PersonRaces(make_game(load_track(track), loaded, config, stay=True), rival, rules.seed)

@@ -18,6 +18,7 @@ import numpy as np
 import yaml
 from filelock import FileLock, Timeout
 
+from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import plain_yaml, read_limited, write_atomically
 
@@ -39,6 +40,7 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
 
     The settings are provided as plain values.
     """
+    check_path("the folder of a job", folder)
     manifest = {
         "format": FORMAT,
         "version": VERSION,
@@ -71,6 +73,7 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
 @contextmanager
 def hold_folder(folder: Path) -> Iterator[None]:
     """Create and lock a folder without a manifest: for short work that is never resumed."""
+    check_path("the folder", folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = _take_lock(folder)

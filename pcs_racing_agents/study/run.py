@@ -17,7 +17,7 @@ import yaml
 
 from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import InputError, UnknownNameError, require
-from pcs_racing.base.files import parse_yaml, write_atomically
+from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.jobs.folders import claim_folder, clear_half_written
@@ -98,7 +98,7 @@ def _notes(folder: Path) -> dict[str, dict[str, Any]]:
     for stage in STAGES:
         file = folder / stage.name / DONE
         if file.is_file():
-            note = parse_yaml(file, file.read_bytes())
+            note = parse_yaml(file, read_limited(file, MAX_YAML, "the note of a stage"))
             seconds, files = (note.get(key) if isinstance(note, dict) else None for key in ("seconds", "files"))
             if not is_number(seconds) or not 0.0 <= seconds < 1e9 or not isinstance(files, dict):
                 wrong = f"seconds are {seconds!r:.80}, files {files!r:.80}"

@@ -116,15 +116,19 @@ def plan_tournament(
     archive: PolicyArchive | str | Path = "default",
     races_per_pair: int = 20,
     seed: int = 0,
+    code: bool = False,
 ) -> TournamentPlan:
-    """Check the arguments of a tournament, and draw its races; see :func:`play_tournament`."""
+    """Check the arguments of a tournament, and draw its races; see :func:`play_tournament`.
+
+    With ``code`` the names may be code of your own, as in :func:`pcs_racing_agents.agents.parse_agent`.
+    """
     circuits = [tracks] if isinstance(tracks, Track) else list(tracks)
     _check_distinct("tracks", [track.name for track in circuits], 1)
     setting = make_setting(archive, game_rules(race))
     if isinstance(entrants, Mapping):
-        competitors = [as_competitor(_resolve(entrant, setting, seed), name) for name, entrant in entrants.items()]
+        competitors = [as_competitor(_resolve(one, setting, seed, code), name) for name, one in entrants.items()]
     else:
-        competitors = [as_competitor(_resolve(entrant, setting, seed)) for entrant in entrants]
+        competitors = [as_competitor(_resolve(one, setting, seed, code)) for one in entrants]
     _check_distinct("competitors", [competitor_name(entrant) for entrant in competitors], 2)
     rules = setting.config.race_rules
     schedules = tuple(draw_schedule(track, rules, races_per_pair, seed) for track in circuits)
@@ -204,8 +208,8 @@ def record_row(tournament: Tournament, row: RaceRow, *, candidates: bool = True)
     raise InputError(f"race {row.race} of {row.ego!r} against {row.opponent!r} on {row.track!r} was not raced here")
 
 
-def _resolve(entrant: Entrant, setting: Setting, seed: int) -> Any:
-    return parse_agent(entrant, setting, seed=seed) if isinstance(entrant, str) else entrant
+def _resolve(entrant: Entrant, setting: Setting, seed: int, code: bool) -> Any:
+    return parse_agent(entrant, setting, seed=seed, code=code) if isinstance(entrant, str) else entrant
 
 
 def _check_distinct(noun: str, names: list[str], minimum: int) -> None:

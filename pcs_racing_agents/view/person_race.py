@@ -1,7 +1,6 @@
 """A race of a person in car 0, who makes moves or steers, against an agent, a driver or a policy in car 1."""
 
 import re
-import threading
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -213,7 +212,6 @@ class PersonDrive:
     seed: int = 0  #: Of race 0; race ``k`` has this one more ``k`` times.
     _race: tuple[int, int] = field(init=False, default=(-1, 0))  # its number, and the steps driven
     _info: dict[str, Any] = field(init=False, default_factory=dict)
-    _lock: Any = field(init=False, default_factory=threading.Lock)
 
     def answer(self, path: str) -> Answer:
         """Answer ``/begin/K``, and ``/drive/K/STEP/STEPS/STEERING/SPEED``, with the race at that moment as JSON.
@@ -223,11 +221,10 @@ class PersonDrive:
         """
         begin, on = _BEGIN.fullmatch(path), _DRIVE.fullmatch(path)
         try:
-            with self._lock:
-                if begin:
-                    return Answer(200, safe_json(self._begin(int(begin.group(1)))).encode())
-                if on:
-                    return Answer(200, safe_json(self._drive(*map(int, on.groups()))).encode())
+            if begin:
+                return Answer(200, safe_json(self._begin(int(begin.group(1)))).encode())
+            if on:
+                return Answer(200, safe_json(self._drive(*map(int, on.groups()))).encode())
         except InputError as error:
             return error_answer(409, str(error))
         return error_answer(404, "there is /, /begin/NUMBER and /drive/NUMBER/STEP/STEPS/STEERING/SPEED here")

@@ -4,7 +4,7 @@ A folder describes the competitors, starts and noise of its races. An agent that
 hash, and a race with another result by its lead.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -40,12 +40,20 @@ class ResultsFolder:
     races: RaceTable  #: Content of ``results.csv``.
     study: Study | None  #: The study that they belong to, whose agents are used instead of the zoo's.
     tournament: bool  #: Whether they are a tournament; else they are the races of a study's tables.
+    code: Sequence[str] = ()  #: Names of agents that may be code, which is run.
 
     def row(self, number: int) -> RaceRow:
         """Return a line of the results, counted from 0."""
         if not 0 <= number < len(self.races):
             raise InputError(f"there is no race {number} in {self.folder}; it holds races 0 to {len(self.races) - 1}")
         return self.races[number]
+
+    def check_raced(self, agent: str) -> None:
+        """Check that an agent is one of those of the results."""
+        if agent not in self.races.agents.words:
+            raise InputError(
+                f"{agent!r} did not race in {self.folder}; there are {', '.join(sorted(self.races.agents.words))}"
+            )
 
     def check_lead(self, number: int, lead: float) -> None:
         """Check that a repeated race ended with the lead that the results have, to four digits."""
@@ -75,12 +83,9 @@ class ResultsFolder:
 
     def pairings(self, agent: str) -> Iterator[tuple[Pairing, int]]:
         """Return all pairings of an agent, with the car that it drove in them."""
+        self.check_raced(agent)
         firsts = [self.races[int(numbers[0])] for numbers in self.pairs.values()]
         rows = [row for row in firsts if agent in (row.ego, row.opponent)]
-        if not rows:
-            raise InputError(
-                f"{agent!r} did not race in {self.folder}; there are {', '.join(sorted(self.races.agents.words))}"
-            )
         for row in rows:
             for car, name in enumerate((row.ego, row.opponent)):
                 if name == agent:
@@ -105,7 +110,7 @@ class ResultsFolder:
         setting = make_setting(archive, _game_config(settings["game"]))
         cars = []
         for name in (ego, opponent):
-            car = parse_agent(name, setting, seed=seed) if study is None else study.agent(name)
+            car = parse_agent(name, setting, seed=seed, code=name in self.code) if study is None else study.agent(name)
             _check_same(f"agent {name!r}", competitor_hash(car), settings["agents"][name])
             cars.append(car)
         game = RaceGame(circuit, setting.archive, setting.config)
@@ -113,8 +118,8 @@ class ResultsFolder:
         return schedule_pairing(game, cars[0], cars[1], schedule, seed)
 
 
-def open_results(folder: str | Path) -> ResultsFolder:
-    """Open the folder of a tournament or of a study."""
+def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
+    """Open the folder of a tournament or of a study; its agents named in ``code`` may be code, which is run."""
     path = Path(folder)
     manifest = _manifest(path)
     if manifest is None or manifest["kind"] not in ("tournament", "study"):
@@ -134,7 +139,10 @@ def open_results(folder: str | Path) -> ResultsFolder:
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
     races = read_results(file, ("ego_variant", "opponent_variant"))
-    return ResultsFolder(path, manifest["settings"], races, study, manifest["kind"] == "tournament")
+    results = ResultsFolder(path, manifest["settings"], races, study, manifest["kind"] == "tournament", code)
+    for name in code:
+        results.check_raced(name)
+    return results
 
 
 def _manifest(folder: Path) -> dict[str, Any] | None:

@@ -7,6 +7,7 @@ name), and by what the browser says about where they come from.
 """
 
 import re
+import socket
 import threading
 from collections.abc import Callable
 from functools import lru_cache
@@ -20,7 +21,6 @@ from pcs_racing_agents.view.race_replays import RaceRepeater
 
 MOST_KEPT = 200  # answers kept in memory, some 40 kB each
 LONGEST_PATH = 100
-AT_ONCE = 4  # answers that are worked out at the same time; each may simulate a race
 
 _RACE = re.compile(r"/race/([0-9]{1,7})")
 
@@ -39,13 +39,12 @@ def error_answer(status: int, text: str) -> Answer:
 
 
 class RaceService:
-    """Repeats races one at a time and caches the last answers."""
+    """Repeats races and caches the last answers."""
 
     def __init__(self, driver: RaceRepeater, races: int) -> None:
         self.driver = driver
         self.races = races
         self._kept = lru_cache(maxsize=MOST_KEPT)(self._drive)
-        self._lock = threading.Lock()
 
     def answer(self, path: str) -> Answer:
         """Answer ``/race/NUMBER`` with the race, its circuit and its space as JSON, or with ``error``."""
@@ -55,12 +54,10 @@ class RaceService:
         number = int(match.group(1))
         if not 0 <= number < self.races:
             return error_answer(404, f"there is no race {number}; there are races 0 to {self.races - 1}")
-        # Requests come in threads of their own, and the repeater keeps what races share.
-        with self._lock:
-            try:
-                return Answer(200, self._kept(number))
-            except (InputError, ModuleNotFoundError, OSError) as error:
-                return error_answer(409, str(error))
+        try:
+            return Answer(200, self._kept(number))
+        except (InputError, ModuleNotFoundError, OSError) as error:
+            return error_answer(409, str(error))
 
     def _drive(self, number: int) -> bytes:
         race = self.driver.drive(number)
@@ -68,7 +65,9 @@ class RaceService:
         return safe_json({"race": race.values, "circuit": circuit, "space": self.driver.space}).encode()
 
 
-def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> ThreadingHTTPServer:
+def make_server(
+    page: str, answer: Callable[[str], Answer], port: int = 0, *, method: str = "GET"
+) -> ThreadingHTTPServer:
     """Return a server on 127.0.0.1 that is ready to be started with ``serve_forever``.
 
     Parameters
@@ -76,12 +75,15 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
     page : str
         What ``/`` shows.
     answer : callable
-        ``answer(path) -> Answer`` for every other address of at most 100 characters.
+        ``answer(path) -> Answer`` for every other address of at most 100 characters, one at a time.
     port : int
         0 takes a free one.
+    method : {"GET", "POST"}
+        Method of these addresses: "POST" where an answer changes something.
     """
     check_whole("port", port, 0, 65535)  # 0 takes any free one
-    content, busy = page.encode(), threading.BoundedSemaphore(AT_ONCE)
+    # Requests come in threads of their own, and what answers keeps what races share.
+    content, busy = page.encode(), threading.Lock()
 
     class Handler(BaseHTTPRequestHandler):
         """Answers a viewer."""
@@ -96,20 +98,38 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
             # A port of 0 is known only now; the host of a request names it.
             own_port = self.connection.getsockname()[1]
             hosts = self.headers.get_all("Host", [])
-            site, origin = (self.headers.get(name) for name in ("Sec-Fetch-Site", "Origin"))
-            # Of two names the first might pass and the second be meant.
+            sites, origins = (self.headers.get_all(name, []) for name in ("Sec-Fetch-Site", "Origin"))
+            # A body is not read, and must not be taken for the next request.
+            self.close_connection |= self.headers.get_all("Content-Length", ["0"]) != ["0"]
+            self.close_connection |= "Transfer-Encoding" in self.headers
+            # Of two headers the first might pass and the second be meant.
             if hosts not in ([f"127.0.0.1:{own_port}"], [f"localhost:{own_port}"]):
                 self._send(error_answer(403, "this server answers for 127.0.0.1 only"))
-            elif site not in (None, "none", "same-origin") or origin not in (None, f"http://{hosts[0]}"):
+            elif sites not in ([], ["none"], ["same-origin"]) or origins not in ([], [f"http://{hosts[0]}"]):
                 self._send(error_answer(403, "another site's page asked for this"))
+            elif self.command != ("GET" if self.path == "/" else method):
+                self._send(error_answer(405, f"{self.path:.{LONGEST_PATH}} is asked for by another method"))
             elif self.path == "/":
                 self._send(Answer(200, content, "text/html; charset=utf-8"))
             elif len(self.path) > LONGEST_PATH:
                 self._send(error_answer(404, f"an address here has at most {LONGEST_PATH} characters"))
             else:
                 with busy:
-                    found = answer(self.path)
-                self._send(found)
+                    found = None if self._left() else answer(self.path)
+                if found is not None:
+                    self._send(found)
+
+        do_POST = do_GET  # noqa: N815
+
+        def _left(self) -> bool:
+            """Return whether the viewer has closed the connection while the request waited."""
+            self.connection.settimeout(0.0)
+            try:
+                return not self.connection.recv(1, socket.MSG_PEEK)
+            except BlockingIOError:
+                return False
+            finally:
+                self.connection.settimeout(self.timeout)
 
         def _send(self, sent: Answer) -> None:
             self.send_response(sent.status)

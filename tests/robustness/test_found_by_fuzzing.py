@@ -6,6 +6,7 @@ Nothing that is read runs code, leaves the map's folder, or takes memory or time
 import io
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,28 +15,79 @@ import yaml
 from PIL import Image
 from refusal import refused
 
-from pcs_racing import GameConfig, InputError, RaceConfig, load_archive, load_race_config, load_track, make_game
-from pcs_racing.base.checks import check_seed
+from pcs_racing import (
+    GameConfig,
+    InputError,
+    RaceConfig,
+    load_archive,
+    load_race_config,
+    load_track,
+    make_game,
+    parse_policy,
+    read_replay,
+    record_race,
+    save_archive,
+    save_replay,
+)  # fmt: skip
+from pcs_racing.base.checks import check_number, check_seed
 from pcs_racing.base.files import plain_yaml
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.duel import HeadToHeadEnv
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.identity import GameIdentity
+from pcs_racing.planners.trained import load_driver
+from pcs_racing.race.frames import write_gif
 from pcs_racing.track.map_files import parse_grid
+from pcs_racing.track.maps import read_map, write_map
+from pcs_racing_agents.agents import parse_agent
 from pcs_racing_agents.agents.fits import Fit, load_fit
+from pcs_racing_agents.agents.sb3_files import load_model
+from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.benchmark.card import read_cards
+from pcs_racing_agents.benchmark.overtaking import read_lines
+from pcs_racing_agents.benchmark.protocol import load_protocol
+from pcs_racing_agents.cli.options import output_folder
+from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
-from pcs_racing_agents.networks import load_network
+from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.networks.settings import load_train_settings
-from pcs_racing_agents.study.study import StudyConfig
+from pcs_racing_agents.results.race_files import read_results, write_results
+from pcs_racing_agents.study.study import StudyConfig, load_study_config
 from pcs_racing_agents.synthesis.config import ArchiveConfig
 from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays
+from pcs_racing_agents.view.results_folder import open_results
 
 
 @pytest.mark.parametrize("load", [load_track, load_archive, load_network, load_race_config])
 @pytest.mark.parametrize("name", ["x" * 300, "../" + "x" * 5000, "a\x00b", "a\nb", "\ud800", ""])
 def test_names_that_no_file_can_have(load, name):
     refused(r"\S", load, name)
+
+
+NO_FILE = ["a\0b.{}", "\ud800.{}", "a/\0/b.{}"]
+
+
+@pytest.mark.parametrize("name", NO_FILE)
+def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    archive, track = load_archive("default"), load_track("Pipkin")
+    replay = record_race(track, parse_policy("lattice"), parse_policy("lattice"), load_race_config("paper"), seed=0)
+    folder, file, game = Path(name.format("d")), name.format, make_setting("default", "paper")
+    for call in (
+        lambda: load_track(file("yaml")), lambda: load_archive(folder), lambda: read_replay(file("json")),
+        lambda: load_race_config(file("yaml")), lambda: load_fit(file("yaml")), lambda: load_model(file("zip")),
+        lambda: make_game("Pipkin", folder), lambda: load_network_set(folder),
+        lambda: load_network(folder), lambda: load_trees(folder), lambda: read_results(file("csv")),
+        lambda: open_results(folder), lambda: read_cards([folder]), lambda: load_ppo_settings(file("yaml")),
+        lambda: load_protocol(file("yaml")), lambda: load_study_config(file("yaml")), lambda: load_driver(folder),
+        lambda: read_lines(track, folder), lambda: save_archive(archive, folder),
+        lambda: save_replay(replay, file("html")), lambda: write_results([], folder), lambda: output_folder(folder),
+        lambda: write_map(read_map(track.folder)._replace(folder=folder)), lambda: write_gif(replay, folder),
+        lambda: open_job(folder, "kind", {}).__enter__(), lambda: parse_agent(file("zip"), game),
+    ):  # fmt: skip
+        refused(r"\S", call)
+    assert not [*tmp_path.iterdir()]
 
 
 def test_values_of_other_types():
@@ -56,8 +108,19 @@ def test_values_of_other_types():
     with pytest.raises(InputError, match="line 2") as caught:
         plain_yaml("password: [a, b\n")  # a link may have led there
     assert "password" not in str(caught.value)
-    for epsilon in (10**400, [np.array([0.5, 1.0])], [[0.5]], [1j], [True]):
+    for epsilon in (
+        type("Long", (), {"__len__": lambda self: 10**9, "__getitem__": lambda self, i: 0.5})(),
+        10**400,
+        [np.array([0.5, 1.0])],
+        [[0.5]],
+        [1j],
+        [True],
+    ):
         refused("epsilon is", GameConfig, epsilon=epsilon)
+    with warnings.catch_warnings(action="error"):
+        assert check_number("x", np.float16(0.5), 0.0, 1e300) == 0.5
+        assert check_number("x", np.float16(0.5), above=-1e300) == 0.5
+        assert GameConfig(epsilon=np.float16(0.5)) == GameConfig(epsilon=0.5)
     env = HeadToHeadEnv("Pipkin", moves=1, step_seconds=0.1)
     refused("policies has shape", env.reset, seed=0, options={"policies": [[0], [1, 2]]})
     env.reset(seed=0)

@@ -25,6 +25,8 @@ def test_whole_and_other_numbers_within_a_range_and_huge_ones():
 def test_texts_flags_paths_seeds_and_names_that_resemble():
     assert checks.check_flag("normalize", np.True_) is True
     assert checks.check_path("folder", Path("a")) == Path("a")
+    for path in ("a\0b", Path("a\0b"), "\ud800", ""):
+        refused("folder is .*; it must be a name or a path", checks.check_path, "folder", path)
     assert checks.check_seed(np.uint64(7)) == 7
     for check, odd in (
         (checks.check_flag, 1),

@@ -177,7 +177,7 @@ def test_cached_code_that_is_broken_is_compiled_again(tmp_path, capsys, ending, 
 
     def run() -> tuple[float, int, str]:
         """What a new process computes, how often it finds code on disk, and what it says of it."""
-        code_cache._say_once.cache_clear()
+        code_cache.say_once.cache_clear()
         names = runpy.run_path(str(module))
         return names["value"], names["found"], capsys.readouterr().err
 
@@ -193,7 +193,7 @@ def test_cached_code_that_is_broken_is_compiled_again(tmp_path, capsys, ending, 
 def test_code_of_another_function_is_not_taken_and_that_one_keeps_its_own(tmp_path, capsys, ending):
     module = tmp_path / "module.py"
     module.write_text(MODULE + MODULE.replace("answer", "answer_2").replace("0.5", "0.7"))
-    code_cache._say_once.cache_clear()
+    code_cache.say_once.cache_clear()
     runpy.run_path(str(module))
     (file,) = tmp_path.glob(f"__pycache__/module.answer-*.{ending}")
     (other,) = tmp_path.glob(f"__pycache__/module.answer_2-*.{ending}")
@@ -209,7 +209,7 @@ def test_a_full_disk_is_told_once_and_the_function_runs(tmp_path, capsys, monkey
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(IndexDataCacheFile, "_save_data", full)
-    code_cache._say_once.cache_clear()
+    code_cache.say_once.cache_clear()
     (tmp_path / "module.py").write_text(MODULE + MODULE.replace("answer", "answer_2"))
     assert runpy.run_path(str(tmp_path / "module.py"))["value"] == 22.5
     cached = tmp_path / "__pycache__"

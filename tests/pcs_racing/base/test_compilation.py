@@ -105,6 +105,40 @@ def test_one_process_compiles_and_the_others_wait(tmp_path):
     assert sum("compiling the test" in text for text in said) == 1
 
 
+NOWHERE = """
+import numba.core.caching
+
+numba.core.caching.CacheImpl._locator_classes = []  # as without a home folder, in a package that is read-only
+
+import pcs_racing_agents.cli.race  # all kernels
+from pcs_racing.base.compilation import compiled, first_call, kernel
+
+@compiled
+def double(x):
+    return x + x
+
+@kernel
+def half(x):
+    return 0.5 * x
+
+for function, what in ((double, "one"), (half, "two")):
+    with first_call(function, what, 7):
+        print(function(3.0))
+"""
+
+
+def test_what_can_not_be_kept_is_compiled_and_said_once(tmp_path):
+    (tmp_path / "program.py").write_text(NOWHERE)
+    command, environment = [sys.executable, "program.py"], {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path, env=environment)
+    assert done.stdout == "6.0\n1.5\n"
+    assert done.stderr.splitlines() == [
+        "pcs-racing: compiled code can't be kept: no folder for it can be written; NUMBA_CACHE_DIR names one",
+        "pcs-racing: compiling one (about 7 s, in each process)",
+        "pcs-racing: compiling two (about 7 s, in each process)",
+    ]
+
+
 RACES = """
 import hashlib
 import sys

@@ -197,7 +197,7 @@ def test_no_file_of_a_map_leads_out_of_its_folder_or_waits_for_ever(folder, kind
     (folder.parent / "secret").write_text("root:secret\n")
     file = folder / f"Ring_{kind}"
     for make, message in (
-        (lambda: file.symlink_to(folder.parent / "secret"), "link out of the map's folder"),
+        (lambda: file.symlink_to(folder.parent / "secret"), "link out of its folder"),
         (lambda: file.symlink_to("nowhere"), "can't read .*No such file"),
         (lambda: file.symlink_to(file.name), "can't read"),
         (lambda: os.mkfifo(file), "no ordinary file"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import Planner, load_track, parse_policy
+from pcs_racing import MapError, Planner, load_track, parse_policy
 from pcs_racing.planners.pursuit import hold_command
 from pcs_racing_agents.benchmark.overtaking import AHEAD, Lines, joined, made_lines, race_scenarios, read_lines, summary
 
@@ -65,6 +65,44 @@ def test_lines_are_read_in_their_own_direction(lines, tmp_path):
     refused("can't read .*Pipkin_line0.csv: No such", read_lines, load_track("Pipkin"), tmp_path)
     (tmp_path / "Brackwater_line1.csv").write_text("0; 1; 2; 3; 4; 5; nan\n")
     refused("line 1: .*7 finite numbers", read_lines, track, tmp_path)
+
+
+def _shuffled(line):
+    line[:, 1:] = np.random.default_rng(0).permutation(line[:, 1:])
+
+
+WRONG = {
+    "point 1: the speed must be above 0 and at most 20 m/s": lambda line: line[:, 5].fill(0.0),
+    "point 4: the speed must be above 0": lambda line: line[3:, 5].fill(1e300),
+    "point 3: the speed must be above 0": lambda line: line[2:, 5].fill(-5.0),
+    "point 1: s must rise": lambda line: line[:, 0].fill(0.0),
+    "point 1: it must lie between the walls": lambda line: np.add(line[:, 1:3], 100.0, out=line[:, 1:3]),
+    "the next point must be within 2 m": _shuffled,
+    "must go round Brackwater once": lambda line: np.copyto(line[:, 1:3], line[0, 1:3]),  # 200 times the same point
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_lines_that_no_car_can_drive_are_refused(lines, tmp_path, message, number):
+    track = lines.track
+    s = np.arange(lines.d.shape[1]) * track.length / lines.d.shape[1]
+    for k in range(3):
+        xy = track.to_cartesian(np.stack([s, lines.d[k]], axis=-1))[:, :2]
+        line = np.column_stack([s, xy, s * 0.0, s * 0.0, lines.speed[k], s * 0.0])
+        if k == number:
+            WRONG[message](line)
+        np.savetxt(tmp_path / f"Brackwater_line{k}.csv", line, delimiter=";")
+    refused(f"Brackwater_line{number}.csv.*{message}", read_lines, track, tmp_path)
+
+
+def test_a_link_to_a_line_elsewhere_is_not_followed(lines, tmp_path):
+    (tmp_path / "secret").write_text("the password\n")
+    (tmp_path / "lines").mkdir()
+    (tmp_path / "lines" / "Brackwater_line0.csv").symlink_to(tmp_path / "secret")
+    with pytest.raises(MapError, match=r"is a link out of its folder") as caught:
+        read_lines(lines.track, tmp_path / "lines")
+    assert "password" not in str(caught.value)
 
 
 def test_the_command_prints_the_tables_and_writes_the_scenarios(tmp_path, printed):

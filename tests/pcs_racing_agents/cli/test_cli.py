@@ -362,29 +362,36 @@ def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monk
     """A driver's class, an agent's class and a function of the setting, of a file and of a module beside it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setattr(registry, "_planners", dict(registry._planners))
     (tmp_path / "own_racers.py").write_text(OWN)
     setting = make_setting("default", "paper")
     for place in ("own_racers.py", "own_racers"):
         assert parse_driver(f"{place}:Straight").name == f"{place}:Straight"
         for name in ("Straight", "First", "last"):
-            assert parse_agent(f"{place}:{name}", setting).name == f"{place}:{name}"
-        assert parse_agent(f"{place}:last", setting).model.name == "default"
+            assert parse_agent(f"{place}:{name}", setting, code=True).name == f"{place}:{name}"
+        assert parse_agent(f"{place}:last", setting, code=True).model.name == "default"
         nobody = "no driver and no agent: .* has no class and no function 'Nobody'"
-        refused(nobody, parse_agent, f"{place}:Nobody", setting)
+        refused(nobody, parse_agent, f"{place}:Nobody", setting, code=True)
         refused("here it must be a driver, not an agent", parse_driver, f"{place}:First")
 
 
-def test_own_code_races_in_other_processes_and_commands_find_it_again(tmp_path, monkeypatch, printed, run):
+def test_own_code_races_in_other_processes_and_commands_find_it_again(tmp_path, monkeypatch, told, printed, run):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own_racers.py").write_text(OWN)
     cars = ["own_racers.py:Straight", "own_racers.py:First", "own_racers.py"]
     races = ["--races", 2, "--executor", "processes", "--workers", 1, "--out", "out"]
-    for line in (["tournament", "--agents", *cars, *races], ["view", "out", "--no-open"], ["explain", "out"]):
+    view, explain = ["view", "out", "--no-open", "--agents", *cars], ["explain", "out", "--agents", *cars]
+    for line in (["tournament", "--agents", *cars, *races], ["view", "out", "--no-open"], view, explain):
         with monkeypatch.context() as patch:  # each command in a process that does not know them yet
             patch.setattr(registry, "_planners", dict(registry._planners))
-            text = printed(*line)
+            code, text, error = run(*line)
+        assert code == (2 if len(line) == 3 else 0)
+        # A folder alone makes no command run code: the user does.
+        assert ("(view and explain: --agents own_racers.py" in error) == (len(line) == 3)
     assert "own_racers.py:First (car 1) against own_racers.py:Straight" in text
-    assert "makes no moves, so there is nothing to explain; nor does" in run("explain", "out", "--index", 2)[2]
+    assert "makes no moves, so there is nothing to explain; nor does" in run(*explain, "--index", 2)[2]
+    assert "variants: Straight" in printed("policies", "own_racers.py")
+    assert "'lattice' did not race in out; there are own_racers.py" in told("explain", "out", "--agents", "lattice")
 
 
 @pytest.mark.parametrize(("race", "archive"), [("paper", "default"), ("contest", "contest"), ("roboracer", "contest")])
@@ -421,6 +428,14 @@ def test_as_a_process(tmp_path):
     terminal = {**os.environ, "PYTHONIOENCODING": "ascii"}
     done = subprocess.run(drawn, capture_output=True, text=True, check=True, env=terminal)
     assert done.stdout.endswith("K\\xfcche.png\n")
+    closed = f"'{sys.executable}' -m pcs_racing_agents race --replay race.html >&-"
+    done = subprocess.run(closed, shell=True, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "pcs-racing: error: the standard output is closed; send it to a file or to /dev/null\n"
+    assert not (tmp_path / "race.html").exists()
+    closed = f"'{sys.executable}' -m pcs_racing_agents track show Nowhere 2>&-"
+    done = subprocess.run(closed, shell=True, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
     cut = f"'{sys.executable}' -m pcs_racing_agents policies | head -n 1"
     done = subprocess.run(cut, shell=True, capture_output=True, text=True, check=True)
     assert done.stderr == ""

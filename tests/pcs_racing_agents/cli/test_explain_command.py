@@ -77,7 +77,8 @@ def test_a_picture_that_is_left_out_is_told(saved_archive, run, tmp_path, monkey
     ("arguments", "message"),
     [
         ([], "give a folder of results, or two agents"),
-        (["{folder}", "--agents", "nash", "nash"], "give a folder of results, or two agents"),
+        (["{folder}", "--agents", "nash"], "'nash' did not race"),
+        (["--agents", "random-moves"], "give a folder of results, or two agents"),
         (["--agents", "a", "b"], "agent 'a' is unknown"),
         (["{folder}", "--races", "4"], "--races goes with --agents"),
         (["{folder}", "--index", "1", "--situations", "a"], "leave out --index"),

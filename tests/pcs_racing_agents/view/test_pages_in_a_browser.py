@@ -66,7 +66,7 @@ def play(get):
 
 def drive(get):
     races = make_person_drive(make("lattice:pace=0.3"), track="Pipkin")
-    return get("served")(drive_page(races), races.answer)
+    return get("served")(drive_page(races), races.answer, method="POST")
 
 
 # What makes a page, and what is true of it when all of it is there.

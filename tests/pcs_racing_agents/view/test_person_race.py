@@ -125,7 +125,7 @@ def test_a_race_ends_and_what_can_not_be_is_refused():
 
 def test_the_page_to_steer_in_a_browser(browser, served):
     races = make_person_drive(make("lattice:pace=0.3"), track="Pipkin")
-    browser.open(served(drive_page(races), races.answer))
+    browser.open(served(drive_page(races), races.answer, method="POST"))
     browser.run("document.querySelector('#begin').click()")
     browser.wait("document.querySelector('#status').innerText.includes('lattice')")
     browser.run("window.dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowUp' }))")

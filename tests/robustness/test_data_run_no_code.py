@@ -1,0 +1,441 @@
+"""A file holds data: whatever name stands in it, nothing is imported, run or called. One row for each kind of file."""
+
+import ast
+import csv
+import json
+import shutil
+import sys
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import yaml
+from refusal import refused
+from repository import REPOSITORY
+
+from pcs_racing import (
+    InputError,
+    RaceConfig,
+    load_archive,
+    load_game_config,
+    load_race_config,
+    load_track,
+    make_game,
+    parse_policy,
+    read_replay,
+    record_race,
+    save_replay,
+)  # fmt: skip
+from pcs_racing.base.settings import plain_settings
+from pcs_racing.car.vehicle import F1TENTH, load_vehicle
+from pcs_racing.envs.obstacles import Obstacles, load_obstacles
+from pcs_racing.envs.randomization import Randomization, load_randomization
+from pcs_racing.f1tenth.maps import load_map
+from pcs_racing.game.competitor import make_competitor
+from pcs_racing.planners.trained import load_driver
+from pcs_racing.race.replay import replay_page
+from pcs_racing.track.maps import read_map
+from pcs_racing_agents.agents import make, parse_agent
+from pcs_racing_agents.agents.sb3_files import load_model
+from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.benchmark.card import Card, board_page, read_cards, write_card
+from pcs_racing_agents.benchmark.card_values import CardScore, Gain
+from pcs_racing_agents.benchmark.protocol import ProtocolConfig, load_protocol
+from pcs_racing_agents.benchmark.scoring import load_hidden
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.learning.ppo.drives import make_drive_task
+from pcs_racing_agents.learning.ppo.settings import LEVELS, load_ppo_settings
+from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
+from pcs_racing_agents.learning.self_play import load_self_play_settings
+from pcs_racing_agents.networks.settings import load_train_settings
+from pcs_racing_agents.study.run import stage_seconds
+from pcs_racing_agents.study.study import Study, StudyConfig, load_study_config
+from pcs_racing_agents.synthesis.archive_run import stage_scenarios
+from pcs_racing_agents.synthesis.config import load_archive_config
+from pcs_racing_agents.trees import load_trees
+from pcs_racing_agents.view.results_folder import open_results
+
+EVIL = """
+import pathlib
+
+pathlib.Path(__file__).with_name("ran").touch()
+
+def main(*given, **named):
+    raise SystemExit("called")
+
+class Main:
+    def plan(self, obs):
+        return 0.0, 0.0
+"""
+WORDS = ("evil.py:main", "evil_module:main", "evil.py")
+PROTOCOL = {
+    "race": "paper", "archive": "default", "seen": ("Pipkin",), "unseen": ("Pipkin",), "keeps": ("never-switch",),
+    "switches": ("random-moves",), "planners": ("pure-pursuit",), "agents": ("random-moves",),
+    "blind": ("never-switch",), "hidden": "ab" * 32,
+}  # fmt: skip
+STUDY = {
+    "tracks": ("Pipkin",), "circuits": ("Pipkin",), "arms": ("never-switch", "lattice:pace=0.4"),
+    "best": "never-switch",
+    "opponents": ("never-switch", "lattice:pace=0.4"), "rated": ("never-switch",), "replies": ("never-switch",),
+    "further_arms": ("random-moves",), "further_opponents": ("random-moves",), "further_tracks": ("Pipkin",),
+    "responses": ("quick",), "robust": "default", "psro": "default", "self_play": "default", "ppo": "study-paper",
+}  # fmt: skip
+
+
+class Kind(NamedTuple):
+    """A kind of file that holds names."""
+
+    make: Callable[[Path], Path]  #: Writes a sound file into a folder.
+    open: Callable[[Path], object]  #: Loads it, and uses the names in it.
+    readers: str = ""  #: Functions of the packages that read such a file.
+
+
+def settings(name: str, values: Any) -> Callable[[Path], Path]:
+    """Return a function that writes settings as YAML."""
+
+    def write(folder: Path) -> Path:
+        plain = values if isinstance(values, dict) else plain_settings(values)
+        (folder / name).write_text(yaml.safe_dump(json.loads(json.dumps(plain))))
+        return folder / name
+
+    return write
+
+
+def shipped(folder: str, file: str) -> Callable[[Path], Path]:
+    """Return a function that copies the folder of a shipped file, and returns the copy of the file."""
+    source = REPOSITORY / folder / file
+    return lambda here: shutil.copytree(source.parent, here / "copy" / source.parent.name) / source.name
+
+
+def made(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
+
+
+def study_agents(study: Study) -> None:
+    """Use every name of a study's configuration."""
+    for name in sorted({*study.config.every_arm, *study.config.opponents, *study.config.rated, *study.config.replies,
+                        *study.config.further_opponents, *study.config.response_pool, *study.config.fitting_opponents,
+                        study.config.best}):  # fmt: skip
+        with suppress(InputError):
+            study.agent(name)
+    for track in study.config.every_track:
+        study.track(track)
+    load_train_settings(study.config.training)
+
+
+def raced(folder: Path) -> None:
+    """Use the names of a folder of results."""
+    results = open_results(folder)
+    row = results.row(0)
+    results.pairing(row)
+    list(results.pairings(row.ego))
+
+
+def tournament(folder: Path) -> Path:
+    """Race two agents, and return the folder."""
+    words = f"tournament --track Pipkin --agents never-switch lattice:pace=0.4 --races 2 --out {folder / 'raced'}"
+    assert main(words.split()) == 0
+    return folder / "raced"
+
+
+def study_folder(folder: Path) -> Path:
+    """Write the folder of a study by hand, with the races of a tournament in its table and in its ratings."""
+    config, place = StudyConfig(**STUDY), folder / "study"
+    ratings = shutil.copytree(tournament(folder), place / "ratings")
+    for file in (place / "ratings.csv", place / "results.csv"):
+        shutil.copy(ratings / "results.csv", file)
+    manifest = {"format": "pcs-racing job", "version": 1, "kind": "study", "settings": plain_settings(config)}
+    (place / "job.yaml").write_text(yaml.safe_dump(manifest))
+    return place
+
+
+def card(folder: Path) -> Path:
+    scores = tuple(CardScore("all", circuits, 10, 0.5, 0.4, 0.6, 0.1, 0.0) for circuits in ("all", "seen", "unseen"))
+    gains = {"all": Gain("best-fixed", 0.1, 0.0, 0.2)}
+    return write_card(Card("p-v1", "ab" * 32, "mine", "cd" * 32, scores, gains), folder)[0]
+
+
+def model(folder: Path) -> Path:
+    """Write the weights of a model, and the arguments of its environment."""
+    torch = pytest.importorskip("torch")
+    layers = {"mlp_extractor.policy_net.0": (4, 46), "action_net": (2, 4)}
+    state = {f"{name}.weight": torch.zeros(shape) for name, shape in layers.items()}
+    state |= {f"{name}.bias": torch.zeros(shape[0]) for name, shape in layers.items()} | {"log_std": torch.zeros(2)}
+    with zipfile.ZipFile(folder / "model.zip", "w") as file:
+        file.writestr("data", json.dumps({"policy_kwargs": {":type:": "<class 'torch.nn.modules.activation.Tanh'>"}}))
+        with file.open("policy.pth", "w") as weights:
+            torch.save(state, weights)
+    return settings("model.yaml", {"see_opponent": "always", "vehicle": [plain_settings(F1TENTH)]})(folder)
+
+
+def hidden(file: Path) -> object:
+    from hashlib import sha256
+
+    protocol = load_protocol(ProtocolConfig(**{**PROTOCOL, "hidden": sha256(file.read_bytes()).hexdigest()}))
+    return load_hidden(protocol, file, file.parent / "circuits")
+
+
+def replay(folder: Path) -> Path:
+    ego, opponent = parse_policy("lattice"), parse_policy("pure-pursuit")
+    race = record_race(load_track("Pipkin"), ego, opponent, load_race_config("paper", duration=1.0), seed=1)
+    return save_replay(race, folder / "replay.json")
+
+
+TREES = {
+    "kind": "game trees",
+    "settings": {
+        "archive": {"name": "a", "sha256": "0"}, "track": {"name": "t", "sha256": "0"}, "rules": {"moves": 1},
+        "preset": "paper", "pairs": [[0, 1]], "encoding": ["step"], "move_names": ["a +", "a -"],
+    },
+}  # fmt: skip
+HIDDEN = {"circuits": [2**33, 2**34], "styles": ["hull"], "seed": 2**50}
+NOTES = {"seconds": 1.0, "files": {"table/table.csv": "ab"}}
+
+
+def config(load: Callable[..., Any], values: Any = None, use: Callable[[Any], object] = lambda _: None) -> Kind:
+    """Return the kind of a file of settings."""
+    given = load() if values is None else values
+    return Kind(settings("settings.yaml", given), lambda file: use(load(file)), load.__name__)
+
+
+def competitor(file: Path) -> object:
+    """Make competitors of the environments from texts in a file."""
+    game = make_game("Pipkin", "default", load_game_config("paper"))
+    return [make_competitor(text, game) for text in yaml.safe_load(file.read_text())]
+
+
+KINDS = {
+    "results of a tournament": Kind(
+        lambda folder: tournament(folder) / "results.csv",
+        lambda file: raced(file.parent),
+        "_manifest read_job read_csv",
+    ),
+    "job of a tournament": Kind(
+        lambda folder: tournament(folder) / "job.yaml", lambda file: raced(file.parent), "is_unchanged _check_same"
+    ),
+    "results of a study": Kind(lambda folder: study_folder(folder) / "results.csv", lambda file: raced(file.parent)),
+    "job of a study": Kind(lambda folder: study_folder(folder) / "job.yaml", lambda file: raced(file.parent)),
+    "ratings of a study": Kind(
+        lambda folder: study_folder(folder) / "ratings.csv", lambda file: raced(file.with_suffix(""))
+    ),
+    "notes of a study": Kind(
+        lambda folder: settings("done.yaml", NOTES)(made(folder / "table")),
+        lambda file: stage_seconds(Study(StudyConfig(), file.parent.parent)),
+        "_notes",
+    ),
+    "study": config(
+        load_study_config, StudyConfig(**STUDY), lambda one: study_agents(Study(one, Path("none"), quiet=True))
+    ),
+    "protocol": config(load_protocol, ProtocolConfig(**PROTOCOL)),
+    "hidden part": Kind(settings("hidden.yaml", HIDDEN), hidden, "load_hidden"),
+    "score card": Kind(card, lambda file: board_page(read_cards([file])), "read_card"),
+    "archive": Kind(
+        shipped("archives", "default/manifest.yaml"),
+        lambda file: load_archive(file.parent).family(),
+        "read _content load_archive",
+    ),
+    "network": Kind(
+        shipped("networks", "default-paper-regret/manifest.yaml"),
+        lambda file: parse_agent(f"cfr-argmax:network={file.parent}", make_setting("default", "paper")),
+    ),
+    "set of networks": Kind(
+        shipped("networks", "contest-contest-psro/set.yaml"),
+        lambda file: make("psro", archive="contest", race="contest", networks=file.parent),
+    ),
+    "driver": Kind(shipped("drivers", "ppo-drive/manifest.yaml"), lambda file: load_driver(file.parent)),
+    "fit": Kind(
+        shipped("pcs_racing_agents/agents/fits", "default-paper-best-fixed.yaml"),
+        lambda file: make("best-fixed", archive="default", race="paper", fit=file),
+    ),
+    "replay": Kind(replay, lambda file: replay_page(read_replay(file)), "read_replay"),
+    "trees": Kind(settings("job.yaml", TREES), lambda file: load_trees(file.parent), "_read_settings"),
+    "model": Kind(model, lambda file: load_model(file.with_suffix(".zip")), "load_model load_sb3_policy"),
+    "map": Kind(
+        shipped("maps", "Pipkin/Pipkin_map.yaml"),
+        lambda file: [read_map(file.parent), load_map(file)],
+        "parse_ros_yaml _map_yaml read_inside _load",
+    ),
+    "track": Kind(shipped("maps", "Pipkin/Pipkin_track.yaml"), lambda file: read_map(file.parent), "parse_info"),
+    "race": config(load_race_config, RaceConfig()),
+    "game": config(load_game_config, {"characteristics": ["aggressiveness"], "utility": "win"}),
+    "vehicle": config(load_vehicle, F1TENTH),
+    "obstacles": config(load_obstacles, Obstacles()),
+    "randomization": config(load_randomization, Randomization()),
+    "synthesis": config(load_archive_config, None, stage_scenarios),
+    "PPO of moves": config(load_ppo_settings, {"level": "duel", **plain_settings(LEVELS["duel"])}),
+    "PPO of steering": config(
+        load_ppo_settings, {"level": "drive", **plain_settings(LEVELS["drive"])}, make_drive_task
+    ),
+    "response": config(load_response_settings),
+    "robust": config(load_robust_settings),
+    "psro": config(load_psro_settings),
+    "self-play": config(load_self_play_settings),
+    "training": config(load_train_settings),
+    "texts of opponents": Kind(settings("texts.yaml", {"": "lattice"}), competitor),
+}
+NAMELESS = {
+    "load_settings", "read_settings", "parse_yaml", "load_config",  # the readers that the others call
+    "_cached", "load_cached", "_restore", "read_chunk",  # numbers alone
+    "tuned_environments", "tuned_ppo",  # a shipped file
+    "parse_agent",  # a text, in which an option's value is no name of code
+}  # fmt: skip
+"""Functions that call a reader of files, and need no row."""
+
+
+def planted(value: Any, word: str) -> Iterator[Any]:
+    """Return copies of a value in which the word stands in one place: each text, none, or key of a mapping."""
+    if value is None or isinstance(value, str):
+        yield word
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            yield {(word if other == key else other): one for other, one in value.items()}
+            yield from ({**value, key: other} for other in planted(item, word))
+    elif isinstance(value, list):
+        for i in sorted({0, len(value) - 1}) if value else ():
+            yield from ([*value[:i], other, *value[i + 1 :]] for other in planted(value[i], word))
+
+
+def spoilt(file: Path) -> Iterator[bytes]:
+    """Return contents of a file with a name of code in one place."""
+    if file.suffix == ".csv":
+        first, *rows = csv.reader(file.read_text().splitlines())
+        for word in WORDS:
+            for i in range(len(first)):
+                lines = [first, *([*row[:i], word, *row[i + 1 :]] for row in rows)]
+                yield "\n".join(map(",".join, lines)).encode()
+        return
+    value = (json.loads if file.suffix == ".json" else yaml.safe_load)(file.read_text())
+    for word in WORDS:
+        for one in planted(value, word):
+            yield json.dumps(one).encode() if file.suffix == ".json" else yaml.safe_dump(one, sort_keys=False).encode()
+
+
+@pytest.fixture
+def evil(tmp_path, monkeypatch):
+    """A folder with code that anybody could import; the code leaves a file if it runs."""
+    for name in ("evil.py", "evil_module.py"):
+        (tmp_path / name).write_text(EVIL)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    before = set(sys.modules)
+    yield tmp_path
+    assert not (tmp_path / "ran").exists()
+    assert not [name for name in set(sys.modules) - before if "evil" in name]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_name_in_a_file_is_code_that_runs(evil, kind):
+    file, tried = KINDS[kind].make(made(evil / "files")), 0
+    for tried, content in enumerate(spoilt(file), start=1):  # noqa: B007
+        file.write_bytes(content)
+        try:
+            KINDS[kind].open(file)
+        except InputError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+        assert not (evil / "ran").exists(), content.decode()
+    assert tried > 2
+
+
+def test_every_reader_of_files_has_a_row():
+    """A function of the packages that calls a reader belongs to a kind of file above, or is known to hold no names."""
+    readers = {
+        "read_limited", "parse_yaml", "plain_yaml", "parse_json", "read_settings", "load_config", "load_settings",
+        "read_job", "unpack_arrays",
+    }  # fmt: skip
+    found = {function for _, function, name, _ in calls() if name in readers}
+    rows = {name for kind in KINDS.values() for name in kind.readers.split()}
+    assert found - NAMELESS == rows
+    assert not rows & NAMELESS
+
+
+def test_code_is_run_for_words_of_the_command_line_alone():
+    """Whatever else is to run code must be added here, where a reader sees it."""
+    doors = {"own_code", "parse_driver", "run_file", "driver_classes", "drivers_from", "load_entrant"}
+    found: dict[str, set[str]] = {}
+    for file, _, name, node in calls():
+        allowed = [ast.unparse(word.value) for word in node.keywords if word.arg == "code"]
+        if name in doors or allowed:
+            found.setdefault(file, set()).add(" ".join([name, *allowed]))
+    assert found == {
+        "pcs_racing/planners/imported.py": {"run_file", "driver_classes"},  # the doors themselves
+        "pcs_racing_agents/agents/own_code.py": {"drivers_from", "own_code", "run_file"},
+        "pcs_racing_agents/agents/zoo.py": {"own_code", "parse_agent True"},
+        "pcs_racing_agents/tournament/play.py": {"parse_agent code"},
+        "pcs_racing_agents/view/results_folder.py": {"parse_agent name in self.code"},
+        "pcs_racing_agents/jobs/executors.py": {"run_file"},  # what the process has run already
+        "pcs_racing_agents/cli/agents.py": {"drivers_from"},
+        "pcs_racing_agents/cli/benchmark.py": {"load_entrant", "parse_driver"},
+        "pcs_racing_agents/cli/explain.py": {"plan_tournament True"},
+        "pcs_racing_agents/cli/headroom.py": {"parse_driver"},
+        "pcs_racing_agents/cli/learn.py": {"parse_agent True"},
+        "pcs_racing_agents/cli/race.py": {"parse_driver"},
+        "pcs_racing_agents/cli/tournament.py": {"parse_driver", "plan_tournament True"},
+        "pcs_racing_agents/cli/view.py": {"parse_agent True"},
+    }
+    importers = {"import_module", "resolve_name", "spec_from_file_location", "__import__", "exec", "eval", "loads"}
+    importing = {f"{file}:{ast.unparse(node.func)}" for file, _, name, node in calls() if name in importers}
+    assert {name for name in importing if "/f1tenth/" not in name} == {
+        "pcs_racing/__init__.py:import_module",
+        "pcs_racing/base/files.py:json.loads",
+        "pcs_racing/game/competitor_collections.py:resolve_name",  # of installed packages
+        "pcs_racing/planners/imported.py:spec_from_file_location",
+        "pcs_racing/planners/registry.py:resolve_name",
+        "pcs_racing/race/rendering.py:import_module",  # of pygame
+        "pcs_racing/track/track.py:json.loads",
+        "pcs_racing_agents/agents/__init__.py:import_module",
+        "pcs_racing_agents/agents/from_torch.py:module.eval",  # a switch of torch
+        "pcs_racing_agents/agents/own_code.py:importlib.import_module",
+        "pcs_racing_agents/agents/zoo.py:resolve_name",
+        "pcs_racing_agents/cli/main.py:import_module",
+        "pcs_racing_agents/jobs/executors.py:loads",  # what this process has packed
+        "pcs_racing_agents/learning/responses/kept_networks.py:json.loads",
+        "pcs_racing_agents/synthesis/optimisers.py:Evaluator().eval",  # of pymoo
+    }
+
+
+def calls() -> Iterator[tuple[str, str, str, ast.Call]]:
+    """Return file, function, called name and node of all calls in the functions of the packages."""
+    for package in ("pcs_racing", "pcs_racing_agents"):
+        for path in sorted((REPOSITORY / package).rglob("*.py")):
+            for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(function, ast.FunctionDef):
+                    for node in ast.walk(function):
+                        if isinstance(node, ast.Call):
+                            name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+                            yield path.relative_to(REPOSITORY).as_posix(), function.name, name, node
+
+
+COMMANDS = {
+    "view": "view files/raced --no-open", "explain": "explain files/raced",
+    "situations": "explain files/raced --situations {word}",
+    "benchmark": "benchmark random-moves --protocol files/settings.yaml --out out",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("word", WORDS)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_command_that_opens_a_stranger_s_file_runs_no_code_of_it(evil, command, word, capsys):
+    """The digests beside a job are no signatures: whoever writes the names can write them, too."""
+    place = made(evil / "files")
+    if command == "benchmark":
+        settings("settings.yaml", {**PROTOCOL, "blind": [word]})(place)
+    else:
+        raced = tournament(place)
+        for file in (raced / "results.csv", raced / "job.yaml"):
+            file.write_text(file.read_text().replace("lattice:pace=0.4", word))
+    capsys.readouterr()
+    assert main(COMMANDS[command].format(word=word).split()) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("pcs-racing: error: ")
+    assert f"{word!r} is unknown: no file may name code" in error
+
+
+def test_a_text_is_no_code_unless_its_caller_says_so(evil):
+    for word in WORDS:
+        refused("no file may name code", parse_agent, word, make_setting("default", "paper"))
+        refused("unknown", make, word)
