@@ -78,7 +78,8 @@ class _Drivers:
             memory[0] = number
         if memory[0] not in self.racing:
             raise InputError(
-                f"driver {self.path}:{name} is asked in the middle of a race that another process began, or that began {MAX_RUNS} races ago"
+                f"driver {self.path}:{name} is asked in the middle of a race that another process began, or that began "
+                f"{MAX_RUNS} races ago"
             )
         run = self.racing[float(memory[0])]
         run.now = max(run.now, float(view[_view.TIME]))
