@@ -281,6 +281,7 @@ KINDS = {
 NAMELESS = {
     "load_settings", "read_settings", "parse_yaml", "load_config",  # the readers that the others call
     "_cached", "load_cached", "_restore", "read_chunk",  # numbers alone
+    "read_defaults",  # the text of a copy of the gym beside a program that is run anyway: literals alone
     "tuned_environments", "tuned_ppo",  # a shipped file
     "parse_agent",  # a text, in which an option's value is no name of code
 }  # fmt: skip
@@ -383,7 +384,8 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing/__init__.py:import_module",
         "pcs_racing/base/files.py:json.loads",
         "pcs_racing/game/competitor_collections.py:resolve_name",  # of installed packages
-        "pcs_racing/planners/imported.py:spec_from_file_location",
+        "pcs_racing/planners/own_files.py:importlib.import_module",  # of numpy, and for own files
+        "pcs_racing/planners/own_files.py:spec_from_file_location",
         "pcs_racing/planners/registry.py:resolve_name",
         "pcs_racing/race/rendering.py:import_module",  # of pygame
         "pcs_racing/track/track.py:json.loads",
