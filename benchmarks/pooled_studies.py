@@ -1,13 +1,14 @@
-"""What several studies of the same races say together: gains over the open-loop agent that was best in training.
+"""What several studies of the same races say together: gains over the baseline that was best in training.
 
     python benchmarks/pooled_studies.py out/contest out/table-1 out/table-2 out/table-3 out/table-4
     python benchmarks/pooled_studies.py out/first-0 out/first-1 out/again-0 out/again-1 --archives 0 1 0 1
 
 Each folder is that of a finished `pcs-racing study` with a seed of its own. A gain is the score of an agent minus that
-of the open-loop agent that won most training races *of its study*. The mean over studies has a 95 % interval by
-Student's t over archives, of which --archives names that of each study (by default each has its own): it covers what
-depends on archive, seed of training and races. Opponents that are drivers are taken together, too. Where an archive
-has several studies, the standard deviation between them, and between the means of archives, is printed, too.
+of the baseline that won most training races *of its study*. The mean over archives has a 95 % interval by
+Student's t over them; --archives names the archive of each study (by default each has its own), and several studies of
+an archive count as their mean. The interval covers what depends on archive, seed of training and races. Opponents that
+are drivers are taken together, too. Where an archive has several studies, the standard deviation between them, and
+between the means of archives, is printed, too.
 
 With --headroom, given once for each study after the folders, it also prints how much knowing the opponent's policy is
 worth on the same circuits, and what share of that the agents gain.
@@ -22,13 +23,13 @@ import numpy as np
 
 from pcs_racing.planners.registry import planner_names
 from pcs_racing_agents.results.tables import with_interval
-from pcs_racing_agents.tournament.statistics import clustered_mean
+from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
 Cell = tuple[str, str]  # circuit and opponent
 
 
 class Table(NamedTuple):
-    """The main table of a study: its best open-loop agent, and the score of each agent in each cell."""
+    """The main table of a study: its best baseline, and the score of each agent in each cell."""
 
     open_loop: str
     seen: dict[Cell, bool]
@@ -48,16 +49,27 @@ def read_table(folder: Path) -> Table:
     return Table(open_loop, seen, scores)
 
 
-def pooled(numbers: list[float], archives: list[str]) -> str:
-    """Mean over the studies, with its interval over archives."""
-    found = clustered_mean(numbers, archives)
+def by_archive(numbers: list[float], archives: list[str]) -> list[list[float]]:
+    """Group the numbers of studies by archive."""
+    pairs = list(zip(numbers, archives, strict=True))
+    return [[number for number, at in pairs if at == name] for name in dict.fromkeys(archives)]
+
+
+def pooled(numbers: list[float], archives: list[str]) -> Estimate:
+    """Return the mean over archives, with its interval by Student's t over their means."""
+    means = [float(np.mean(group)) for group in by_archive(numbers, archives)]
+    return clustered_mean(means, np.arange(len(means)))  # a cluster for each mean: Student's t
+
+
+def told(numbers: list[float], archives: list[str]) -> str:
+    """Return the pooled mean with its interval as text."""
+    found = pooled(numbers, archives)
     return with_interval(found.mean, found.low, found.high)
 
 
 def spread(numbers: list[float], archives: list[str]) -> str:
-    """Standard deviation between studies of one archive, and between the means of archives."""
-    pairs = list(zip(numbers, archives, strict=True))
-    groups = [[number for number, at in pairs if at == name] for name in dict.fromkeys(archives)]
+    """Return the standard deviation between studies of one archive, and between the means of archives."""
+    groups = by_archive(numbers, archives)
     # An archive with one study says nothing of the spread between studies.
     within = np.sqrt(np.mean([np.var(group, ddof=1) for group in groups if len(group) > 1]))
     return f"{within:.3f}, {np.std([np.mean(group) for group in groups], ddof=1):.3f}"
@@ -117,7 +129,7 @@ def main() -> None:
     arms = list(dict.fromkeys(arm for (_, arm) in tables[0].scores))
     arms = [arm for arm in arms if all((cell, arm) in table.scores for table in tables for cell in cells)]
 
-    print("| study | archive | best open-loop agent in training |\n|---|---|---|")
+    print("| study | archive | best baseline in training |\n|---|---|---|")
     for folder, archive, table in zip(folders, archives, tables, strict=True):
         print(f"| {folder.name} | {archive} | {table.open_loop} |")
     kinds = {opponent: {opponent} for _, opponent in cells}
@@ -133,7 +145,7 @@ def main() -> None:
             groups[f"all circuits, {kind}"] = [cell for cell in cells if cell[1] in opponents]
     print(f"\n| agent | {' | '.join(groups)} |\n|---|{'---|' * len(groups)}")
     for arm in arms:
-        print(f"| {arm} | {' | '.join(pooled(gains(tables, some, arm), archives) for some in groups.values())} |")
+        print(f"| {arm} | {' | '.join(told(gains(tables, some, arm), archives) for some in groups.values())} |")
     if len(set(archives)) < len(archives):
         print(f"\n| standard deviation: between studies of an archive, between archives | {' | '.join(groups)} |")
         print(f"|---|{'---|' * len(groups)}")
@@ -141,7 +153,10 @@ def main() -> None:
             print(f"| {arm} | {' | '.join(spread(gains(tables, some, arm), archives) for some in groups.values())} |")
     print(f"\n| circuit | opponent | {' | '.join(arms)} |\n|---|---|{'---|' * len(arms)}")
     for cell in cells:
-        print(f"| {' | '.join(cell)} | {' | '.join(pooled(gains(tables, [cell], arm), archives) for arm in arms)} |")
+        print(f"| {' | '.join(cell)} | {' | '.join(told(gains(tables, [cell], arm), archives) for arm in arms)} |")
+    for opponent in dict.fromkeys(opponent for _, opponent in cells):
+        some = [cell for cell in cells if cell[1] == opponent]
+        print(f"| all | {opponent} | {' | '.join(told(gains(tables, some, arm), archives) for arm in arms)} |")
     if given.headroom:
         print_shares(tables, archives, [read_headroom(group) for group in given.headroom], groups, arms)
 
@@ -153,16 +168,19 @@ def print_shares(
     groups: dict[str, list[Cell]],
     arms: list[str],
 ) -> None:
-    """Print the headroom of each group, and what share of it agents gain: the ratio of the means over studies."""
+    """Print the headroom of each group, and what share of it agents gain: the ratio of the means over archives."""
     of_groups = {
         name: [float(np.mean([room[track] for track, _ in some])) for room in rooms]
         for name, some in groups.items()
         if all(track in room for track, _ in some for room in rooms)
     }
     print(f"\n| | {' | '.join(of_groups)} |\n|---|{'---|' * len(of_groups)}")
-    print(f"| headroom | {' | '.join(pooled(values, archives) for values in of_groups.values())} |")
+    print(f"| headroom | {' | '.join(told(values, archives) for values in of_groups.values())} |")
     for arm in arms:
-        shares = [np.mean(gains(tables, groups[name], arm)) / np.mean(values) for name, values in of_groups.items()]
+        shares = [
+            pooled(gains(tables, groups[name], arm), archives).mean / pooled(values, archives).mean
+            for name, values in of_groups.items()
+        ]
         print(f"| {arm}, share of it | {' | '.join(f'{share:.0%}' for share in shares)} |")
 
 

@@ -77,7 +77,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=tuned_environments(), help="environments")
     parser.add_argument("--share", type=float, default=1.0, help="share of the tuned number of steps, for a first look")
     parser.add_argument("--games", type=int, default=1024, help="games (matches, races) that a player is judged in")
-    parser.add_argument("--choices", type=int, default=256, help="games in which each blind player is tried")
+    parser.add_argument("--choices", type=int, default=256, help="games in which each baseline is tried")
     parser.add_argument("--seed", type=int, default=0, help="of the training")
     parser.add_argument("--out", type=Path, default=Path("out/tuned"), help="folder for models and curves")
     parser.add_argument("--picture", type=Path, help="draw the learning curves in the folder into this file")
@@ -172,14 +172,14 @@ class Arena:
         return play(self.envs, player, self.seed, self.options)[0]
 
     def row(self, name: str, looks: str, returns: np.ndarray, blind: np.ndarray) -> tuple[str, ...]:
-        """Name, whether it looks, mean return, and gain over the best blind player with its interval."""
+        """Name, whether it looks, mean return, and gain over the best baseline with its interval."""
         mean = clustered_mean(returns, self.opponents)
         gain = clustered_mean(returns - blind, self.opponents)
         interval = "" if returns is blind else with_interval(gain.mean, gain.low, gain.high)
         return name, looks, f"{mean.mean:.3f} +- {mean.se:.3f}", interval
 
 
-HEAD = ("player", "looks at", "return", "gain over the best blind player")
+HEAD = ("player", "looks at", "return", "gain over the best baseline")
 
 
 def always(action: int) -> Player:

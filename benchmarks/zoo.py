@@ -3,13 +3,14 @@
     python benchmarks/zoo.py                     # measures and prints
     python benchmarks/zoo.py --write             # and writes agents/measured.csv and the pages
 
-Every agent that there is with its defaults races six others, on a circuit that some agents learned on and on one that
-none learned on (but for the driver ppo-drive, which learned on Kestrelheim), once with the archive "default" in the
-paper's race and once with the archive "contest" in the contest. All drive the same races. What is left in --out of an
-earlier call is not driven again, unless an agent has changed.
+Every agent that there is with its defaults, and two lattices, race six others, on a circuit that some agents learned
+on and on one that none learned on (but for the driver ppo-drive, which learned on Kestrelheim), once with the archive
+"default" in the paper's race and once with the archive "contest" in the contest. All drive the same races. What is left
+in --out of an earlier call is not driven again, unless an agent has changed.
 """
 
 import argparse
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -37,6 +38,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 import zoo_page
 
 TRACKS = {"paper": ("Tarnfjord", "Saltmere"), "contest": ("Pipkin", "Kestrelheim")}
+TUNED = ("lattice", "lattice:pace=0.7,pace_behind=0.2")  # the planner of the archives: its defaults, and set by hand
 FIELD = ("never-switch", "random-moves", "best-fixed", "cfr-argmax", "lane-switcher", "random-policy")
 SEED = 8_000_000  # other races than those of any study
 
@@ -45,7 +47,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
     """Everything about the agents of one game."""
     setting = make_setting(archive, race)
     agents = {}
-    for name in names(archive, race):
+    for name in (*names(archive, race), *TUNED):
         try:
             agents[name] = build(name, setting)
         except UnknownNameError as error:
@@ -65,6 +67,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
             told = show_progress(f"races: {name}, {race}")
             # Kept by name: a new agent leaves the races of the others as they are.
             kept = name.replace("+", "-plus") if name.endswith("+") else f"{name}minus" if name.endswith("-") else name
+            kept = re.sub("[^a-z0-9-]+", "-", kept)
             tables += play_pairings(pairings, name=kept, job=job, progress=told)
     races_driven = concatenate_races(tables)
     together = round_robin(list(agents), races_driven)

@@ -12,6 +12,7 @@ record, beside = (load_tool(name, "benchmarks") for name in ("record", "beside_f
 HELP = ("--help", "python benchmarks/")  # of those that compile for a minute, or race the whole zoo
 SMALL = {
     "beside_f1tenth_gym": ("--seconds 2 --races 2 --cars 2", "| here"),
+    "check_headlines": ("", "stands: "),
     "bits": ("--parts vehicles", "vehicle, target"),
     "driving": ("--only stability", "stability"),
     "environment_speed": ("--only duel --envs 2 --seconds 0.01", "duel"),

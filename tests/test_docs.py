@@ -1,6 +1,7 @@
 """The documentation holds: its code runs, its commands parse, its links lead somewhere, its site says what is."""
 
 import contextlib
+import csv
 import io
 import re
 import shlex
@@ -210,6 +211,14 @@ def test_results_name_every_benchmark_and_link_a_table_of_it(made):
         pages = [(DOCS / "reports" / link).resolve() for link in re.findall(r"\]\(([\w/.]+\.md)", " ".join(rows))]
         texts = [made[page.name] if page.parent.name == "generated" else page.read_text("utf-8") for page in pages]
         assert not texts or any(f"benchmarks/{script.name}" in text for text in texts), script.name
+
+
+def test_every_figure_of_the_list_of_checks_stands_on_its_page():
+    with (DOCS / "figures.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["checked"] for row in rows} <= {"run", "table", "report", "code", "test"}
+    drifted = [row["figure"] for row in rows if row["figure"] not in " ".join(TEXTS[row["page"]].split())]
+    assert not drifted, f"not on their pages: {drifted}; check them again and mend docs/figures.csv"
 
 
 def test_the_pages_of_circuits_and_the_gallery_are_complete(made):

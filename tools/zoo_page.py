@@ -38,7 +38,8 @@ CONSTANT = f"{ALWAYS}MOVE"
 
 STRENGTH = """## Strength and cost
 
-`python benchmarks/zoo.py --write` measures all agents and drivers that race with their defaults:
+`python benchmarks/zoo.py --write` measures all agents and drivers that race with their defaults, and the lattice, the
+planner of the archives' policies, with its defaults and with two parameters set by hand:
 
 - **score**: share of races won, where a tie counts half; the mean over six opponents (without the agent itself),
   {field}, on two circuits ({tracks}).

@@ -1,8 +1,9 @@
-"""Agents that do not use their observations of the opponent: constant, open-loop, or on a path to one policy.
+"""Baselines of adaptive agents: open-loop ones (constant, a sequence, a path to a policy) and a lead-conditioned one.
 
-They are the baselines of adaptive agents; :mod:`pcs_racing_agents.tournament.fitting` chooses the best open-loop
-sequence, the best target policy and the best lead plan on training races. A lead plan sees of the race who leads, and
-nothing else: what an agent gains over it comes from knowing the opponent.
+:mod:`pcs_racing_agents.tournament.fitting` chooses the best open-loop sequence, the best target policy and the best
+lead plan on training races. The moves of a lead plan depend on who leads, and on nothing else of the opponent: what an
+agent gains over it comes from knowing the opponent. A policy with ``pace_behind`` reacts to the lead by itself, so a
+race with such policies is lead-conditioned whatever the agent.
 """
 
 from collections.abc import Mapping, Sequence
@@ -260,19 +261,19 @@ RANDOM_MOVES = Entry(random_moves, "draws every move, all with the same probabil
 BEST_SCHEDULE = Entry(
     best_schedule,
     "makes a fixed sequence of moves, the best one on training races",
-    "baseline: open-loop, never observes the race",
+    "baseline: open-loop moves; a policy with pace_behind reacts to the lead",
     "fit",
 )
 BEST_FIXED = Entry(
     best_fixed,
     "moves to one policy of the archive, the best one on training races, and keeps it",
-    "baseline: never observes the race",
+    "baseline: open-loop moves; a policy with pace_behind reacts to the lead",
     "fit",
 )
 BEST_LEAD_PLAN = Entry(
     best_lead_plan,
     "moves to one policy of the archive while the opponent leads and to another one otherwise, the best two on "
     "training races",
-    "baseline: observes who leads, and nothing of the opponent",
+    "baseline: lead-conditioned, observes who leads and nothing else of the opponent",
     "fit",
 )

@@ -135,7 +135,7 @@ def summary_rows(card: Card) -> list[tuple[str, ...]]:
 def fact_lines(card: Card) -> list[str]:
     """Return the other results as sentences."""
     lines = [
-        f"Adaptivity gain over the best open-loop strategy ({gain.over}), {circuits} circuits: "
+        f"Adaptivity gain over the best baseline ({gain.over}), {circuits} circuits: "
         f"{with_interval(gain.gain, gain.low, gain.high)}."
         for circuits, gain in card.gains.items()
     ]

@@ -70,7 +70,7 @@ class Gain(_Estimate):
     """The adaptivity gain on some circuits."""
 
     value = "gain"
-    over: str = setting(MISSING, NAME, "The open-loop agent that it is a gain over.")
+    over: str = setting(MISSING, NAME, "The baseline that it is a gain over.")
     gain: float = setting(MISSING, DIFFERENCE, "Difference of the scores.")
     low: float = setting(MISSING, DIFFERENCE, "Lower limit of its 95 % interval.")
     high: float = setting(MISSING, DIFFERENCE, "Upper limit.")

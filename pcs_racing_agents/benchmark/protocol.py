@@ -50,7 +50,7 @@ class ProtocolConfig(Settings):
     )
     agents: tuple[str, ...] = setting(("cfr-argmax", "response"), names(), "Agents; not to be trained on.")
     blind: tuple[str, ...] = setting(
-        ("best-fixed", "best-schedule"), names(), "Strategies that never look, over which the gain is measured."
+        ("best-fixed", "best-schedule"), names(), "Baselines (open-loop, lead-conditioned) of the gain."
     )
     egos: int = setting(10, whole(2, 1000), "Start policies of the agent in each cell.")
     variants: int = setting(10, whole(2, 1000), "Variants of the opponent in each cell.")
@@ -76,7 +76,7 @@ class Protocol:
     config: ProtocolConfig
     setting: Setting  #: Archive and rules of the game.
     tracks: dict[str, Track]
-    opponents: dict[str, Competitor]  #: And the open-loop strategies.
+    opponents: dict[str, Competitor]  #: And the baselines.
 
     @property
     def cells(self) -> Iterator[Cell]:

@@ -42,7 +42,7 @@ def play_protocol(
     agents: Sequence[Competitor],
     **run: Unpack[Run],
 ) -> dict[str, list[CellRaces]]:
-    """Simulate the races of agents and of the protocol's open-loop strategies, which all drive the same ones.
+    """Simulate the races of agents and of the protocol's baselines, which all drive the same ones.
 
     A driver with fewer policies than the protocol has start policies drives as many races, from more start lines.
 
@@ -54,7 +54,7 @@ def play_protocol(
     Returns
     -------
     dict of str to list of CellRaces
-        By name: the agents first, then the open-loop strategies.
+        By name: the agents first, then the baselines.
     """
     arms = {competitor_name(agent): as_competitor(agent) for agent in agents}
     if len(arms) < len(agents):
@@ -126,7 +126,7 @@ def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
 
 
 def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None) -> Gain | None:
-    """Return what an agent scores more than the best strategy that never looks, on the same races.
+    """Return what an agent scores more than the best baseline, on the same races.
 
     The best one is taken after the fact, on these races, which can only make the gain smaller. None for a driver that
     starts from other lines than the agents (:func:`play_protocol`): there are no same races.
@@ -142,7 +142,7 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None =
     def rows(name: str) -> list[CellRaces]:
         return [played for played in results[name] if seen is None or played.cell.seen == seen]
 
-    # With the agent's own result left out, even if it is blind itself.
+    # With the agent's own result left out, even if it is a baseline itself.
     blind = {name: float(_columns(rows(name))[0].mean()) for name in results if name != agent}
     best = max(blind, key=lambda name: blind[name])
     for own, other in zip(rows(agent), rows(best), strict=True):

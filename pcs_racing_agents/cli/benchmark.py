@@ -44,7 +44,7 @@ def run(
         Option(
             "a name of the zoo, module:function (called with the setting of the game, and the path of the weights if "
             "there is one), or a .zip file of Stable-Baselines3; of several each gets a card in a folder of its own, "
-            "and the open-loop strategies are raced only once",
+            "and the baselines are raced only once",
             "AGENT",
         ),
     ],
@@ -116,7 +116,7 @@ def _write(
     circuits = {"seen": True, "unseen": False, "all": None}
     found = {} if name in config.blind else {key: gain(raced, name, seen) for key, seen in circuits.items()}
     gains = {key: value for key, value in found.items() if value is not None}
-    # A driver that starts from other lines than the open-loop strategies has no races to compare with theirs.
+    # A driver that starts from other lines than the baselines has no races to compare with theirs.
     other = next((cells for blind, cells in raced.items() if blind != name), own) if gains or not found else own
     card = Card(
         protocol=config.name,

@@ -30,7 +30,7 @@ def story(explanation: Explanation) -> str:
         f"{explanation.race} rules: {explanation.replay.outcome}"
     ]
     if explanation.open_loop:
-        lines.append(f"{me} never looks at the opponent: what is seen below does not change its moves.")
+        lines.append(f"{me} makes open-loop moves: what is seen below does not change them.")
     for k, step in enumerate(explanation.steps):
         lines += [
             f"{step.time:5.1f} s  saw: {opponent_words(explanation, step)}; {lead_words(step.lead)}.",

@@ -62,7 +62,7 @@ COLUMNS = (
 
 
 def family_gains(races: RaceTable, best: str, open_loop: str, trained: Collection[str] = ()) -> list[FamilyGain]:
-    """Return the gain of an agent over an open-loop one, a line for each of :func:`families`.
+    """Return the gain of an agent over a baseline, a line for each of :func:`families`.
 
     ``trained`` are the opponents that were met in training.
 

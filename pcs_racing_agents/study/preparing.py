@@ -135,7 +135,7 @@ def _train(
 
 
 def choose_open_loop(study: Study) -> None:
-    """Fit the best open-loop agents on training races: a fixed policy, an open-loop sequence of moves, a lead plan."""
+    """Fit the baselines on training races: a fixed policy, an open-loop sequence of moves, a lead plan."""
     from pcs_racing_agents.tournament.fitting import (
         TrainingRaces,
         fit_best_fixed,

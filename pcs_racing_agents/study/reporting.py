@@ -113,7 +113,7 @@ def study_table(
 
 
 def best_open_loop(study: Study) -> str | None:
-    """Return the open-loop arm that won most training races; None without such arms.
+    """Return the fitted baseline that won most training races; None without such arms.
 
     It is the best of the best fixed policy, the best open-loop sequence and the best lead plan. The sequence is at
     least as good on those races as any constant move, and the plan as any of the fixed policies, since their searches
@@ -205,7 +205,7 @@ def _findings(table: StudyTable) -> Iterator[str]:
         yield verdict_text(arm, table.base, results)
     gains = [row.gain.result for row in table.rows if row.gain is not None]
     if gains and table.best is not None:
-        open_loop = f"{table.open_loop}, the best open-loop agent in training"
+        open_loop = f"{table.open_loop}, the best baseline in training"
         yield f"What looking at the race brings: {verdict_text(table.best, open_loop, gains)}"
 
 

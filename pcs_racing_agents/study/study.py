@@ -30,7 +30,7 @@ from pcs_racing_agents.networks.targets import get_target
 from pcs_racing_agents.synthesis.config import load_archive_config
 
 BEST_OPEN_LOOP = ("best-fixed", "best-schedule", "best-lead-plan")
-"""Open-loop agents, fitted on training races: the best fixed policy, the best sequence of moves, the best lead plan."""
+"""Baselines, fitted on training races: the best fixed policy and sequence of moves, and the lead-conditioned plan."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class StudyConfig(Settings):
     fitting_games: int = setting(
         100,
         whole(2, 1_000_000),
-        "Games against each opponent on each circuit, to select the best open-loop agents; even.",
+        "Games against each opponent on each circuit, to select the baselines; even.",
     )
     fixed_targets: int = setting(
         16,
@@ -94,7 +94,7 @@ class StudyConfig(Settings):
     arms: tuple[str, ...] = setting(
         ("never-switch", *BEST_OPEN_LOOP, "cfr-argmax"),
         names(),
-        "Agents of the table; the first is the baseline. With the three best open-loop agents among them (best-fixed, "
+        "Agents of the table; the first is the baseline. With the three fitted baselines among them (best-fixed, "
         "best-schedule, best-lead-plan) the table has the adaptivity gain; some without the others are refused.",
     )
     best: str = setting("cfr-argmax", text(), "The agent of main interest among them.")
@@ -161,7 +161,7 @@ class StudyConfig(Settings):
             )
         if self.ppo is not None and load_ppo_settings(self.ppo).level != "duel":  # type: ignore[attr-defined]
             raise ConfigError(f"ppo is {self.ppo!r}; these are no settings of level duel")
-        # With some of them only, the best of those that are there would be called the best open-loop agent.
+        # With some of them only, the best of those that are there would be called the best baseline.
         missing = [name for name in BEST_OPEN_LOOP if name not in self.arms]
         if 0 < len(missing) < len(BEST_OPEN_LOOP):
             present = next(name for name in BEST_OPEN_LOOP if name in self.arms)

@@ -85,7 +85,7 @@ class TableRow:
     lines_drawn: bool
     arms: tuple[ArmResult, ...]  #: The base first.
     differences: tuple[Difference, ...]  #: Differences of the other arms from the base.
-    gain: Difference | None  #: The adaptivity gain: the best agent minus the open-loop one that was best in training.
+    gain: Difference | None  #: The adaptivity gain: the best agent minus the baseline that was best in training.
 
     @property
     def name(self) -> str:

@@ -110,8 +110,8 @@ def notes(table: StudyTable) -> list[str]:
         )
     if table.best is not None and table.open_loop is not None:
         sentences.append(
-            f"Adaptivity gain: {table.best} minus {table.open_loop}, the best of the open-loop agents, which look at "
-            "nothing of the race but who leads; that one was chosen on training races."
+            f"Adaptivity gain: {table.best} minus {table.open_loop}, the best of the baselines, whose moves depend "
+            "on nothing of the race but, of best-lead-plan, who leads; it was chosen on training races."
         )
     return sentences
 

@@ -1,4 +1,4 @@
-"""Fits on training races: the best open-loop agents of three kinds, and the equilibrium mixture of agents.
+"""Fits on training races: baselines of three kinds, and the equilibrium mixture of agents.
 
 They are an open-loop sequence of moves, a fixed policy, and a lead plan (a policy behind and one ahead). Every
 candidate drives the same training races (common random numbers), which reduces the noise of their differences. An

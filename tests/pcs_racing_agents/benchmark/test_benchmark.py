@@ -246,14 +246,14 @@ def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_
         return main(["benchmark", *arguments, "--protocol", protocol_file, "--out", str(tmp_path / out)])
 
     assert benchmark("always-restraint+", out="card") == 0
-    assert "Adaptivity gain over the best open-loop strategy (never-switch)" in capsys.readouterr().out
+    assert "Adaptivity gain over the best baseline (never-switch)" in capsys.readouterr().out
     both = ["always-restraint+", "pure-pursuit"]
     assert benchmark(*both, out="two") == 0
     one, two = read_card(tmp_path / "card"), read_card(tmp_path / "two" / both[0])
     assert replace(two, cost_us=one.cost_us) == one  # an agent drives the same races alone and beside others
     driver = read_card(tmp_path / "two" / "pure-pursuit")
     assert driver.score().races == one.score().races  # one policy, so more start lines
-    assert driver.gains == {}  # on other races than those of the open-loop strategy
+    assert driver.gains == {}  # on other races than those of the baseline
     capsys.readouterr()
     assert main(["leaderboard", str(tmp_path / "two"), "--out", str(tmp_path / "board")]) == 0
     board = capsys.readouterr().out

@@ -142,7 +142,7 @@ def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, s
 
 def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, setting):
     race = explained(contest, build("always-aggressiveness+", setting), build("lane-switcher", setting))
-    assert "never looks at the opponent" in story(race)
+    assert "makes open-loop moves" in story(race)
     assert "why:" not in story(race)
     race = explained(contest, build("lane-switcher", setting), build("random-moves", setting), car=1)
     assert re.search(r"drawn with a chance of 2[05]%", story(race))
