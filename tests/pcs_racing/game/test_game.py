@@ -10,7 +10,14 @@ from pcs_racing import CONTEST, PAPER, GameConfig, PolicyArchive, RaceGame, Star
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
 from pcs_racing.game.moves import move
-from pcs_racing.game.observation import observation_elements, observation_table
+from pcs_racing.game.observation import (
+    decode_match,
+    encode_match,
+    encode_observation,
+    match_elements,
+    observation_elements,
+    observation_table,
+)
 from pcs_racing.game.reward import reward
 from pcs_racing.game.starting import random_bits
 from pcs_racing.game.state import GameState, put_games, take_games
@@ -189,6 +196,55 @@ def test_players_see_their_own_coordinates_and_estimates_of_the_other(game):
     assert not seen[..., future].any()
 
 
+BOUNDS = {"own": ("range", -1.0, 2.0), "opponent": ("range", -1.0, 2.0), "lead": ("20 m", -5.0, 5.0)}
+
+
+def check_encoding(elements, observation, values) -> None:
+    """Each number of both cars' observations is the one that its element names, in its unit and within its bounds."""
+    assert [element.name for element in elements] == list(values[0])
+    for element in elements:
+        word = next((word for word in BOUNDS if word in element.name.split("_")), "")
+        assert element[1:4] == BOUNDS.get(word, ("1", 0.0, 1.0)), element.name
+    expected = np.stack([np.stack(list(of_car.values()), axis=1) for of_car in values], axis=1)
+    np.testing.assert_array_equal(observation, expected.astype(np.float32))
+    assert observation.dtype == np.float32
+    assert not np.signbit(observation[observation == 0.0]).any()
+    assert all(((observation >= element.low) & (observation <= element.high))[..., i].all()
+               for i, element in enumerate(elements))  # fmt: skip
+
+
+def test_an_observation_holds_what_its_elements_name_and_a_match_is_read_back():
+    rng, axes = np.random.default_rng(0), get_characteristics(("aggressiveness", "restraint"))
+    names = [axis.name for axis in axes]
+    own, other = rng.uniform(-1.0, 2.0, (2, 3, 2, 4, 2))  # games, cars, steps or races, axes
+    leads, score, driven = rng.uniform(-200.0, 200.0, (3, 4)), rng.random((3, 2, 4)), rng.random((3, 4))
+    over, front = np.array([1, 2, 3]), rng.random((3, 2)) < 0.5
+    steps: list[dict[str, np.ndarray]] = [{}, {}]
+    races: list[dict[str, np.ndarray]] = [{}, {}]
+    for car in range(2):
+        lead = np.clip((1 - 2 * car) * leads / 20.0, -5.0, 5.0)
+        for k in range(4):
+            seen = (k <= over).astype(float)
+            for form, values in ((f"{{}}_{k}", steps[car]), (f"race_{k}_{{}}", races[car])):
+                shown = seen if values is steps[car] else 1.0
+                for word, numbers in (("own", own[:, car]), ("opponent", other[:, 1 - car])):
+                    values |= {form.format(f"{word}_{name}"): shown * numbers[:, k, i] + 0.0
+                               for i, name in enumerate(names)}  # fmt: skip
+                values[form.format("lead")] = shown * lead[:, k] + 0.0
+            steps[car][f"seen_{k}"] = seen
+            races[car] |= {f"race_{k}_score": score[:, car, k], f"race_{k}_driven": driven[:, k]}
+        steps[car]["step"] = over / 3.0
+        races[car] |= {"races_left": (4 - over) / 4.0, "front": front[:, car].astype(float)}
+    check_encoding(observation_elements(axes, 3), encode_observation(own, other, leads, over), steps)
+    encoded = encode_match(own, other, leads, score, driven, over, front)
+    check_encoding(match_elements(axes, 4), encoded, races)
+    for car in range(2):
+        read = decode_match(encoded[:, car], 4, 2)
+        lead = np.clip((1 - 2 * car) * leads / 20.0, -5.0, 5.0)
+        for found, expected in zip(read, (own[:, car], other[:, 1 - car], lead, score[:, car], driven), strict=True):
+            np.testing.assert_array_equal(found, expected.astype(np.float32))
+
+
 @pytest.mark.parametrize("race", [PAPER, CONTEST])
 def test_observations_stay_within_their_bounds(track, race):
     game = make_game(track, race=race, step_seconds=4.0)
@@ -273,7 +329,11 @@ def test_games_that_end_while_watching_are_drawn_again(track):
     assert_same(take_games(again, np.flatnonzero(~crashed)), take_games(once, np.flatnonzero(~crashed)))
     bad = int(np.flatnonzero(crashed)[0])
     assert_same(game.reset(games=40).copy(), again)
-    assert_same(game.reset(race_seeds(0, 40)[bad : bad + 1]), take_games(again, [bad]))
+    key = race_seeds(0, 40)[bad : bad + 1]
+    assert_same(game.reset(key), take_games(again, [bad]))
+    grid = game.grid(key, again.race.seed[[bad]])  # of the draw that was kept
+    advance(game.setup, grid, again.theta[[bad]], 400)
+    assert_same(grid, take_games(again, [bad]).race)
 
 
 def test_drivers_from_outside_the_archive(track):

@@ -2,8 +2,9 @@ import pytest
 from refusal import refused
 from same_move import Model
 
-from pcs_racing import GameConfig, load_race_config, parse_policy
+from pcs_racing import GameConfig, load_archive, load_race_config, parse_policy, save_archive
 from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.tournament import game_rules, plan_tournament, play_plan, play_tournament, tournament_settings
@@ -61,6 +62,8 @@ def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, 
             recording = record_row(played, row, candidates=False)
             assert recording.replay.lead[-1] == row.lead
             assert recording.replay.car_names == (row.ego, row.opponent)
+            assert recording.replay.candidates is None
+    assert record_row(tournament, tournament.races[0]).replay.candidates is not None
     refused("was not raced here", record_row, tournament, tournament.races[0]._replace(track="Monza"))
 
 
@@ -99,6 +102,19 @@ def test_results_of_another_configuration_are_refused(mixed, oval, archive, tmp_
         given = {"entrants": MIXED, "race": CONTEST, "races_per_pair": 8, "seed": 1} | change
         settings = tournament_settings(plan_tournament(oval, given.pop("entrants"), archive=archive, **given))
         refused(message, open_job(tmp_path / "a", "tournament", settings).__enter__)
+
+
+def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(mixed, oval, archive, tmp_path):
+    plan = plan_tournament(oval, MIXED)
+    default = load_archive("default")
+    expected = {"game": game_rules("paper", stay=True), "archive": "default", "archive_sha256": default.content_hash}
+    assert tournament_settings(plan) == {
+        "seed": 0, "races_per_pair": 20, **expected, "tracks": {"oval": oval.content_hash},
+        "agents": dict(zip(plan.names, map(competitor_hash, plan.competitors), strict=True)),
+    }  # fmt: skip
+    assert len(plan.schedules[0].starts) == 20
+    assert plan_tournament(oval, MIXED, archive=str(save_archive(default, tmp_path))).archive == str(tmp_path.resolve())
+    assert mixed.plan.archive == archive.name
 
 
 def test_names_for_models(oval, archive):

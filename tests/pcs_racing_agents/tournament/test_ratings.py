@@ -98,6 +98,12 @@ def test_intervals_repeat_and_know_of_shared_races():
     units = (line, line, None)
     alone, again, naive = (rate(*many, unit=unit, rng=np.random.default_rng(5), replicates=200) for unit in units)
     assert (alone.low == again.low).all()
+    usual = (rate(*many, unit=line, rng=np.random.default_rng(5), **given) for given in ({}, {"replicates": 500}))
+    assert len({ratings.low.tobytes() for ratings in (*usual, alone)}) == 2
+    # Of two lines each replicate has one twice or both once: a fit of each is in the interval's ends.
+    halves = rate(["a"] * 6, ["b"] * 6, [1, 1, 1, -1, -1, 1], unit=[1, 1, 1, 2, 2, 2], rng=np.random.default_rng(0))
+    ends = [rate(["a"] * 6, ["b"] * 6, half * 2).strength[0] for half in ([-1, -1, 1], [1, 1, 1])]
+    assert (halves.low[0], halves.high[0]) == pytest.approx(ends)
     assert ((naive.high - naive.low) < 0.35 * (alone.high - alone.low)).all()
 
 
