@@ -280,6 +280,10 @@ def test_several_step_sizes_and_three_characteristics(track):
     end = play(game, game.reset(games=2), [(4, 5)] * 4)
     assert game.observation(end).shape == (2, 2, 41)
     assert game.done(end).all()
+    narrow = replace(game.archive, ideal=np.quantile(game.archive.coordinates, 0.2, axis=0))
+    points = make_game(track, narrow).points
+    np.testing.assert_array_equal(points, np.clip(narrow.normalised, -1.0, 2.0))
+    assert points.max() == 2.0 < narrow.normalised.max()
     two = make_game(track, game.archive, step_seconds=2.0, characteristics=("aggressiveness", "restraint"))
     assert two.move_names == ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
 

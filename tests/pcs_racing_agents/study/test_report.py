@@ -1,5 +1,6 @@
 import base64
 import html
+import platform
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -14,12 +15,16 @@ from toy_report import NASTY, toy_report
 from pcs_racing import make_game, read_replay
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.results.race_files import race_table
+from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import report
 from pcs_racing_agents.study import report_inputs as inputs
 from pcs_racing_agents.study.report import ReportContent, report_page, write_page
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import overview_rows
 from pcs_racing_agents.tournament import cross_pairing, play_pairings
+from pcs_racing_agents.tournament.ratings import Ratings
+from pcs_racing_agents.tournament.round_robin import RoundRobin
 
 
 @pytest.fixture(scope="module")
@@ -202,6 +207,59 @@ def test_highlights_are_what_they_are_called_and_show_the_race(raced, watched):
     assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")
 
 
+def test_the_most_telling_race_of_each_kind_is_the_closest_one():
+    """Of races by hand: a better kind goes before a closer race; what did not occur is absent."""
+
+    def races(name, *rows):
+        words = ("winner", "lead", "fault", "ego_path", "ego_moves")
+        made = [RaceRow(ego=name, opponent="b", **dict(zip(words, row, strict=True))) for row in rows]
+        return race_table(row._replace(crash="none" if row.fault == "none" else "wall") for row in made)
+
+    moves = (("+", "-", "+"), ("+",), ())
+    switched, kept, driver = ((0, 1, 1, 2), moves[0]), ((0, 0, 0, 0), moves[0]), ((0,), moves[2])
+    ours = races(
+        "a", ("ego", 3.0, "none", *switched), ("ego", 0.5, "none", *switched), ("ego", 2.0, "none", *switched),
+        ("ego", 0.1, "none", *kept), ("opponent", -4.0, "none", *kept), ("opponent", -1.0, "none", *kept),
+        ("opponent", -0.2, "ego", *driver), ("opponent", -6.0, "both", (0, 1), ("+",)),
+        ("none", 0.3, "opponent", *kept),
+    )  # fmt: skip
+    rows = [("opponent", -1.0, "none", *driver), ("ego", 1.0, "none", *driver), ("opponent", -1.0, "none", *driver)]
+    base = races("still", *rows, *[("ego", 1.0, "none", *driver)] * 2, *[("opponent", -1.0, "none", *driver)] * 4)
+    highlight = inputs.Highlight
+    assert inputs.select_highlights(ours, base) == {
+        "win": highlight(0, 2.0, "A win by switching; still starts alike and loses", 2, 2),
+        "loss": highlight(0, 4.0, "A loss; still starts alike and wins", 4, 1),
+        "crash": highlight(0, 6.0, "A crash that a is to blame for", 7, 1),
+    }
+    some = np.array([1, 5, 6])
+    assert inputs.select_highlights(ours.take(some), base.take(some)) == {
+        "win": highlight(1, 0.5, "A win, policies being switched", 0, 1),
+        "loss": highlight(1, 1.0, "A loss", 1, 1),
+        "crash": highlight(1, 0.2, "A crash before the first move that a is to blame for", 2, 1),
+    }
+    some = np.array([3, 8])
+    assert inputs.select_highlights(ours.take(some), base.take(some)) == {}
+
+
+def test_ratings_stand_in_order_with_what_is_known_of_them():
+    floats = {name: np.array(values) for name, values in {"strength": [0.0, -1.0, 1.0], "low": [-0.5, np.nan, 0.5],
+                                                          "high": [0.5, np.nan, 1.5]}.items()}  # fmt: skip
+    ratings = Ratings(("a", "b", "c"), **floats, tie=0.0, races=np.array([8, 6, 4]), left_out=np.array([0, 1, 2]))
+    names = ("c", "a", "b")
+    known = RoundRobin(names, np.zeros((3, 3)), 0.1, ratings, np.array([0.5, 0.25, 0.25]), None)
+    assert report._ratings(ReportContent("", round_robin=known))[1:] == [
+        ("c", "+174", "[+87, +261]", "4", "2", "0.50", ""),
+        ("a", "+0", "[-87, +87]", "8", "0", "0.25", ""),
+        ("b", "-174", "-", "6", "1", "0.25", ""),
+    ]
+    other = replace(known, equilibrium=None, alpha_rank=np.array([0.125, 0.875, 0.0]))
+    assert [row[5:] for row in report._ratings(ReportContent("", round_robin=other))[1:]] == [
+        ("", "0.12"), ("", "0.88"), ("", "0.00"),
+    ]  # fmt: skip
+    assert report._ratings(ReportContent("", round_robin=replace(known, ratings=None))) == []
+    assert report._ratings(ReportContent("")) == []
+
+
 def test_curves_and_losses_are_read_and_losses_stand_beside_the_score(tmp_path):
     path = tmp_path / "best_replies.csv"
     head = ",".join(("agent", "track", *inputs.ReplyLoss._fields[2:])) + "\n"
@@ -225,7 +283,15 @@ def test_curves_and_losses_are_read_and_losses_stand_beside_the_score(tmp_path):
     training, validation = inputs.read_curves(path)
     assert (training.label, training.y.tolist(), training.x.tolist()) == ("training", [0.5, 0.25], [1.0, 2.0])
     assert np.isnan(validation.y[0])
+    path.write_text("step,won\n5,0.5\n10,1e100\n")
+    (won,) = inputs.read_curves(path, "won", x="step")
+    assert (won.label, won.y.tolist(), won.x.tolist()) == ("won", [0.5, 1e100], [5.0, 10.0])
+    refused("has no column 'lost'", inputs.read_curves, path, "lost", x="step")
     refused("can't read", inputs.read_curves, tmp_path / "nothing.csv")
+    versions = inputs.software()
+    assert [versions[name] for name in ("numpy", "Python")] == [np.__version__, platform.python_version()]
+    assert next(iter(versions)) == "pcs-racing"
+    assert versions["machine"] == f"{platform.system()} {platform.machine()}"
 
 
 def test_files_without_losses_are_refused(tmp_path):
