@@ -5,23 +5,26 @@ import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from refusal import refused
-from toy_races import toy_races
+from toy_races import of, toy_races, toy_table
 from toy_report import NASTY, toy_report
 
 from pcs_racing import make_game, read_replay
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.results.race_files import race_table
-from pcs_racing_agents.results.races import RaceRow
-from pcs_racing_agents.study import report
+from pcs_racing_agents.results.races import RaceRow, concatenate_races
+from pcs_racing_agents.study import report, reporting
 from pcs_racing_agents.study import report_inputs as inputs
+from pcs_racing_agents.study.playing import StudyRaces
 from pcs_racing_agents.study.report import ReportContent, report_page, write_page
-from pcs_racing_agents.study.table import make_table
-from pcs_racing_agents.study.table_text import overview_rows
+from pcs_racing_agents.study.study import Study, StudyConfig
+from pcs_racing_agents.study.table import by_progress, make_table
+from pcs_racing_agents.study.table_text import overview_rows, paper_rows, write_table
 from pcs_racing_agents.tournament import cross_pairing, play_pairings
 from pcs_racing_agents.tournament.ratings import Ratings
 from pcs_racing_agents.tournament.round_robin import RoundRobin
@@ -239,6 +242,114 @@ def test_the_most_telling_race_of_each_kind_is_the_closest_one():
     }
     some = np.array([3, 8])
     assert inputs.select_highlights(ours.take(some), base.take(some)) == {}
+
+
+@pytest.fixture
+def raced_study(tmp_path):
+    """A study of two circuits, of which agents learned on one, with the races of its two tables, drawn."""
+    arms = {"never-switch": 0.0, "cfr-argmax": 0.5}
+    config = StudyConfig(
+        circuits=("Tarnfjord",), tracks=("Tarnfjord", "Brackwater"), opponents=("never-switch", "somebody"),
+        arms=tuple(arms),
+    )  # fmt: skip
+    cells = [
+        StudyRaces(table, SimpleNamespace(game=SimpleNamespace(track=SimpleNamespace(name=track)), names=(arm, rival)),
+                   of(races, track, rival, arm))
+        for table, races in (("main", toy_races(config.tracks, config.opponents, arms, 4, 4)),
+                             ("further", toy_races(("Pipkin",), ("somebody",), arms, 4, 4, seed=1)))
+        for track, arm, rival, _ in races.pairs
+    ]  # fmt: skip
+    return Study(config, tmp_path, quiet=True), cells
+
+
+def test_a_table_has_its_own_races_and_the_papers_figures_only_by_its_rules(raced_study, tmp_path):
+    study, cells = raced_study
+    races = concatenate_races(cell.races for cell in cells if cell.table == "main")
+    known = {"base": "never-switch", "best": "cfr-argmax", "seen": {"Tarnfjord"}}
+    expected = make_table(races, **known)
+    assert reporting.study_table(study, cells, "main") == expected
+    assert [row.track for row in reporting.study_table(study, cells, "further").rows] == ["Pipkin"]
+    (sheet,) = reporting._papers_statistic(study, cells)
+    ahead = make_table(by_progress(races), **known)
+    assert [sheet.head, *sheet.rows] == paper_rows(ahead, "cfr-argmax")
+    assert len(sheet.rows) == 2
+    written = (tmp_path / "table_by_progress.csv").read_bytes()
+    assert written == write_table(ahead, tmp_path / "expected.csv").read_bytes()
+    (tmp_path / "table_by_progress.csv").unlink()
+    contest = replace(study, config=replace(study.config, race="contest"))
+    bare = replace(expected, rows=tuple(replace(row, paper=None) for row in expected.rows))
+    assert reporting.study_table(contest, cells, "main") == bare
+    without = [cell for cell in cells if cell.pairing.names[0] == "never-switch"]
+    alone = replace(study, config=replace(study.config, arms=("never-switch",), best="never-switch"))
+    for other, some in ((contest, cells), (alone, without)):
+        assert list(reporting._papers_statistic(other, some)) == []
+    assert not (tmp_path / "table_by_progress.csv").exists()
+
+
+def test_findings_and_cautions_are_told_in_words():
+    toy = toy_table()
+    assert list(reporting._findings(replace(toy, rows=toy.rows[:1], best="cfr-argmax"))) == [
+        "cfr-argmax and still can't be told apart: in all of 1 row (+0.125) the 95 % interval contains 0.",
+        "ours scores more in 1 of 1 row than still (+0.250).",
+        "What looking at the race brings: cfr-argmax and cfr-argmax, the best open-loop agent in training can't be "
+        "told apart: in all of 1 row (+0.125) the 95 % interval contains 0.",
+    ]
+    first, second, third = reporting._findings(toy)
+    assert first == "ours scores more in 1 and less in 1 of 2 rows than still (-0.250 to +0.250)."
+    assert second.startswith("cfr-argmax and still can't")
+    assert third.startswith("What looking at the race brings: ours and cfr-argmax, the best")
+    assert len(list(reporting._findings(replace(toy, rows=toy.rows[1:])))) == 1
+    assert reporting._caution(toy).startswith("This is a smoke test, too small to conclude from: 8 races of an agent")
+    for races, cautious in ((999, True), (1000, False)):
+        arms = tuple(arm._replace(races=races) for arm in toy.rows[0].arms)
+        assert bool(reporting._caution(replace(toy, rows=(replace(toy.rows[0], arms=arms),)))) is cautious
+
+
+def test_of_all_rows_the_closest_race_of_the_best_kind_is_watched(raced_study, monkeypatch):
+    study, cells = raced_study
+    monkeypatch.setattr(reporting, "watch_race", lambda *given: given)
+    highlight = inputs.Highlight
+    highlights = {
+        ("Tarnfjord", "never-switch"): {"win": highlight(1, 0.5, "W1", 3, 7), "crash": highlight(0, 2.0, "C", 1, 1)},
+        ("Tarnfjord", "somebody"): {"win": highlight(0, 3.0, "W0", 4, 2)},
+        ("Brackwater", "never-switch"): {"win": highlight(0, 2.5, "W0", 5, 3)},
+        ("Brackwater", "somebody"): {},
+    }
+
+    def select(races, baseline):
+        (track, ego, opponent, _), (there, base, other, _) = next(iter(races.pairs)), next(iter(baseline.pairs))
+        assert (track, opponent, ego, base) == (there, other, "cfr-argmax", "never-switch")
+        return highlights[track, opponent]
+
+    monkeypatch.setattr(reporting, "select_highlights", select)
+    watched = [(pairing.game.track.name, pairing.names[1], race, title)
+               for pairing, race, title in reporting._watched(study, cells)]  # fmt: skip
+    assert watched == [
+        ("Brackwater", "never-switch", 5, "W0: of 5 such races the closest, 2.5 m at the end"),
+        ("Tarnfjord", "never-switch", 1, "C: of 1 such races the closest, 2.0 m at the end"),
+    ]
+
+
+def test_the_seeds_and_tables_of_a_study_follow_from_its_settings(tmp_path):
+    config = StudyConfig(
+        seed=5, further_lines=2, further_tracks=("Pipkin", "Tarnfjord"), further_opponents=("random-moves",),
+        further_arms=("ppo", "cfr-argmax"),
+    )  # fmt: skip
+    arms = ("never-switch", "best-fixed", "best-schedule", "best-lead-plan", "cfr-argmax")
+    rivals = ("never-switch", "random-policy", "lane-switcher")
+    assert config.tables == {
+        "main": (("Tarnfjord",), rivals, arms, 5),
+        "further": (("Tarnfjord", "Pipkin"), (*rivals, "random-moves"), (*arms, "ppo"), 2),
+    }
+    assert list(StudyConfig().tables) == ["main"]
+    assert (config.every_track, config.every_arm) == (("Tarnfjord", "Pipkin"), (*arms, "ppo"))
+    seeds = {"study": 5, "trees": 1_000_005, "training races": 2_000_005, "races of the table": 5}
+    assert reporting._seeds(Study(config, tmp_path)) == seeds
+    more = replace(config, pairs=0, responses=("quick",), rated=("never-switch", "ppo"))
+    assert reporting._seeds(Study(more, tmp_path)) == {
+        "study": 5, "training races": 2_000_005, "answers": 3_000_005, "races of the table": 5,
+        "all against all": 5_000_005,
+    }  # fmt: skip
 
 
 def test_ratings_stand_in_order_with_what_is_known_of_them():
