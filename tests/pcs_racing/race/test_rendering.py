@@ -1,14 +1,16 @@
 import dataclasses
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
-from recorded_races import race_on_a_straight
+from recorded_races import race_on_a_circle, race_on_a_straight
 from refusal import refused
 
+from pcs_racing.race import painting
 from pcs_racing.race.frames import replay_frames, write_gif, write_track_picture
-from pcs_racing.race.painting import COLOURS
+from pcs_racing.race.painting import COLOURS, Camera
 from pcs_racing.race.rendering import Renderer, views
 from pcs_racing.race.state import MOST_CARS
 
@@ -205,6 +207,154 @@ def test_frames_of_a_replay_show_the_candidates_that_were_kept(race):
         list(replay_frames(kept, Renderer(kept, 160, 100), fps=10.0, candidates=shown)) for shown in (True, False)
     )
     assert all((a != b).any() for a, b in zip(with_them, without, strict=True))
+
+
+def test_frames_show_each_moment_with_its_plan_its_trail_and_who_leads(race):
+    """What the renderer is asked to draw, by times: frames 0.05 s apart, plans 0.1 s, trails of 2 s."""
+    asked = []
+    renderer = SimpleNamespace(mode="rgb_array", render=lambda cars, **given: asked.append((cars, given)) or cars)
+    race = race_on_a_circle(candidates=3)
+    behind = dataclasses.replace(race, progress=race.progress[:, ::-1] + [0.0, 0.5])
+    for replay, name, shown in ((race, "inner", False), (behind, "outer", True)):
+        asked.clear()
+        assert len(list(replay_frames(replay, renderer, fps=5.0, speed=1.5, candidates=shown))) == 14
+        for k, (cars, given) in enumerate(asked):
+            time = k * 0.3
+            i, plan = round(time / 0.05), min(int(time / 0.1 + 1e-6), 39)
+            np.testing.assert_array_equal(cars, replay.cars[i])
+            np.testing.assert_array_equal(given.pop("trails"), replay.cars[max(0, i - 40) : i + 1, :, :2])
+            np.testing.assert_array_equal(given.pop("plans"), replay.paths[plan])
+            if shown:
+                np.testing.assert_array_equal(given.pop("candidates"), replay.candidates[plan])
+                np.testing.assert_array_equal(given.pop("costs"), replay.costs[plan])
+            lead = abs(np.diff(replay.progress[i])[0])
+            assert given == {"names": ("inner", "outer"), "text": f"{time:.1f} s    {name} leads by {lead:.1f} m"}
+    asked.clear()
+    alone = {"car_names": ("one",), "cars": race.cars[:, :1], "progress": race.progress[:, :1], "ittc": None}
+    bare = {"paths": None, "candidates": None, "costs": None, "events": (), "half_sizes": [[0.3, 0.2]]}
+    assert len(list(replay_frames(dataclasses.replace(race, **alone, **bare), renderer))) == 81
+    assert asked[-1][1].keys() == {"trails", "names", "text"}
+    assert asked[-1][1]["text"] == "4.0 s    one leads by 0.0 m"
+
+
+class Pen:
+    """Writes down what it is told to draw."""
+
+    def __init__(self) -> None:
+        self.drawn: list[tuple] = []
+
+    def polygon(self, points, fill, outline=None, width=0):
+        self.drawn.append((np.reshape(points, (-1, 2)), fill))
+
+    def line(self, points, fill, width=0, joint=None):
+        self.drawn.append((np.reshape(points, (-1, 2)), fill))
+
+
+def test_what_is_painted_stands_where_it_is_and_in_its_colour():
+    camera, pen = Camera(2.0, 1.0, 10.0, 200, 100), Pen()
+    np.testing.assert_array_equal(camera.pixels(np.array([[2.0, 1.0, 9.0], [3.0, 3.0, 9.0]])), [[100, 50], [110, 30]])
+    # The oldest piece of a trail is the faintest.
+    trails = np.arange(16.0).reshape(4, 2, 2)
+    painting.paint_trails(pen, camera, trails)
+    expected = [(camera.pixels(trails[i : i + 2, car]), (*COLOURS[f"car{car}"], round(120 * ((i + 1) / 4) ** 1.6)))
+                for car in range(2) for i in range(3)]  # fmt: skip
+    for (points, fill), (wanted, colour) in zip(pen.drawn, expected, strict=True):
+        np.testing.assert_allclose(points, wanted, atol=1e-9)
+        assert fill == colour
+    # Rejected paths first, in red; the best on top, in its colour; the others between.
+    pen.drawn.clear()
+    paths = np.stack([np.column_stack([np.arange(3.0), np.full(3, k)]) for k in range(5)])
+    paths[3, 2], paths[4, 1:] = np.nan, np.nan  # a shorter one, and one that is a point alone
+    painting.paint_candidates(pen, camera, paths, np.array([2.0, np.inf, 1.0, 3.0, 4.0]))
+    red, worst, best = (np.array(COLOURS[name]) for name in ("rejected", "worst", "best"))
+    mixed = [(*np.rint(worst + (best - worst) * (share / 3) ** 1.7).astype(int).tolist(), 190) for share in (1, 2, 3)]
+    assert [fill for _, fill in pen.drawn] == [(*red, 90), *mixed]
+    for (points, _), k in zip(pen.drawn, (1, 3, 0, 2), strict=True):
+        np.testing.assert_allclose(points, camera.pixels(paths[k][~np.isnan(paths[k, :, 0])]), atol=1e-9)
+    pen.drawn.clear()
+    painting.paint_plan(pen, camera, BLUE, paths[3])
+    painting.paint_plan(pen, camera, BLUE, paths[4])
+    ((points, fill),) = pen.drawn
+    np.testing.assert_allclose(points, camera.pixels(paths[3, :2]), atol=1e-9)
+    assert fill == BLUE
+    for share, colour in (
+        (-1.0, (0, 100)),
+        (0.0, (0, 100)),
+        (0.25, (20, 50)),
+        (0.75, (70, 50)),
+        (1.0, (100, 100)),
+        (2.0, (100, 100)),
+    ):
+        assert painting._between([(0, 100), (40, 0), (100, 100)], share) == colour
+
+
+@pytest.mark.parametrize(("scale", "parts"), [(53.4, 10), (53.3, 1)])
+def test_a_car_is_its_rectangle_with_wheels_or_an_arrow_where_it_is_small(scale, parts):
+    """A car of 0.6 m x 0.4 m that drives to the upper left; an arrow from a length of 16 pixels of the frame down."""
+    camera, pen = Camera(0.0, 0.0, scale, 400, 400), Pen()
+    psi, delta = 2.5, 0.3
+    painting.paint_car(pen, camera, BLUE, np.array(state(1.0, 0.5, psi, delta)), np.array([0.3, 0.2]))
+    assert len(pen.drawn) == parts
+    ahead, left = np.array([np.cos(psi), -np.sin(psi)]), np.array([-np.sin(psi), -np.cos(psi)])
+    middle = camera.pixels(np.array([1.0, 0.5]))
+
+    def own(points):
+        """Points in half lengths to the front and half widths to the left."""
+        away = points - middle
+        return np.stack([away @ ahead / 0.3, away @ left / 0.2], axis=-1) / scale
+
+    if parts == 1:
+        size = 11.0 * 2 / (0.3 * scale)
+        np.testing.assert_allclose(own(pen.drawn[0][0]), np.array(painting._ARROW) * size, atol=1e-9)
+        return
+    mark, box, *wheels, body, wing, tail, cockpit = pen.drawn
+    np.testing.assert_allclose(own(mark[0]), painting._AHEAD, atol=1e-9)
+    np.testing.assert_allclose(own(box[0]), [[1, 1], [-1, 1], [-1, -1], [1, -1]], atol=1e-9)
+    for (points, fill), centre in zip(wheels, painting._WHEELS, strict=True):
+        turn = delta if centre[0] > 0.0 else 0.0
+        np.testing.assert_allclose(own(points).mean(axis=0), centre, atol=1e-9)
+        along = (own(points)[0] - own(points)[1]) * [0.3, 0.2]
+        np.testing.assert_allclose(along, 0.4 * 0.3 * np.array([np.cos(turn), np.sin(turn)]), atol=1e-9)
+        across = (own(points)[1] - own(points)[2]) * [0.3, 0.2]
+        np.testing.assert_allclose(across, 0.34 * 0.2 * np.array([-np.sin(turn), np.cos(turn)]), atol=1e-9)
+        assert fill == COLOURS["tyre"]
+    assert len(own(body[0])) == 8
+    np.testing.assert_allclose(own(body[0]), own(body[0])[::-1] * [1, -1], atol=1e-9)  # both sides are alike
+    for part, front, width in ((wing, 0.92, 0.72), (tail, -0.9, 0.8)):
+        low, high = own(part[0]).min(axis=0), own(part[0]).max(axis=0)
+        np.testing.assert_allclose([low, high], [[front - 0.05, -width], [front + 0.05, width]], atol=1e-9)
+    np.testing.assert_allclose(own(cockpit[0]), painting._COCKPIT, atol=1e-9)
+
+
+def test_the_camera_shows_the_whole_track_or_the_cars_as_near_as_fits(race):
+    """800 x 400 pixels of two fine ones, a track of 20 m x 10 m around (10, 5)."""
+
+    def aim(view, *places):
+        camera = Renderer(race, 800, 400, view=view)._aim(np.array([state(*place, 0.0) for place in places]))
+        assert (camera.width, camera.height) == (1600, 800)
+        return camera[:3]
+
+    whole, close = 0.91 * 800 / 10.0, 800 / 9.0  # fine pixels a metre
+    for view, places, x, y, scale in [
+        ("track", [(1.0, 2.0)], 10.0, 5.0, whole),
+        ("car_0", [(1.0, 2.0), (3.0, 4.0)], 1.0, 2.0, close),
+        ("car_1", [(1.0, 2.0), (3.0, 4.0)], 3.0, 4.0, close),
+        ("car_1", [(1.0, 2.0)], 1.0, 2.0, close),  # the last one, where there is no second
+        ("both", [(1.0, 2.0), (3.0, 4.0)], 2.0, 3.0, close),
+        ("both", [(1.0, 0.0), (3.0, 4.0)], 2.0, 2.0, 2.0**6.25),
+        ("both", [(0.0, 0.0), (18.0, 9.0)], 9.0, 4.5, whole),
+    ]:
+        found = aim(view, *places)
+        assert found == pytest.approx((x, y, scale), abs=0.5 / scale), (view, places)
+        assert np.array(found[:2]) * found[2] == pytest.approx(np.rint(np.array(found[:2]) * found[2]))
+    small = Renderer(race, 100, 100, view="car_0")._aim(race.cars[0])
+    assert small.scale == 64.0  # however small the frame
+
+
+@pytest.mark.parametrize(("fps", "lasts"), [(50.0, 20), (30.0, 30), (7.0, 140)])
+def test_a_frame_of_a_gif_lasts_whole_hundredths_of_a_second(race, tmp_path, fps, lasts):
+    with Image.open(write_gif(race, tmp_path / "race.gif", renderer=Renderer(race, 64, 64), fps=fps)) as gif:
+        assert gif.info["duration"] == lasts
 
 
 def test_a_gif_plays_the_race(race, tmp_path):

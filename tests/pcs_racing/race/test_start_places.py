@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import CONTEST, PAPER, Starts, list_tracks, load_track, run_races
+from pcs_racing import CONTEST, PAPER, ConfigError, Starts, list_tracks, load_track, run_races
 from pcs_racing.race import start_places
 from pcs_racing.race.driving import kernel_settings
+from pcs_racing.race.random_circuits import RandomCircuits, _calibration, random_circuit
 from pcs_racing.race.start_places import BLOCK, PLACE_EVERY, drive_away, fit_places, places_of, split_places
+from pcs_racing.track.frenet import KAPPA
 
 
 @pytest.fixture(scope="module")
@@ -114,3 +116,28 @@ def test_shipped_circuits_start_where_hardly_a_race_is_over_at_once():
             egos, rivals = ([start_places.LATTICE.policy({"pace": pace}) for pace in car] for car in paces)
             over += int(run_races(load_track(name), egos, rivals, short, seed=2).crashed.sum())
     assert over <= 0.02 * 2 * races * len(list_tracks())
+
+
+def test_a_random_circuit_starts_where_its_line_is_nearly_straight(oval):
+    """From 2 m before a place to 8 m ahead of it the line bends by less than 0.12 1/m."""
+    track = random_circuit(RandomCircuits(), 3)
+    assert track.name == "random-3"
+    assert track.content_hash == random_circuit(RandomCircuits(), 3).content_hash
+    assert {name: own.speed_range for name, own in track.calibration.items()} == {
+        "paper": (0.66, 0.86), "contest": (0.65, 0.97), "roboracer": (0.65, 0.97),
+    }  # fmt: skip
+    for circuit in (track, oval):
+        kappa, ds = np.abs(circuit.arrays.line[:, KAPPA]), circuit.arrays.ds
+        expected = []
+        for place in np.arange(0.0, circuit.length, 0.5):
+            ahead = [int((place + step) % circuit.length / ds) % len(kappa) for step in np.arange(-2.0, 8.0, 0.5)]
+            if kappa[ahead].max() < 0.12:
+                expected.append(place)
+        known = _calibration(circuit, CONTEST)
+        assert places_of(known.start_places["front"]).tolist() == pytest.approx(expected)
+        assert 0 < len(expected) < circuit.length / 0.5
+        assert known.start_spacing == CONTEST.start_spacing
+    bends = {"width": 3.0, "shortest": 30.0, "longest": 31.0}
+    assert RandomCircuits(**bends).shortest == 30.0
+    for change in ({"shortest": 29.0}, {"longest": 30.0}):
+        refused("must ascend from 10 widths", RandomCircuits, error=ConfigError, **bends | change)
