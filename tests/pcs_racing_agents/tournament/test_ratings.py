@@ -132,6 +132,7 @@ def test_races_that_paid_nobody_and_who_is_named_first_do_not_matter():
 
 
 def test_bad_input():
+    assert [rate(["a"], ["b"], [0], prior_sd=end).strength.tolist() for end in (1e-6, 1e6)] == [[0.0, 0.0]] * 2
     for call, message in [
         (lambda: rate(["a"], ["a"], [1]), "a races itself"),
         (lambda: rate(["a"], ["b"], [2]), r"result\[0\] is 2"),
@@ -142,8 +143,8 @@ def test_bad_input():
         (lambda: rate([], [], []), "there are no races"),
         (lambda: rate(["a"], ["b"], [1], unpaid=[True]), "none of 1 races"),
         (lambda: rate(["a", "b"], ["c", "d"], [1, 0]), "b never met a"),
-        (lambda: rate(["a"], ["b"], [1], prior_sd=0.0), "prior_sd is 0"),
-        (lambda: rate(["a"], ["b"], [1], prior_sd=1e7), "prior_sd is 10000000"),
+        (lambda: rate(["a"], ["b"], [1], prior_sd=9e-7), "prior_sd is 9e-07"),
+        (lambda: rate(["a"], ["b"], [1], prior_sd=1.1e6), "prior_sd is 1100000"),
         (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0)), "the same unit"),
         (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0), replicates=5), "replicates is 5"),
     ]:

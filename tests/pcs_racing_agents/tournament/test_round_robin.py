@@ -75,6 +75,10 @@ def test_what_start_lines_decide_counts_as_noise():
     sure = round_robin(("a", "b"), table(["a"] * 32, ["b"] * 32, ["ego"] * 32, [False] * 32, line))
     assert sure.noise == 0.0
     assert sure.equilibrium == pytest.approx([1.0, 0.0])
+    for lines, enough in ((5, True), (4, False)):  # for an interval of a rating; a line without a paid race is none
+        line, ends = [*(i % lines for i in range(20)), 9], [*["ego", "opponent"] * 10, "none"]
+        result = round_robin(("a", "b"), table(["a"] * 21, ["b"] * 21, ends, [False] * 20 + [True], line))
+        assert np.isfinite(result.rating("a")).tolist() == [True, enough, enough]
 
 
 CYCLE = np.array([[0.5, 0.6, 0.3], [0.4, 0.5, 0.7], [0.7, 0.3, 0.5]])
