@@ -13,7 +13,6 @@ from pcs_racing import Starts, VehicleParams, load_race_config, parse_policy, re
 from pcs_racing.planners.view import VIEW
 from pcs_racing.race.conditions import RaceConditions
 from pcs_racing.race.races import (
-    TIE_WITHIN,
     RaceSetup,
     advance,
     draw_starts,
@@ -107,23 +106,9 @@ def test_a_crash_of_two_ends_the_race_of_all(oval):
     assert state.crash[0].tolist() == [NO_CRASH, CAR_CRASH, CAR_CRASH]
     assert state.fault[0].tolist() == [0, 1, 0]
     assert state.tick[0] < 200
-    assert finishing_order(state).tolist() == [[0, 2, 1]]
-    for rule, winner in (("nobody", -1), ("fault-loses", 0)):
-        rules = load_race_config("paper", crash_rule=rule)
-        assert winners(rules, state).tolist() == [winner]
-    assert pair_scores(rules, state)[0].tolist() == [[0.5, 1.0, 1.0], [0.0, 0.5, 0.0], [0.0, 1.0, 0.5]]
 
 
-def test_a_race_has_one_to_eight_drivers_and_a_finishing_order(oval):
-    state = empty_state(2, 0, 4)
-    state.progress[:] = [[5.0, 9.0, 1.0, 7.0], [5.0, 4.0, 5.005, 1.0]]
-    assert finishing_order(state).tolist() == [[1, 3, 0, 2], [2, 0, 1, 3]]
-    rules = load_race_config("paper")
-    assert winners(rules, state).tolist() == [1, -1]  # 5 mm are a tie
-    scores = pair_scores(rules, state)
-    np.testing.assert_array_equal(scores + scores.transpose(0, 2, 1), 1.0)
-    assert scores[1, 0].tolist() == [0.5, 1.0, 0.5, 1.0]
-    assert winners(rules, empty_state(1, 0, 1)).tolist() == [-1]
+def test_a_race_has_one_to_eight_drivers(oval):
     refused("1 to 8", run_field, oval, FIELD * 3, QUIET)
     refused(r"\[2, 3\]", run_field, oval, [FIELD[:2], FIELD[:3]], QUIET)
 
@@ -149,7 +134,7 @@ def test_scores_winners_and_orders_are_those_of_their_definitions(cars, rule):
             if merit[one] != merit[other]:
                 beaten[one, other] = merit[one] < merit[other]
             else:
-                beaten[one, other] = ahead > TIE_WITHIN and merit[one] < 2
+                beaten[one, other] = ahead > 0.01 and merit[one] < 2
         beaten &= not (rule == "nobody" and crash.any())
         np.testing.assert_array_equal(scores[race], 0.5 + 0.5 * (1.0 * beaten - beaten.T))
         best = [k for k in range(cars) if cars > 1 and beaten[k].sum() == cars - 1]
