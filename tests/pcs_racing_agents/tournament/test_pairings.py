@@ -2,6 +2,7 @@ import numpy as np
 from refusal import refused
 
 from pcs_racing import make_game
+from pcs_racing.base.seeds import race_seeds
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.executors import make_executor
@@ -32,6 +33,7 @@ def test_a_crossed_pairing_crosses_everything_and_short_circuits_share_places(co
     assert len(np.unique(pairing.noise)) == 48
     paper = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"])
     assert len(paper) == 12 * 20 * 5 * 2  # this archive has 12 policies to start with; with 20 it were 4,000
+    np.testing.assert_array_equal(paper.noise, race_seeds(0, len(paper)))
     # Tarnfjord has 27 places to start side by side, and a pairing draws from 40 lines; a place is one cluster.
     game = make_game("Tarnfjord", archive, "paper")
     policies = build("never-switch", make_setting(archive, game.config))
