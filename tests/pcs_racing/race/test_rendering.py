@@ -122,7 +122,12 @@ def test_a_window_shows_frames(race, monkeypatch):
     assert renderer.render(race.cars[0]) is None
     shown = renderer._window._pygame.surfarray.array3d(renderer._window._surface).swapaxes(0, 1)
     assert np.array_equal(shown, Renderer(race, 200, 120).render(race.cars[0]))
+    assert renderer._window._pygame.display.get_caption()[0] == "pcs-racing"
+    waited: list[float] = []
+    renderer._window._clock = SimpleNamespace(tick=waited.append)
+    monkeypatch.setattr(renderer._window._pygame.event, "pump", lambda: waited.append(0.0))
     assert renderer.render(race.cars[1]) is None
+    assert waited == [0.0, 1000.0]
     renderer.close()
     renderer.close()
 
