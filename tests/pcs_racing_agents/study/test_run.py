@@ -3,6 +3,7 @@
 import re
 import shutil
 import tempfile
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
+from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.results.tables import read_csv
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
@@ -24,6 +26,7 @@ from pcs_racing_agents.study.playing import RATING_SEED
 from pcs_racing_agents.study.reporting import best_open_loop
 from pcs_racing_agents.study.run import seconds_counted, stage_seconds, stages_to_run
 from pcs_racing_agents.study.study import BEST_OPEN_LOOP, Study
+from pcs_racing_agents.tournament import fitting
 
 
 def settings_file(name: str, text: str) -> str:
@@ -146,6 +149,75 @@ def test_an_archive_that_was_made_is_the_one_that_ppo_learns_with(tmp_path):
     preparing.train_ppo_baseline(study)
     assert load_network(study.network("ppo")).identity.archive == "mine"
     assert load_network(study.network("ppo")).training["setting_archive"] == "mine"
+
+
+def test_each_stage_works_on_the_studys_games_with_seeds_of_its_own(tmp_path, monkeypatch):
+    """What the stages before the races ask for, of two circuits."""
+    circuits = ("Pipkin", "Tarnfjord")
+    config = replace(TINY, circuits=circuits, responses=("quick",), seeds=2, replies=(), seed=2**31 + 3)
+    study, asked = Study(config, tmp_path, quiet=True), {}
+
+    def trees(game, folder, **given):
+        asked.setdefault("trees", []).append((game.track.name, game.config.stay, folder, given))
+        return nullcontext(folder)
+
+    def note(name):
+        def called(*given, **named):
+            asked[name] = given, named
+            raise KeyboardInterrupt
+
+        return called
+
+    monkeypatch.setattr(preparing, "open_trees", trees)
+    monkeypatch.setattr(preparing, "run_groups", lambda groups, **given: asked.update(groups=(groups, given["keep"])))
+    preparing.play_trees(study)
+    folders = [tmp_path / "trees" / name for name in circuits]
+    drawn = {"pairs": 3, "seeds_per_pair": 2, "one_thread": False}
+    assert asked["trees"] == [
+        (name, False, folder, {**drawn, "seed": config.seed + 1_000_000 + k})
+        for k, (name, folder) in enumerate(zip(circuits, folders, strict=True))
+    ]
+    assert asked["groups"] == (folders, False)
+    monkeypatch.setattr(preparing, "learn_response", note("response"))
+    monkeypatch.setattr("pcs_racing_agents.learning.ppo.train.train_ppo", note("ppo"))
+    for stage in (preparing.learn_responses, preparing.train_ppo_baseline):
+        with pytest.raises(KeyboardInterrupt):
+            stage(study)
+    (games, pool, setting, settings, _), named = asked["response"]
+    assert [game.track.name for game in games] == list(circuits)
+    assert [competitor.name for competitor in pool] == ["never-switch", "random-moves"]
+    assert (setting, named["name"]) == (study.setting, "quick")
+    own = load_response_settings("quick")
+    assert settings == replace(own, seed=config.seed + 3_000_000 + own.seed)
+    (settings, folder), named = asked["ppo"]
+    assert (settings.tracks, folder, named["policies"], named["rules"]) == (
+        circuits, tmp_path / "ppo" / "training", study.archive, config.game,
+    )  # fmt: skip
+    assert named["seeds"] == tuple(3 + seed for seed in settings.seeds)  # torch takes none from 2^31 on
+
+
+@pytest.mark.parametrize("number", [0, 3, 10_000])
+def test_open_loop_agents_are_fitted_on_training_races_with_targets_spread_over_the_archive(
+    tmp_path, monkeypatch, number
+):
+    study = Study(replace(TINY, fixed_targets=number, fitting_opponents=("lane-switcher",)), tmp_path, quiet=True)
+    fitted, saved = [], {}
+
+    def fake(name):
+        return lambda training, targets="none", **run: fitted.append((training, targets)) or name
+
+    for name in ("fixed", "schedule", "lead_plan"):
+        monkeypatch.setattr(fitting, f"fit_best_{name}", fake(name))
+    monkeypatch.setattr(preparing, "save_fit", lambda fit, path: saved.update({path.name: fit}))
+    preparing.choose_open_loop(study)
+    assert saved == {"best-fixed.yaml": "fixed", "best-schedule.yaml": "schedule", "best-lead-plan.yaml": "lead_plan"}
+    training, targets = fitted[0]
+    assert [(own is training, given) for own, given in fitted] == [(True, targets), (True, "none"), (True, targets)]
+    assert (targets is None) == (number != 3)
+    assert targets is None or (len(set(targets)) == 3 and set(targets) <= set(range(len(study.archive))))
+    assert [track.name for track in training.tracks] == ["Pipkin"]
+    assert [opponent.name for opponent in training.opponents] == ["lane-switcher"]
+    assert (training.races, training.seed, training.setting) == (2, 2_000_003, study.setting)
 
 
 def test_what_was_found_can_be_shipped(finished, tmp_path):
