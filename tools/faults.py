@@ -198,7 +198,7 @@ def _of_statement(node: ast.stmt) -> Iterator[tuple[ast.expr | ast.stmt, str, st
             yield node, "arithmetic", ast.unparse(other)
     elif _can_go(node):
         yield node, "statement dropped", "pass"
-    elif isinstance(node, ast.If | ast.While):
+    elif isinstance(node, ast.If | ast.While) and "TYPE_CHECKING" not in ast.unparse(node.test):
         yield node.test, "condition", f"(not ({ast.unparse(node.test)}))"
 
 

@@ -104,7 +104,7 @@ def test_impossible_wishes_are_named(race, tmp_path):
         refused(name, Renderer, race, **{name: value})
     refused("scene", Renderer, "Spielberg")
     renderer = Renderer(race, 100, 100)
-    for cars in (np.zeros((9, 7)), np.zeros(7), np.full((2, 7), np.nan)):
+    for cars in (np.zeros((9, 7)), np.zeros(7), np.zeros((2, 6)), np.zeros((0, 7)), np.diag([np.nan] + [0.0] * 6)):
         refused("cars", renderer.render, cars)
     refused("fps", replay_frames, race, fps=0.0)
     refused("gif", write_gif, race, tmp_path / "race.mp4")
@@ -210,12 +210,14 @@ class Pen:
 
     def __init__(self) -> None:
         self.drawn: list[tuple] = []
+        self.widths: set[int] = set()
 
     def polygon(self, points, fill, outline=None, width=0):
         self.drawn.append((np.reshape(points, (-1, 2)), fill))
 
-    def line(self, points, fill, width=0, joint=None):
-        self.drawn.append((np.reshape(points, (-1, 2)), fill))
+    def line(self, points, fill, width, joint=None):
+        self.polygon(points, fill)
+        self.widths.add(width)
 
 
 def test_what_is_painted_stands_where_it_is_and_in_its_colour():
@@ -224,6 +226,10 @@ def test_what_is_painted_stands_where_it_is_and_in_its_colour():
     # The oldest piece of a trail is the faintest.
     trails = np.arange(16.0).reshape(4, 2, 2)
     painting.paint_trails(pen, camera, trails)
+    assert pen.widths == {4}  # of fine pixels, two of which are a pixel; seen from near it is 13 cm wide
+    near_by = Pen()
+    painting.paint_trails(near_by, camera._replace(scale=100.0), trails)
+    assert near_by.widths == {13}
     expected = [(camera.pixels(trails[i : i + 2, car]), (*COLOURS[f"car{car}"], round(120 * ((i + 1) / 4) ** 1.6)))
                 for car in range(2) for i in range(3)]  # fmt: skip
     for (points, fill), (wanted, colour) in zip(pen.drawn, expected, strict=True):
@@ -259,6 +265,10 @@ def test_what_is_painted_stands_where_it_is_and_in_its_colour():
 @pytest.mark.parametrize(("scale", "parts"), [(53.4, 10), (53.3, 1)])
 def test_a_car_is_its_rectangle_with_wheels_or_an_arrow_where_it_is_small(scale, parts):
     """A car of 0.6 m x 0.4 m that drives to the upper left; an arrow from a length of 16 pixels of the frame down."""
+    for shape in (painting._BODY, painting._COCKPIT, painting._WHEELS, painting._ARROW, painting._AHEAD):
+        assert {(x, -y) for x, y in shape} == set(shape)  # both sides are alike
+        inside = shape not in (painting._ARROW, painting._AHEAD)
+        assert np.abs(shape).max() <= 1.0 if inside else np.argmax(shape, axis=0)[0] == 0  # or points ahead
     camera, pen = Camera(0.0, 0.0, scale, 400, 400), Pen()
     psi, delta = 2.5, 0.3
     painting.paint_car(pen, camera, BLUE, np.array(state(1.0, 0.5, psi, delta)), np.array([0.3, 0.2]))
@@ -286,8 +296,7 @@ def test_a_car_is_its_rectangle_with_wheels_or_an_arrow_where_it_is_small(scale,
         across = (own(points)[1] - own(points)[2]) * [0.3, 0.2]
         np.testing.assert_allclose(across, 0.34 * 0.2 * np.array([-np.sin(turn), np.cos(turn)]), atol=1e-9)
         assert fill == COLOURS["tyre"]
-    assert len(own(body[0])) == 8
-    np.testing.assert_allclose(own(body[0]), own(body[0])[::-1] * [1, -1], atol=1e-9)  # both sides are alike
+    np.testing.assert_allclose(own(body[0]), painting._BODY, atol=1e-9)
     for part, front, width in ((wing, 0.92, 0.72), (tail, -0.9, 0.8)):
         low, high = own(part[0]).min(axis=0), own(part[0]).max(axis=0)
         np.testing.assert_allclose([low, high], [[front - 0.05, -width], [front + 0.05, width]], atol=1e-9)
@@ -317,6 +326,14 @@ def test_the_camera_shows_the_whole_track_or_the_cars_as_near_as_fits(race):
         assert np.array(found[:2]) * found[2] == pytest.approx(np.rint(np.array(found[:2]) * found[2]))
     small = Renderer(race, 100, 100, view="car_0")._aim(race.cars[0])
     assert small.scale == 64.0  # however small the frame
+
+
+def test_a_renderer_may_go_on_with_another_scene_and_other_cars(race, oval):
+    renderer = Renderer(race, 160, 100)
+    for scene, sizes in ((oval, None), (race, None), (oval, np.full((2, 2), 0.8))):
+        renderer.show(scene, sizes)
+        new = Renderer(scene, 160, 100, half_sizes=sizes)
+        np.testing.assert_array_equal(renderer.render(race.cars[3]), new.render(race.cars[3]))
 
 
 @pytest.mark.parametrize(("fps", "lasts"), [(50.0, 20), (30.0, 30), (7.0, 140)])
