@@ -122,12 +122,11 @@ def test_a_window_shows_frames(race, monkeypatch):
     assert renderer.render(race.cars[0]) is None
     shown = renderer._window._pygame.surfarray.array3d(renderer._window._surface).swapaxes(0, 1)
     assert np.array_equal(shown, Renderer(race, 200, 120).render(race.cars[0]))
-    assert renderer._window._pygame.display.get_caption()[0] == "pcs-racing"
     waited: list[float] = []
     renderer._window._clock = SimpleNamespace(tick=waited.append)
     monkeypatch.setattr(renderer._window._pygame.event, "pump", lambda: waited.append(0.0))
     assert renderer.render(race.cars[1]) is None
-    assert waited == [0.0, 1000.0]
+    assert (waited, renderer._window._pygame.display.get_caption()[0]) == ([0.0, 1000.0], "pcs-racing")
     renderer.close()
     renderer.close()
 
@@ -165,18 +164,6 @@ def test_each_car_has_its_name_beside_it(race, view, apart):
     assert not (letters[0] & letters[1]).any()
 
 
-@pytest.mark.parametrize("view", ["track", "car_0"])
-@pytest.mark.parametrize("heading", [0.0, np.pi / 2, np.pi, -np.pi / 2])
-def test_a_frame_tells_which_way_a_car_drives(race, view, heading):
-    """What points ahead, an arrow or a mark before the car, comes to a point; the rear does not."""
-    frame = Renderer(race, 600, 400, view=view).render(np.array([state(5.0, 5.0, heading)]))
-    rows, columns = np.nonzero(near(frame, BLUE))
-    centre = (300, 200) if view == "car_0" else (300 + (5.0 - 10.0) * 0.91 * 600 / 20, 200)
-    ahead = (columns - centre[0]) * np.cos(heading) - (rows - centre[1]) * np.sin(heading)
-    across = np.abs((columns - centre[0]) * np.sin(heading) + (rows - centre[1]) * np.cos(heading))
-    assert across[ahead > 0.85 * ahead.max()].max() < 0.6 * across[ahead < 0.7 * ahead.min()].max()
-
-
 def test_frames_show_each_moment_with_its_plan_its_trail_and_who_leads(race):
     """What the renderer is asked to draw, by times: frames 0.05 s apart, plans 0.1 s, trails of 2 s."""
     asked = []
@@ -205,102 +192,70 @@ def test_frames_show_each_moment_with_its_plan_its_trail_and_who_leads(race):
     assert asked[-1][1]["text"] == "4.0 s    one leads by 0.0 m"
 
 
-class Pen:
-    """Writes down what it is told to draw."""
+def painted(paint, *given) -> list[tuple]:
+    """The polygons and lines that a function paints: points, colour and width of each."""
+    drawn: list[tuple] = []
 
-    def __init__(self) -> None:
-        self.drawn: list[tuple] = []
-        self.widths: set[int] = set()
+    def draw(points, fill, width=0, **rest):
+        drawn.append((np.reshape(points, (-1, 2)), fill, 0 if "outline" in rest else width))
 
-    def polygon(self, points, fill, outline=None, width=0):
-        self.drawn.append((np.reshape(points, (-1, 2)), fill))
-
-    def line(self, points, fill, width, joint=None):
-        self.polygon(points, fill)
-        self.widths.add(width)
+    paint(SimpleNamespace(polygon=draw, line=draw), *given)
+    return drawn
 
 
-def test_what_is_painted_stands_where_it_is_and_in_its_colour():
-    camera, pen = Camera(2.0, 1.0, 10.0, 200, 100), Pen()
-    np.testing.assert_array_equal(camera.pixels(np.array([[2.0, 1.0, 9.0], [3.0, 3.0, 9.0]])), [[100, 50], [110, 30]])
-    # The oldest piece of a trail is the faintest.
-    trails = np.arange(16.0).reshape(4, 2, 2)
-    painting.paint_trails(pen, camera, trails)
-    assert pen.widths == {4}  # of fine pixels, two of which are a pixel; seen from near it is 13 cm wide
-    near_by = Pen()
-    painting.paint_trails(near_by, camera._replace(scale=100.0), trails)
-    assert near_by.widths == {13}
-    expected = [(camera.pixels(trails[i : i + 2, car]), (*COLOURS[f"car{car}"], round(120 * ((i + 1) / 4) ** 1.6)))
-                for car in range(2) for i in range(3)]  # fmt: skip
-    for (points, fill), (wanted, colour) in zip(pen.drawn, expected, strict=True):
+def check(drawn, expected) -> None:
+    assert [rest for _, *rest in drawn] == [rest for _, *rest in expected]
+    for (points, *_), (wanted, *_) in zip(drawn, expected, strict=True):
         np.testing.assert_allclose(points, wanted, atol=1e-9)
-        assert fill == colour
-    # Rejected paths first, in red; the best on top, in its colour; the others between.
-    pen.drawn.clear()
+
+
+def test_paths_are_painted_where_they_are_in_their_colours():
+    camera = Camera(2.0, 1.0, 10.0, 200, 100)
+    np.testing.assert_array_equal(camera.pixels(np.array([[2.0, 1.0, 9.0], [3.0, 3.0, 9.0]])), [[100, 50], [110, 30]])
+    trails = np.arange(16.0).reshape(4, 2, 2)
+    for view, width in ((camera, 4), (camera._replace(scale=100.0), 13)):  # fine pixels: 13 cm, or two pixels
+        trail = [(view.pixels(trails[i : i + 2, car]), (*COLOURS[f"car{car}"], round(120 * (0.25 + i / 4) ** 1.6)),
+                  width)
+                 for car in range(2) for i in range(3)]  # fmt: skip
+        check(painted(painting.paint_trails, view, trails), trail)  # the oldest piece is the faintest
     paths = np.stack([np.column_stack([np.arange(3.0), np.full(3, k)]) for k in range(5)])
     paths[3, 2], paths[4, 1:] = np.nan, np.nan  # a shorter one, and one that is a point alone
-    painting.paint_candidates(pen, camera, paths, np.array([2.0, np.inf, 1.0, 3.0, 4.0]))
     red, worst, best = (np.array(COLOURS[name]) for name in ("rejected", "worst", "best"))
     mixed = [(*np.rint(worst + (best - worst) * (share / 3) ** 1.7).astype(int).tolist(), 190) for share in (1, 2, 3)]
-    assert [fill for _, fill in pen.drawn] == [(*red, 90), *mixed]
-    for (points, _), k in zip(pen.drawn, (1, 3, 0, 2), strict=True):
-        np.testing.assert_allclose(points, camera.pixels(paths[k][~np.isnan(paths[k, :, 0])]), atol=1e-9)
-    pen.drawn.clear()
-    painting.paint_plan(pen, camera, BLUE, paths[3])
-    painting.paint_plan(pen, camera, BLUE, paths[4])
-    ((points, fill),) = pen.drawn
-    np.testing.assert_allclose(points, camera.pixels(paths[3, :2]), atol=1e-9)
-    assert fill == BLUE
-    for share, colour in (
-        (-1.0, (0, 100)),
-        (0.0, (0, 100)),
-        (0.25, (20, 50)),
-        (0.75, (70, 50)),
-        (1.0, (100, 100)),
-        (2.0, (100, 100)),
-    ):
-        assert painting._between([(0, 100), (40, 0), (100, 100)], share) == colour
+    points = [camera.pixels(path[~np.isnan(path[:, 0])]) for path in paths]
+    fans = zip([points[k] for k in (1, 3, 0, 2)], [(*red, 90), *mixed], [2] * 4, strict=True)
+    check(painted(painting.paint_candidates, camera, paths, np.array([2.0, np.inf, 1.0, 3.0, 4.0])), list(fans))
+    check(painted(painting.paint_plan, camera, BLUE, paths[3]), [(points[3], BLUE, 6)])
+    check(painted(painting.paint_plan, camera, BLUE, paths[4]), [])
+    stops, found = [(0, 100), (40, 0), (100, 100)], [(0, 100), (0, 100), (20, 50), (70, 50), (100, 100), (100, 100)]
+    assert [painting._between(stops, share) for share in (-1.0, 0.0, 0.25, 0.75, 1.0, 2.0)] == found
 
 
-@pytest.mark.parametrize(("scale", "parts"), [(53.4, 10), (53.3, 1)])
-def test_a_car_is_its_rectangle_with_wheels_or_an_arrow_where_it_is_small(scale, parts):
+@pytest.mark.parametrize(("scale", "arrow"), [(53.4, False), (53.3, True)])
+def test_a_car_is_its_rectangle_with_wheels_or_an_arrow_where_it_is_small(scale, arrow):
     """A car of 0.6 m x 0.4 m that drives to the upper left; an arrow from a length of 16 pixels of the frame down."""
     for shape in (painting._BODY, painting._COCKPIT, painting._WHEELS, painting._ARROW, painting._AHEAD):
         assert {(x, -y) for x, y in shape} == set(shape)  # both sides are alike
         inside = shape not in (painting._ARROW, painting._AHEAD)
         assert np.abs(shape).max() <= 1.0 if inside else np.argmax(shape, axis=0)[0] == 0  # or points ahead
-    camera, pen = Camera(0.0, 0.0, scale, 400, 400), Pen()
-    psi, delta = 2.5, 0.3
-    painting.paint_car(pen, camera, BLUE, np.array(state(1.0, 0.5, psi, delta)), np.array([0.3, 0.2]))
-    assert len(pen.drawn) == parts
-    ahead, left = np.array([np.cos(psi), -np.sin(psi)]), np.array([-np.sin(psi), -np.cos(psi)])
-    middle = camera.pixels(np.array([1.0, 0.5]))
+    camera, psi, delta, half, square = Camera(0.0, 0.0, scale, 400, 400), 2.5, 0.3, (0.3, 0.2), [1, -1, -1, 1]
 
-    def own(points):
-        """Points in half lengths to the front and half widths to the left."""
-        away = points - middle
-        return np.stack([away @ ahead / 0.3, away @ left / 0.2], axis=-1) / scale
+    def turned(points, angle):
+        return np.asarray(points) @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
 
-    if parts == 1:
-        size = 11.0 * 2 / (0.3 * scale)
-        np.testing.assert_allclose(own(pen.drawn[0][0]), np.array(painting._ARROW) * size, atol=1e-9)
-        return
-    mark, box, *wheels, body, wing, tail, cockpit = pen.drawn
-    np.testing.assert_allclose(own(mark[0]), painting._AHEAD, atol=1e-9)
-    np.testing.assert_allclose(own(box[0]), [[1, 1], [-1, 1], [-1, -1], [1, -1]], atol=1e-9)
-    for (points, fill), centre in zip(wheels, painting._WHEELS, strict=True):
-        turn = delta if centre[0] > 0.0 else 0.0
-        np.testing.assert_allclose(own(points).mean(axis=0), centre, atol=1e-9)
-        along = (own(points)[0] - own(points)[1]) * [0.3, 0.2]
-        np.testing.assert_allclose(along, 0.4 * 0.3 * np.array([np.cos(turn), np.sin(turn)]), atol=1e-9)
-        across = (own(points)[1] - own(points)[2]) * [0.3, 0.2]
-        np.testing.assert_allclose(across, 0.34 * 0.2 * np.array([-np.sin(turn), np.cos(turn)]), atol=1e-9)
-        assert fill == COLOURS["tyre"]
-    np.testing.assert_allclose(own(body[0]), painting._BODY, atol=1e-9)
-    for part, front, width in ((wing, 0.92, 0.72), (tail, -0.9, 0.8)):
-        low, high = own(part[0]).min(axis=0), own(part[0]).max(axis=0)
-        np.testing.assert_allclose([low, high], [[front - 0.05, -width], [front + 0.05, width]], atol=1e-9)
-    np.testing.assert_allclose(own(cockpit[0]), painting._COCKPIT, atol=1e-9)
+    def place(shape, factor=1.0):
+        return camera.pixels(np.array([1.0, 0.5]) + turned(np.multiply(shape, half) * factor, psi))
+
+    box = np.column_stack([square, [1, 1, -1, -1]])
+    tyre, bars = COLOURS["tyre"], [[[x - 0.05 * -s, w * t] for s, t in box] for x, w in ((0.92, 0.72), (-0.9, 0.8))]
+    wheels = [
+        np.array(at) + turned(box * (0.06, 0.034), delta if at[0] > 0.0 else 0.0) / half for at in painting._WHEELS
+    ]
+    whole = [(painting._AHEAD, BLUE), (box, (*BLUE, 50)), *((wheel, tyre) for wheel in wheels), (painting._BODY, BLUE),
+             *((bar, BLUE) for bar in bars), (painting._COCKPIT, tyre)]  # fmt: skip
+    small = [(place(painting._ARROW, 11.0 * 2 / (0.3 * scale)), BLUE, 0)]
+    drawn = painted(painting.paint_car, camera, BLUE, np.array(state(1.0, 0.5, psi, delta)), np.array(half))
+    check(drawn, small if arrow else [(place(shape), colour, 0) for shape, colour in whole])
 
 
 def test_the_camera_shows_the_whole_track_or_the_cars_as_near_as_fits(race):
@@ -312,7 +267,7 @@ def test_the_camera_shows_the_whole_track_or_the_cars_as_near_as_fits(race):
         return camera[:3]
 
     whole, close = 0.91 * 800 / 10.0, 800 / 9.0  # fine pixels a metre
-    for view, places, x, y, scale in [
+    for view, places, *wanted in [
         ("track", [(1.0, 2.0)], 10.0, 5.0, whole),
         ("car_0", [(1.0, 2.0), (3.0, 4.0)], 1.0, 2.0, close),
         ("car_1", [(1.0, 2.0), (3.0, 4.0)], 3.0, 4.0, close),
@@ -321,11 +276,10 @@ def test_the_camera_shows_the_whole_track_or_the_cars_as_near_as_fits(race):
         ("both", [(1.0, 0.0), (3.0, 4.0)], 2.0, 2.0, 2.0**6.25),
         ("both", [(0.0, 0.0), (18.0, 9.0)], 9.0, 4.5, whole),
     ]:
-        found = aim(view, *places)
-        assert found == pytest.approx((x, y, scale), abs=0.5 / scale), (view, places)
-        assert np.array(found[:2]) * found[2] == pytest.approx(np.rint(np.array(found[:2]) * found[2]))
-    small = Renderer(race, 100, 100, view="car_0")._aim(race.cars[0])
-    assert small.scale == 64.0  # however small the frame
+        x, y, scale = aim(view, *places)
+        assert (x, y, scale) == pytest.approx(wanted, abs=0.5 / scale), (view, places)
+        assert (x * scale, y * scale) == pytest.approx((round(x * scale), round(y * scale)))
+    assert Renderer(race, 100, 100, view="car_0")._aim(race.cars[0]).scale == 64.0  # however small the frame
 
 
 def test_a_renderer_may_go_on_with_another_scene_and_other_cars(race, oval):

@@ -222,8 +222,7 @@ def test_the_most_telling_race_of_each_kind_is_the_closest_one():
         "loss": highlight(1, 1.0, "A loss", 1, 1),
         "crash": highlight(1, 0.2, "A crash before the first move that a is to blame for", 2, 1),
     }
-    some = np.array([3, 8])
-    assert inputs.select_highlights(ours.take(some), base.take(some)) == {}
+    assert inputs.select_highlights(ours.take([3, 8]), base.take([3, 8])) == {}
 
 
 @pytest.fixture
@@ -252,20 +251,17 @@ def test_a_table_has_its_own_races_and_the_papers_figures_only_by_its_rules(race
     assert reporting.study_table(study, cells, "main") == expected
     assert [row.track for row in reporting.study_table(study, cells, "further").rows] == ["Pipkin"]
     (sheet,) = reporting._papers_statistic(study, cells)
-    ahead = make_table(by_progress(races), **known)
+    ahead, written = make_table(by_progress(races), **known), tmp_path / "table_by_progress.csv"
     assert [sheet.head, *sheet.rows] == paper_rows(ahead, "cfr-argmax")
-    assert len(sheet.rows) == 2
-    written = (tmp_path / "table_by_progress.csv").read_bytes()
-    assert written == write_table(ahead, tmp_path / "expected.csv").read_bytes()
-    (tmp_path / "table_by_progress.csv").unlink()
+    assert written.read_bytes() == write_table(ahead, tmp_path / "expected.csv").read_bytes()
+    written.unlink()
     contest = replace(study, config=replace(study.config, race="contest"))
     bare = replace(expected, rows=tuple(replace(row, paper=None) for row in expected.rows))
     assert reporting.study_table(contest, cells, "main") == bare
     without = [cell for cell in cells if cell.pairing.names[0] == "never-switch"]
     alone = replace(study, config=replace(study.config, arms=("never-switch",), best="never-switch"))
-    for other, some in ((contest, cells), (alone, without)):
-        assert list(reporting._papers_statistic(other, some)) == []
-    assert not (tmp_path / "table_by_progress.csv").exists()
+    assert [*reporting._papers_statistic(contest, cells), *reporting._papers_statistic(alone, without)] == []
+    assert not written.exists()
 
 
 def test_findings_and_cautions_are_told_in_words():
@@ -276,15 +272,14 @@ def test_findings_and_cautions_are_told_in_words():
         "What looking at the race brings: cfr-argmax and cfr-argmax, the best open-loop agent in training can't be "
         "told apart: in all of 1 row (+0.125) the 95 % interval contains 0.",
     ]
-    first, second, third = reporting._findings(toy)
-    assert first == "ours scores more in 1 and less in 1 of 2 rows than still (-0.250 to +0.250)."
-    assert second.startswith("cfr-argmax and still can't")
-    assert third.startswith("What looking at the race brings: ours and cfr-argmax, the best")
+    words = ["ours scores more in 1 and", "cfr-argmax and still can't", "What looking at the race brings: ours and cfr"]
+    assert [said.startswith(word) for said, word in zip(reporting._findings(toy), words, strict=True)] == [True] * 3
     assert len(list(reporting._findings(replace(toy, rows=toy.rows[1:])))) == 1
     assert reporting._caution(toy).startswith("This is a smoke test, too small to conclude from: 8 races of an agent")
-    for races, cautious in ((999, True), (1000, False)):
-        arms = tuple(arm._replace(races=races) for arm in toy.rows[0].arms)
-        assert bool(reporting._caution(replace(toy, rows=(replace(toy.rows[0], arms=arms),)))) is cautious
+    large = (arm._replace(races=races) for arm, races in zip(toy.rows[0].arms, (1000, 2000, 1001), strict=True))
+    large = replace(toy.rows[0], arms=tuple(large))
+    small = replace(large, arms=(*large.arms[1:], large.arms[0]._replace(races=999)))
+    assert [bool(reporting._caution(replace(toy, rows=(large, row)))) for row in (large, small)] == [False, True]
 
 
 def test_of_all_rows_the_closest_race_of_the_best_kind_is_watched(raced_study, monkeypatch):
@@ -349,8 +344,8 @@ def test_ratings_stand_in_order_with_what_is_known_of_them():
     assert [row[5:] for row in report._ratings(ReportContent("", round_robin=other))[1:]] == [
         ("", "0.12"), ("", "0.88"), ("", "0.00"),
     ]  # fmt: skip
-    assert report._ratings(ReportContent("", round_robin=replace(known, ratings=None))) == []
-    assert report._ratings(ReportContent("")) == []
+    for nothing in (ReportContent("", round_robin=replace(known, ratings=None)), ReportContent("")):
+        assert report._ratings(nothing) == []
 
 
 def test_curves_and_losses_are_read_and_losses_stand_beside_the_score(tmp_path):
@@ -382,9 +377,8 @@ def test_curves_and_losses_are_read_and_losses_stand_beside_the_score(tmp_path):
     refused("has no column 'lost'", inputs.read_curves, path, "lost", x="step")
     refused("can't read", inputs.read_curves, tmp_path / "nothing.csv")
     versions = inputs.software()
-    assert [versions[name] for name in ("numpy", "Python")] == [np.__version__, platform.python_version()]
-    assert next(iter(versions)) == "pcs-racing"
-    assert versions["machine"] == f"{platform.system()} {platform.machine()}"
+    own = (np.__version__, platform.python_version(), f"{platform.system()} {platform.machine()}")
+    assert tuple(versions[name] for name in ("numpy", "Python", "machine")) == own
 
 
 def test_files_without_losses_are_refused(tmp_path):
