@@ -82,6 +82,7 @@ def test_pictures_of_a_table_hold_its_numbers_each_in_the_place_of_its_agent():
     toy = toy_table()
     scores, differences = figures.scores_picture(toy), figures.differences_picture(toy)
     first, hidden, other, second = scores.axes
+    assert scores.get_size_inches() == pytest.approx([2.0 + 2.3 * 2, 0.7 + (0.55 + 0.21 * 3) * 2])
     assert [axes.get_visible() for axes in (first, hidden, other, second)] == [True, False, False, True]
     paper = [("D", [0.515], [0], True), ("D", [0.569], [-2], True)]
     assert drawn(first)[1:] == [
@@ -116,6 +117,7 @@ def test_pictures_of_a_table_hold_its_numbers_each_in_the_place_of_its_agent():
     assert colours == [(colour, colour) for colour in COLOURS[:2]]  # learned on, and another circuit
     assert [(text.get_text(), text.xy) for text in axes.texts] == [("+0.125", (1.0, 0)), ("+0.250", (1.0, -1))]
     assert labels(axes) == {0: "Tarnfjord against never-switch", -1: "Hut against somebody"}
+    assert axes.figure.get_size_inches() == pytest.approx([7.2, 1.0 + 0.34 * 2])
     assert (axes.get_xlabel(), axes.get_ylim()) == ("score of ours minus score of cfr-argmax", (-1.6, 0.6))
 
 

@@ -66,8 +66,10 @@ def test_the_best_lead_plan_is_found(training, short):
 
 def test_candidates_are_compared_in_the_same_races(training, short, oval, monkeypatch):
     """Of each opponent on each track, with other start policies for each opponent; scores are means over all."""
-    two = replace(training, tracks=[oval, load_track("Pipkin")], seed=7)
-    given = []
+    tracks, opponents, given = [oval, load_track("Pipkin")], list(training.opponents), []
+    two = replace(training, tracks=tracks, opponents=opponents, seed=7)
+    tracks.clear()
+    opponents.clear()  # that lists may change changes nothing
 
     def play(pairings, **named):
         given.append(pairings)

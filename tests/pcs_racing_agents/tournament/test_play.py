@@ -8,6 +8,7 @@ from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.tournament import game_rules, plan_tournament, play_plan, play_tournament, tournament_settings
+from pcs_racing_agents.tournament.pairings import draw_schedule
 from pcs_racing_agents.tournament.play import record_row
 
 CONTEST = load_race_config("contest", duration=6.0)
@@ -112,7 +113,7 @@ def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(mixed, o
         "seed": 0, "races_per_pair": 20, **expected, "tracks": {"oval": oval.content_hash},
         "agents": dict(zip(plan.names, map(competitor_hash, plan.competitors), strict=True)),
     }  # fmt: skip
-    assert len(plan.schedules[0].starts) == 20
+    assert [len(draw_schedule(oval, plan.config, races, 0).starts) for races in (2, 2000)] == [2, 2000]
     assert plan_tournament(oval, MIXED, archive=str(save_archive(default, tmp_path))).archive == str(tmp_path.resolve())
     assert mixed.plan.archive == archive.name
 
@@ -141,7 +142,7 @@ def test_bad_input_is_refused_before_any_race(oval):
         ({"tracks": []}, "there are 0 tracks"),
         ({"races_per_pair": 3}, "races_per_pair is 3"),
         ({"races_per_pair": 0}, "races_per_pair is 0"),
-        ({"races_per_pair": 4000}, "races_per_pair is 4000"),
+        ({"races_per_pair": 2002}, "races_per_pair is 2002"),
         ({"race": load_race_config("paper", start_spacing=5.0)}, "no place"),
     ]:
         arguments = {"tracks": oval, "entrants": POLICIES, "race": CONTEST, "races_per_pair": 2} | change

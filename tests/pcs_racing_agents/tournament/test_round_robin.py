@@ -93,6 +93,8 @@ def test_alpha_rank_prefers_who_beats_all_and_keeps_cycles():
     assert alpha_rank(LADDER, tolerance=0.25) == pytest.approx([0.5, 0.5, 0.0], abs=0.01)
     # Two agents, a beats b: a is taken over with a probability of 0.001, b with 0.999.
     assert alpha_rank([[0.5, 0.8], [0.2, 0.5]]) == pytest.approx([0.999, 0.001])
+    races = table(["a"] * 4, ["b"] * 4, ["ego"] * 4, [False] * 4, range(4))
+    assert round_robin(("a", "b"), races).alpha_rank == pytest.approx([0.999, 0.001])
 
 
 def test_a_missing_library_is_named_with_its_extra(monkeypatch):

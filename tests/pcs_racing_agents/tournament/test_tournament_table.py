@@ -138,6 +138,11 @@ def test_pictures_hold_each_number_at_its_place():
         assert axis.get_ticklocs().tolist() == [0, 1, 2]
         assert [label.get_text() for label in axis.get_ticklabels()] == ["one", "two", "three"]
     assert axes.get_xlabel() == "score of the row's agent against the column's"
+    assert (axes.xaxis.get_ticks_position(), any(spine.get_visible() for spine in axes.spines.values())) == (
+        "top",
+        False,
+    )
+    assert axes.figure.get_size_inches() == pytest.approx([0.58 * 3 + 2.0, 0.58 * 3 + 1.4])
     races = (["a", "b", "a"] * 10, ["b", "c", "c"] * 10, [-1, 1, 1] * 5 + [1, -1, -1] * 5)
     ratings = rate(*races, rng=np.random.default_rng(0), replicates=100)
     ratings = replace(ratings, strength=np.array([0.0, 1.0, -1.0]))
@@ -155,3 +160,5 @@ def test_pictures_hold_each_number_at_its_place():
     labels = zip(axes.get_yticks(), axes.get_yticklabels(), strict=True)
     assert [(place, label.get_text()) for place, label in labels] == [(0, "b"), (-1, "a"), (-2, "c")]
     assert axes.get_ylim() == (-2.6, 0.6)
+    assert axes.get_xlabel() == "rating (Bradley-Terry; 400 are odds of ten to one; mean 0)"
+    assert axes.figure.get_size_inches() == pytest.approx([7.2, 0.9 + 0.3 * 3])
