@@ -1,6 +1,7 @@
 """Start places are those from which pairs of drivers get away."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,6 +93,23 @@ def test_where_the_left_gains_more_it_gets_fewer_lines_and_none_where_cars_do_no
     settings = kernel_settings(PAPER, (0.8, 1.0))
     assert (drive_away(oval, PAPER, settings, 2.2)[0] == 1.0).all()
     refused(r"track 'oval' has no place .* side-by-side start .* 2.2 m apart", fit_places, oval, PAPER, settings, [2.2])
+
+
+def test_a_side_gains_what_it_wins_of_whole_races_from_some_of_its_places(oval, monkeypatch):
+    """From 30 places at most, spread over all; races that ended in a crash do not count."""
+    asked, crashed = [], np.array([False, False, True, False])
+
+    def race(track, config, settings, spacing, places, pairs, key):
+        asked.append((spacing, places.tolist(), len(pairs), key))
+        return SimpleNamespace(crashed=crashed), np.array([3.0, -1.0, 5.0, 2.0])
+
+    monkeypatch.setattr(start_places, "_race_from", race)
+    gains = [start_places._gain(oval, PAPER, None, 0.9, stretches) for stretches in (((0.0, 19.5),), ((2.0, 4.0),))]
+    crashed[:] = True
+    assert start_places._gain(oval, PAPER, None, 0.9, ((2.0, 4.0),)) == 0.0
+    assert gains == pytest.approx([2 / 3 - 0.5] * 2)
+    some = (0.5 * np.linspace(0, 39, 30).astype(int)).tolist()
+    assert asked == [(0.9, places, 8, 0) for places in (some, *[[2.0, 2.5, 3.0, 3.5, 4.0]] * 2)]
 
 
 def test_more_crashes_are_allowed_only_where_places_are_few(oval, pretend):
