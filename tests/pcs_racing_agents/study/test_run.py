@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import sys
 import tempfile
 from contextlib import nullcontext
 from dataclasses import replace
@@ -309,6 +310,9 @@ def test_a_missing_library_is_told_before_any_work(monkeypatch, tmp_path, change
     monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None if name == library else object())
     with pytest.raises(ModuleNotFoundError, match=rf"{library} is needed .*\[{extra}\]"):
         run_study(replace(TINY, **changes), tmp_path / "x", quiet=True)
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    with pytest.raises(ModuleNotFoundError, match="PPO needs Stable-Baselines3"):
+        run_study(TINY, tmp_path / "x", only=["ppo"], quiet=True)
     assert not (tmp_path / "x").exists()
 
 
