@@ -29,7 +29,7 @@ _PAIRS = "min max, minimum maximum, argmin argmax, sin cos, any all, floor ceil,
 TWINS = {a: b for pair in _PAIRS.split(", ") for a, b in (pair.split(), pair.split()[::-1])}
 
 _LEFT_ALONE = (ast.Import, ast.ImportFrom, ast.Raise, ast.Assert, ast.JoinedStr)
-_STYLE = ("alpha", "color", "dpi", "figsize", "fontsize", "labelsize", "linewidth", "lw", "pad", "zorder")
+_STYLE = ("alpha", "color", "dpi", "figsize", "fontsize", "labelsize", "linewidth", "lw", "mew", "ms", "pad", "zorder")
 _NUMBERED = re.compile(r"(.*[A-Za-z_])([01])(.*)")
 
 
@@ -198,7 +198,7 @@ def _of_statement(node: ast.stmt) -> Iterator[tuple[ast.expr | ast.stmt, str, st
             yield node, "arithmetic", ast.unparse(other)
     elif _can_go(node):
         yield node, "statement dropped", "pass"
-    elif isinstance(node, ast.If | ast.While):
+    elif isinstance(node, ast.If | ast.While) and "TYPE_CHECKING" not in ast.unparse(node.test):
         yield node.test, "condition", f"(not ({ast.unparse(node.test)}))"
 
 

@@ -17,6 +17,8 @@ _SIMULATOR = tuple(f"pcs_racing/{floor}" for floor in ("base", "track", "car", "
 ELSEWHERE = {
     "pcs_racing/car": ("tests/pcs_racing/race/test_race_kernel.py",),
     "pcs_racing/planners": ("tests/pcs_racing/race/test_race_kernel.py", "tests/pcs_racing/race/test_race_state.py"),
+    "pcs_racing/game/match.py": ("tests/pcs_racing/envs/test_match.py",),
+    "pcs_racing/race/random_circuits.py": ("tests/pcs_racing/envs/test_randomization.py",),
     "pcs_racing_agents/view": (
         "tests/pcs_racing_agents/cli/test_view_command.py",
         "tests/pcs_racing_agents/cli/test_explain_command.py",

@@ -1,8 +1,10 @@
-"""Races of a study whose truth is known: drawn, not driven."""
+"""Races of a study whose truth is known: drawn, not driven; and a table of round numbers."""
 
 import numpy as np
 
 from pcs_racing_agents.results.races import Categorical, RaceTable, concatenate_races
+from pcs_racing_agents.study.table import PAPER_TABLE, ArmResult, Difference, StudyTable, TableRow
+from pcs_racing_agents.tournament.statistics import Comparison
 
 STRENGTHS = {"never-switch": 0.0, "best-fixed": 0.5, "cfr-argmax": 0.6, "our-best": 1.1}
 
@@ -49,3 +51,31 @@ def _table(track, arm, rival, lead, crash, own, variants, line, side) -> RaceTab
         fault=np.stack([own, crash & ~own], axis=1).astype(np.int8), overtakes=np.zeros((count, 2), np.int8),
         duration=np.full(count, 40.0), variants=variants, path=nothing, moves=Categorical((), nothing),
     )  # fmt: skip
+
+
+def toy_difference(arm, base, a, b, reach, p, p_holm) -> Difference:
+    """Two arms of these scores, whose difference has an interval that reaches so far to both sides."""
+    results = [
+        Comparison(a, b, a - b, a - b - way, a - b + way, way / 2.0, 3, chance, p / 10.0, 8.0 * (a - b), 8, 2, 4)
+        for way, chance in ((reach, p), (0.5, 0.25))
+    ]
+    return Difference(arm, base, *results, p_holm)
+
+
+def toy_table() -> StudyTable:
+    """Two rows: all three arms with the paper's figures, and two arms without, with other numbers of races."""
+    still = ArmResult("still", 8, 0.5, 0.25, 0.75, 0.125, 0.25, 0.125)
+    ours = ArmResult("ours", 8, 0.75, 0.5, 1.0, 0.0625, 0.5, 0.0)
+    plan = ArmResult("cfr-argmax", 8, 0.625, 0.5, 0.75, 0.0, 0.0, 0.0)
+    differences = (
+        toy_difference("ours", "still", 0.75, 0.5, 0.125, 0.0025, 0.005),
+        toy_difference("cfr-argmax", "still", 0.625, 0.5, 0.25, 0.5, 0.5),
+    )
+    gain = toy_difference("ours", "cfr-argmax", 0.75, 0.625, 0.25, 0.125, 0.05)
+    less = toy_difference("ours", "still", 0.25, 0.5, 0.0625, 1e-120, 1e-6)
+    rows = (
+        TableRow("Tarnfjord", "never-switch", True, PAPER_TABLE["Non-GT", True], 5, True, (still, ours, plan),
+                 differences, gain),
+        TableRow("Hut", "somebody", False, None, 2, False, (still, ours._replace(races=16)), (less,), None),
+    )  # fmt: skip
+    return StudyTable(rows, "still", "ours", "cfr-argmax")

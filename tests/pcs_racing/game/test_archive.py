@@ -10,7 +10,15 @@ from hypothesis.extra import numpy as hnp
 from refusal import refused
 
 from pcs_racing import InputError, Parameter, Planner, PolicyArchive, UnknownNameError, load_archive, save_archive
-from pcs_racing.game.moves import check_epsilon, duplicate_share, move, move_names, move_table, no_op_share
+from pcs_racing.game.moves import (
+    check_epsilon,
+    duplicate_moves,
+    duplicate_share,
+    move,
+    move_names,
+    move_table,
+    no_op_share,
+)
 from pcs_racing.planners import registry
 
 AXES = ("aggressiveness", "restraint")
@@ -101,6 +109,12 @@ def test_shares_of_useless_moves():
     np.testing.assert_array_equal(move_table(toy, 3.0)[0], [1, 0, 0, 1])
     assert no_op_share(toy, 3.0) == 0.5
     assert duplicate_share(toy, 3.0) == 0.5
+    table = np.random.default_rng(0).integers(0, 4, (30, 6))
+    earlier = [[there in row[:k] for k, there in enumerate(row)] for row in table.tolist()]
+    np.testing.assert_array_equal(duplicate_moves(table), earlier)
+    points = np.random.default_rng(1).uniform(-0.5, 1.5, (2, 5000, 2))  # more than are compared at once
+    far = np.linalg.norm(points[..., None, :] - toy.normalised, axis=-1)
+    np.testing.assert_array_equal(toy.nearest(points), far.argmin(axis=-1))
 
 
 def test_policies_come_from_the_planner_unless_it_has_changed(toy_planner):
@@ -130,13 +144,16 @@ def test_parameters_that_an_archive_does_not_hold_have_the_planners_defaults(toy
 def test_the_axes_can_be_chosen_and_tell_how_they_go_together():
     toy = archive()
     assert toy.correlations == {AXES: pytest.approx(np.corrcoef(COORDINATES.T)[0, 1])}
-    assert "aggressiveness, restraint (correlation -0.98)" in repr(toy)
+    axes = "aggressiveness, restraint (correlation -0.98)"
+    assert repr(toy) == f"<PolicyArchive 'toy': 5 toy-planner policies, {axes}, preset 'paper'>"
     third = np.array([1.0, -1.0, 1.0, -1.0, 0.0])
     three = archive(np.column_stack([COORDINATES, third]), (*AXES, "speed"))
     expected = np.corrcoef(three.coordinates.T)
     assert list(three.correlations) == [AXES, (AXES[0], "speed"), (AXES[1], "speed")]
     np.testing.assert_allclose(list(three.correlations.values()), expected[np.triu_indices(3, 1)])
-    assert toy.project(("restraint",)).correlations == {}
+    one = toy.project(("restraint",))
+    assert one.correlations == {}
+    assert "policies, restraint, preset" in repr(one)
     constant = archive([[0.0, 1.0], [2.0, 1.0]], parameters=[[0.0, 0.0], [1.0, 0.0]], ideal=[2, 2], nadir=[0, 0])
     assert np.isnan(constant.correlations[AXES])
     toy = archive().project(("restraint",))
@@ -217,6 +234,8 @@ def test_impossible_archives_questions_and_epsilons_are_one_clear_error():
     pairs = [(0.1, 0.1), (0.1, "x"), (0.3, True), (0.3, "0.2"), (0.3, -0.1)]
     for epsilon in [0.0, -1.0, 11.0, np.nan, "0.3", (), True, None, *pairs]:
         refused(r"epsilon is .*", check_epsilon, epsilon)
+    for epsilon, steps in ((10, (10.0,)), ([0.2, 0.6], (0.2, 0.6)), (np.array([0.6, 0.2]), (0.6, 0.2))):
+        assert check_epsilon(epsilon) == steps
 
 
 def test_files_that_are_no_archive_and_damaged_ones_are_one_clear_error(tmp_path, toy_planner):

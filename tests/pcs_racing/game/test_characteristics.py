@@ -13,28 +13,33 @@ from pcs_racing.testing import check_characteristic
 
 @pytest.fixture
 def piece() -> measures.Segment:
-    """Two races of 8 s; the second ended after 2 s."""
-    sums = np.zeros((2, 2, len(kept.SUMS)))
-    sums[..., kept.TIME] = [[8.0, 8.0], [2.0, 2.0]]
-    sums[..., kept.ITTC] = [[80.0, 160.0], [20.0, 0.0]]
-    sums[..., kept.ITTC_SAMPLES] = [[160.0, 160.0], [40.0, 0.0]]
-    sums[..., kept.STEERING] = [[4.0, 8.0], [1.0, 3.0]]
-    sums[..., kept.BLOCKING] = [[2.0, 0.0], [0.0, 1.0]]
-    sums[..., kept.PROFILE] = [[7.2, 6.0], [1.0, 2.0]]
-    sums[..., kept.TIME_BEHIND] = [[2.0, 6.0], [0.5, 1.5]]
-    sums[..., kept.PROFILE_BEHIND] = [[1.8, 4.8], [0.5, 1.2]]
-    return measures.Segment(np.array([[40.0, 36.0], [8.0, 10.0]]), sums, np.array([8.0, 2.0]), 8.0)
+    """Four races of 8 s; the others than the first ended after 2 s, 0.25 s and 3 s."""
+    sums = np.zeros((4, 2, len(kept.SUMS)))
+    sums[..., kept.TIME] = [[8.0, 8.0], [2.0, 2.0], [0.25, 0.25], [3.0, 3.0]]
+    sums[..., kept.ITTC] = [[80.0, 160.0], [20.0, 0.0], [3.0, 0.0], [0.0, 0.0]]
+    sums[..., kept.ITTC_SAMPLES] = [[160.0, 160.0], [40.0, 0.0], [0.0, 0.0], [60.0, 60.0]]
+    sums[..., kept.STEERING] = [[4.0, 8.0], [1.0, 3.0], [1.0, 0.0], [0.0, 3.0]]
+    sums[..., kept.BLOCKING] = [[2.0, 0.0], [0.0, 1.0], [0.25, 0.0], [3.0, 0.0]]
+    sums[..., kept.PROFILE] = [[7.2, 6.0], [1.0, 2.0], [0.25, 0.0], [2.1, 1.8]]
+    sums[..., kept.TIME_BEHIND] = [[2.0, 6.0], [0.5, 1.5], [0.0, 0.25], [1.0, 2.0]]
+    sums[..., kept.PROFILE_BEHIND] = [[1.8, 4.8], [0.5, 1.2], [0.0, 0.0], [0.9, 1.6]]
+    sums[..., kept.LATERAL] = [[32.0, 72.0], [8.0, 0.0], [2.0, 0.0], [0.0, 3.0]]
+    progress = np.array([[40.0, 36.0], [8.0, 10.0], [1.0, 2.0], [6.0, 6.0]])
+    return measures.Segment(progress, sums, np.array([8.0, 2.0, 0.25, 3.0]), 8.0)
 
 
 def test_values_by_hand_and_the_check_for_everybody(piece):
     for name, expected in [
-        ("aggressiveness", [[4.0, -4.0], [-2.0, 2.0]]),
-        ("pace", [[4.0, -4.0], [-8.0, 8.0]]),  # as if the crash had not cut it short
-        ("restraint", [[0.5, 1.0], [0.5, 0.0]]),
-        ("smoothness", [[-0.5, -1.0], [-0.5, -1.5]]),
-        ("blocking", [[0.25, 0.0], [0.0, 0.5]]),
-        ("speed", [[0.9, 0.75], [0.5, 1.0]]),
-        ("reaction", [[0.0, 0.2], [0.0, 0.0]]),  # for less than a second in front or behind nothing is said
+        ("aggressiveness", [[4.0, -4.0], [-2.0, 2.0], [-1.0, 1.0], [0.0, 0.0]]),
+        # As if the crash had not cut it short; less than half a second counts as half of one, here and below.
+        ("pace", [[4.0, -4.0], [-8.0, 8.0], [-16.0, 16.0], [0.0, 0.0]]),
+        ("restraint", [[0.5, 1.0], [0.5, 0.0], [3.0, 0.0], [0.0, 0.0]]),
+        ("smoothness", [[-0.5, -1.0], [-0.5, -1.5], [-2.0, 0.0], [0.0, -1.0]]),
+        ("blocking", [[0.25, 0.0], [0.0, 0.5], [0.5, 0.0], [1.0, 0.0]]),
+        ("speed", [[0.9, 0.75], [0.5, 1.0], [0.5, 0.0], [0.7, 0.6]]),
+        ("cornering", [[2.0, 3.0], [2.0, 0.0], [2.0, 0.0], [0.0, 1.0]]),
+        # For less than a second in front or behind nothing is said.
+        ("reaction", [[0.0, 0.2], [0.0, 0.0], [0.0, 0.0], [0.3, 0.6]]),
     ]:
         np.testing.assert_allclose(measures.measure(piece, measures.get_characteristics([name]))[..., 0], expected)
     for name in list(measures._registered):

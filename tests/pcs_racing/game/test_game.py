@@ -6,11 +6,18 @@ import pytest
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import CONTEST, PAPER, GameConfig, PolicyArchive, RaceGame, Starts, load_archive, load_track, make_game
+from pcs_racing import CONTEST, GameConfig, PolicyArchive, RaceGame, Starts, load_archive, load_track, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
 from pcs_racing.game.moves import move
-from pcs_racing.game.observation import observation_elements, observation_table
+from pcs_racing.game.observation import (
+    decode_match,
+    encode_match,
+    encode_observation,
+    match_elements,
+    observation_elements,
+    observation_table,
+)
 from pcs_racing.game.reward import reward
 from pcs_racing.game.starting import random_bits
 from pcs_racing.game.state import GameState, put_games, take_games
@@ -164,40 +171,60 @@ def test_any_moment_can_be_kept_and_continued_and_a_step_driven_without_a_state(
     np.testing.assert_array_equal(reward(game.config, end.race, end.step), game.reward(end)[:, 0])
 
 
-def test_players_see_their_own_coordinates_and_estimates_of_the_other(game):
+def test_players_observe_what_a_state_holds(game):
     state = play(game, game.reset(games=2), [(0, 3)])
-    names = [element.name for element in game.observation_elements]
-    seen = game.observation(state)
-    assert seen.shape == (2, 2, len(names))
-    assert seen.dtype == np.float32
+    expected = encode_observation(state.own, state.estimates, state.leads, np.array([1, 1]))
+    np.testing.assert_array_equal(game.observation(state), expected)
+    assert np.ptp(expected) > 0.0
 
-    def value(name, car):
-        return seen[:, car, names.index(name)]
 
+BOUNDS = {"own": ("range", -1.0, 2.0), "opponent": ("range", -1.0, 2.0), "lead": ("20 m", -5.0, 5.0)}
+
+
+def check_encoding(elements, observation, values) -> None:
+    """Each number of both cars' observations is the one that its element names, in its unit and within its bounds."""
+    assert [element.name for element in elements] == list(values[0])
+    for element in elements:
+        word = next((word for word in BOUNDS if word in element.name.split("_")), "")
+        assert element[1:4] == BOUNDS.get(word, ("1", 0.0, 1.0)), element.name
+    expected = np.stack([np.stack(list(of_car.values()), axis=1) for of_car in values], axis=1)
+    np.testing.assert_array_equal(observation, expected.astype(np.float32))
+    assert observation.dtype == np.float32
+    assert not np.signbit(observation[observation == 0.0]).any()
+    assert all(((observation >= element.low) & (observation <= element.high))[..., i].all()
+               for i, element in enumerate(elements))  # fmt: skip
+
+
+def test_an_observation_holds_what_its_elements_name_and_a_match_is_read_back():
+    rng, axes = np.random.default_rng(0), get_characteristics(("aggressiveness", "restraint"))
+    names = [axis.name for axis in axes]
+    own, other = rng.uniform(-1.0, 2.0, (2, 3, 2, 4, 2))  # games, cars, steps or races, axes
+    leads, score, driven = rng.uniform(-200.0, 200.0, (3, 4)), rng.random((3, 2, 4)), rng.random((3, 4))
+    over, front = np.array([1, 2, 3]), rng.random((3, 2)) < 0.5
+    steps: list[dict[str, np.ndarray]] = [{}, {}]
+    races: list[dict[str, np.ndarray]] = [{}, {}]
     for car in range(2):
-        for step in range(2):
-            for axis, name in enumerate(game.archive.characteristics):
-                own = state.own[:, car, step, axis].astype("f4")
-                np.testing.assert_array_equal(value(f"own_{name}_{step}", car), own)
-                other = state.estimates[:, 1 - car, step, axis]
-                np.testing.assert_array_equal(value(f"opponent_{name}_{step}", car), other.astype("f4"))
-            lead = state.leads[:, step] * (1 if car == 0 else -1) / 20.0
-            np.testing.assert_array_equal(value(f"lead_{step}", car), lead.astype("f4"))
-        np.testing.assert_array_equal([value(f"seen_{step}", 0)[0] for step in range(5)], [1, 1, 0, 0, 0])
-        np.testing.assert_array_equal(value("step", car), 0.25)
-    future = [i for i, name in enumerate(names) if name[-1] in "234"]
-    assert not seen[..., future].any()
-
-
-@pytest.mark.parametrize("race", [PAPER, CONTEST])
-def test_observations_stay_within_their_bounds(track, race):
-    game = make_game(track, race=race, step_seconds=4.0)
-    low, high = (np.array([getattr(e, end) for e in game.observation_elements], np.float32) for end in ("low", "high"))
-    state = game.reset(games=40, redraw=False)
-    for k in range(4):
-        seen = game.observation(state)
-        assert ((seen >= low) & (seen <= high)).all()
-        state = game.step(state, np.full((40, 2), k))
+        lead = np.clip((1 - 2 * car) * leads / 20.0, -5.0, 5.0)
+        for k in range(4):
+            seen = (k <= over).astype(float)
+            for form, values in ((f"{{}}_{k}", steps[car]), (f"race_{k}_{{}}", races[car])):
+                shown = seen if values is steps[car] else 1.0
+                for word, numbers in (("own", own[:, car]), ("opponent", other[:, 1 - car])):
+                    values |= {form.format(f"{word}_{name}"): shown * numbers[:, k, i] + 0.0
+                               for i, name in enumerate(names)}  # fmt: skip
+                values[form.format("lead")] = shown * lead[:, k] + 0.0
+            steps[car][f"seen_{k}"] = seen
+            races[car] |= {f"race_{k}_score": score[:, car, k], f"race_{k}_driven": driven[:, k]}
+        steps[car]["step"] = over / 3.0
+        races[car] |= {"races_left": (4 - over) / 4.0, "front": front[:, car].astype(float)}
+    check_encoding(observation_elements(axes, 3), encode_observation(own, other, leads, over), steps)
+    encoded = encode_match(own, other, leads, score, driven, over, front)
+    check_encoding(match_elements(axes, 4), encoded, races)
+    for car in range(2):
+        read = decode_match(encoded[:, car], 4, 2)
+        lead = np.clip((1 - 2 * car) * leads / 20.0, -5.0, 5.0)
+        for found, expected in zip(read, (own[:, car], other[:, 1 - car], lead, score[:, car], driven), strict=True):
+            np.testing.assert_array_equal(found, expected.astype(np.float32))
 
 
 def three_axes(archive: PolicyArchive, third: str) -> PolicyArchive:
@@ -224,6 +251,10 @@ def test_several_step_sizes_and_three_characteristics(track):
     end = play(game, game.reset(games=2), [(4, 5)] * 4)
     assert game.observation(end).shape == (2, 2, 41)
     assert game.done(end).all()
+    narrow = replace(game.archive, ideal=np.quantile(game.archive.coordinates, 0.2, axis=0))
+    points = make_game(track, narrow).points
+    np.testing.assert_array_equal(points, np.clip(narrow.normalised, -1.0, 2.0))
+    assert points.max() == 2.0 < narrow.normalised.max()
     two = make_game(track, game.archive, step_seconds=2.0, characteristics=("aggressiveness", "restraint"))
     assert two.move_names == ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
 
@@ -273,7 +304,11 @@ def test_games_that_end_while_watching_are_drawn_again(track):
     assert_same(take_games(again, np.flatnonzero(~crashed)), take_games(once, np.flatnonzero(~crashed)))
     bad = int(np.flatnonzero(crashed)[0])
     assert_same(game.reset(games=40).copy(), again)
-    assert_same(game.reset(race_seeds(0, 40)[bad : bad + 1]), take_games(again, [bad]))
+    key = race_seeds(0, 40)[bad : bad + 1]
+    assert_same(game.reset(key), take_games(again, [bad]))
+    grid = game.grid(key, again.race.seed[[bad]])  # of the draw that was kept
+    advance(game.setup, grid, again.theta[[bad]], 400)
+    assert_same(grid, take_games(again, [bad]).race)
 
 
 def test_drivers_from_outside_the_archive(track):

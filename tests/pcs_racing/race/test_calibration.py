@@ -6,10 +6,20 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing.race.calibration import FRICTION_SCALE, SCALES, calibrate, calibration_of, hazard_scan, starts_for
+from pcs_racing.race import calibration
+from pcs_racing.race.calibration import (
+    FRICTION_SCALE,
+    SCALES,
+    CalibrationReport,
+    calibrate,
+    calibration_of,
+    hazard_scan,
+    starts_for,
+)
 from pcs_racing.race.config import CONTEST, PAPER, PRESETS
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
+from pcs_racing.track.track import Calibration
 
 
 def test_faster_is_riskier_and_threads_change_nothing():
@@ -93,6 +103,31 @@ def test_another_kind_of_start_is_tried_out_by_driving(tmp_path, monkeypatch, ov
     assert "places for a rolling start of track 'oval'" in capsys.readouterr().err
     assert starts_for(oval, rolling) == found
     assert capsys.readouterr().err == ""
+
+
+def test_the_scale_of_a_hazard_lies_between_those_that_were_driven():
+    scales = np.array([0.6, 0.7, 0.8, 0.9])
+    for hazard, level, scale in [
+        ([0.0, 0.1, 0.5, 0.5], 0.3, 0.75), ([0.0, 0.1, 0.5, 0.9], 0.5, 0.8), ([0.0, 0.0, 0.4, 0.4], 0.1, 0.725),
+        ([0.0, 0.0, 0.1, 0.2], 0.2, 0.9),
+    ]:  # fmt: skip
+        assert calibration._crossing(scales, np.array(hazard), level) == pytest.approx(scale)
+
+
+def test_distances_across_the_track_are_tried_the_nearest_first_and_a_report_is_a_table():
+    assert calibration._spacings(PAPER) == [0.9, 1.0, 0.8, 1.1, 0.7, 1.2, 0.6, 1.3, 0.5]
+    assert calibration._spacings(replace(PAPER, start_spacing=0.45)) == [0.45, 0.55, 0.65, 0.75, 0.85]
+    near = replace(CONTEST, start_spacing=0.25)
+    assert calibration._spacings(near) == [0.25, 0.35, 0.15, 0.45, 0.05, 0.55, 0.65]
+    places = {"left": ((0.0, 1.5),), "right": ((2.0, 2.0), (4.0, 4.5))}
+    report = CalibrationReport("oval", "paper", (0.6, 0.65), (0.0, 0.25), Calibration((0.75, 1.05), 0.8, places))
+    assert report.table().splitlines() == [
+        "oval, paper: speed range 0.75 to 1.05",
+        "start places: 4 that favour the left, 3 that favour the right; cars 0.8 m apart",
+        "scale  own crash per 40 s",
+        " 0.60    0.0%  ",
+        " 0.65   25.0%  ##########",
+    ]
 
 
 def test_an_odd_number_of_cars_is_refused():

@@ -1,6 +1,7 @@
 """Races of one car, and of more than two: the same rules for all pairs, and nothing depends on a car's number."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,20 @@ from placed_cars import HOLD, placed, view_of
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import Starts, load_race_config, parse_policy, read_replay, record_race, save_replay
+from pcs_racing import Starts, VehicleParams, load_race_config, parse_policy, read_replay, record_race, save_replay
 from pcs_racing.planners.view import VIEW
-from pcs_racing.race.races import RaceSetup, advance, finishing_order, pair_scores, run_field, start_races, winners
+from pcs_racing.race.conditions import RaceConditions
+from pcs_racing.race.races import (
+    RaceSetup,
+    advance,
+    draw_starts,
+    finishing_order,
+    pair_scores,
+    run_field,
+    start_lines,
+    start_races,
+    winners,
+)
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, empty_state, take
 
@@ -94,25 +106,68 @@ def test_a_crash_of_two_ends_the_race_of_all(oval):
     assert state.crash[0].tolist() == [NO_CRASH, CAR_CRASH, CAR_CRASH]
     assert state.fault[0].tolist() == [0, 1, 0]
     assert state.tick[0] < 200
-    assert finishing_order(state).tolist() == [[0, 2, 1]]
-    for rule, winner in (("nobody", -1), ("fault-loses", 0)):
-        rules = load_race_config("paper", crash_rule=rule)
-        assert winners(rules, state).tolist() == [winner]
-    assert pair_scores(rules, state)[0].tolist() == [[0.5, 1.0, 1.0], [0.0, 0.5, 0.0], [0.0, 1.0, 0.5]]
 
 
-def test_a_race_has_one_to_eight_drivers_and_a_finishing_order(oval):
-    state = empty_state(2, 0, 4)
-    state.progress[:] = [[5.0, 9.0, 1.0, 7.0], [5.0, 4.0, 5.005, 1.0]]
-    assert finishing_order(state).tolist() == [[1, 3, 0, 2], [2, 0, 1, 3]]
-    rules = load_race_config("paper")
-    assert winners(rules, state).tolist() == [1, -1]  # 5 mm are a tie
-    scores = pair_scores(rules, state)
-    np.testing.assert_array_equal(scores + scores.transpose(0, 2, 1), 1.0)
-    assert scores[1, 0].tolist() == [0.5, 1.0, 0.5, 1.0]
-    assert winners(rules, empty_state(1, 0, 1)).tolist() == [-1]
+def test_a_race_has_one_to_eight_drivers(oval):
     refused("1 to 8", run_field, oval, FIELD * 3, QUIET)
     refused(r"\[2, 3\]", run_field, oval, [FIELD[:2], FIELD[:3]], QUIET)
+
+
+@pytest.mark.parametrize("rule", ["nobody", "fault-loses"])
+@pytest.mark.parametrize("cars", [1, 2, 3, 8])
+def test_scores_winners_and_orders_are_those_of_their_definitions(cars, rule):
+    """Race by race: last is a car at fault, before it who crashed, then who is behind by more than a centimetre."""
+    rng, races = np.random.default_rng(cars), 60
+    state = empty_state(races, 0, cars)
+    state.progress[:] = rng.integers(-3, 4, (races, cars)) * 0.006
+    state.crash[:] = np.where(rng.random((races, 1)) < 0.5, rng.integers(0, 3, (races, cars)), NO_CRASH)
+    state.fault[:] = rng.integers(0, 2, (races, cars))  # also such that ended no race
+    rules = load_race_config("paper", crash_rule=rule)
+    scores, won, orders = pair_scores(rules, state), winners(rules, state), finishing_order(state)
+    for race in range(races):
+        crash, fault, progress = state.crash[race], state.fault[race], state.progress[race]
+        merit = [2 if crash[k] and fault[k] else 1 if crash[k] else 0 for k in range(cars)]
+        assert orders[race].tolist() == sorted(range(cars), key=lambda k: (merit[k], -progress[k]))
+        beaten = np.zeros((cars, cars), bool)
+        for one, other in itertools.product(range(cars), repeat=2):
+            ahead = progress[one] - progress[other]
+            if merit[one] != merit[other]:
+                beaten[one, other] = merit[one] < merit[other]
+            else:
+                beaten[one, other] = ahead > 0.01 and merit[one] < 2
+        beaten &= not (rule == "nobody" and crash.any())
+        np.testing.assert_array_equal(scores[race], 0.5 + 0.5 * (1.0 * beaten - beaten.T))
+        best = [k for k in range(cars) if cars > 1 and beaten[k].sum() == cars - 1]
+        assert won[race] == (best[0] if best else -1)
+
+
+def test_conditions_of_single_races_are_taken_in_order_and_tracks_in_runs(oval):
+    other, cars = replace(oval, name="other"), (VehicleParams(), VehicleParams(length=0.5))
+    rows = np.arange(4 * 2 * 18.0).reshape(4, 2, 18)
+    given = RaceConditions(rows, (oval, oval, other, oval))
+    assert [(track.name, *ends) for track, *ends in given.runs(other, 4)] == [
+        ("oval", 0, 2), ("other", 2, 3), ("oval", 3, 4),
+    ]  # fmt: skip
+    assert given.rows(cars, 4) is rows
+    some = given.take([2, 0])
+    np.testing.assert_array_equal(some.vehicles, rows[[2, 0]])
+    assert some.tracks == (other, oval)
+    for nothing in (RaceConditions(), RaceConditions().take([1])):
+        assert nothing.runs(oval, 3) == [(oval, 0, 3)]
+        np.testing.assert_array_equal(nothing.rows(cars, 3), [[car.as_row() for car in cars]] * 3)
+    assert RaceConditions(None, ()).runs(oval, 0) == []
+    refused(r"\(4, 2, 18\); for 3 races they must have \(3, 2, 18\)", given.rows, cars, 3)
+    refused("4 tracks for 3 races", given.runs, oval, 3)
+
+
+@pytest.mark.parametrize("cars", [1, 2, 3])
+def test_races_take_lines_and_places_in_turn(oval, cars):
+    rules, places = load_race_config("paper", start_lines=4), max(2, cars)
+    starts = draw_starts(oval, rules, 30, 5, cars=cars)
+    lines = start_lines(oval, rules, np.random.SeedSequence(5, spawn_key=(0,)))
+    assert len(lines) == 4
+    assert starts.s.tolist() == [lines[(i // places) % 4] for i in range(30)]
+    assert starts.side.tolist() == [i % places for i in range(30)]
 
 
 def test_passes_and_times_to_collision_count_every_pair(oval):

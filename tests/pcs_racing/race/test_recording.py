@@ -6,12 +6,16 @@ from recorded_races import PYTHON
 from refusal import refused
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import InputError, Planner, Starts, VehicleParams, load_race_config, record_race
+from pcs_racing import InputError, Planner, RaceResult, Starts, VehicleParams, load_race_config, record_race
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.view import PATH_SPEED, PATH_X
+from pcs_racing.race import recording
 from pcs_racing.race.config import PLAN_EVERY
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, run_races, start_races
 from pcs_racing.race.recording import LAST_INDEX, record_drive, tell_apart
+from pcs_racing.race.replay import ReplayEvent
+from pcs_racing.race.state import empty_state, take
 
 PAPER = load_race_config("paper", duration=6.0)
 CONTEST = load_race_config("contest", duration=6.0)
@@ -120,6 +124,52 @@ def test_a_driver_without_plans_leaves_them_out_and_a_crash_ends_the_replay(oval
     assert "fault of blind: nobody wins" in replay.outcome
     loser = record_race(oval, *policies("blind"), CONTEST)
     assert "fault of blind: lattice wins" in loser.outcome
+
+
+NAMES = ("a", "b", "c")
+
+
+@pytest.mark.parametrize(
+    ("rules", "progress", "crash", "fault", "words"),
+    [
+        ("paper", (9.0, 7.5), (0, 0), (0, 0), "a wins by 1.5 m after 6 s"),
+        ("paper", (7.0, 7.5, 2.0), (0, 0, 0), (0, 0, 1), "b wins by 0.5 m after 6 s"),
+        ("paper", (7.5, 7.5), (0, 0), (0, 0), "a tie after 6 s"),
+        ("paper", (7.5,), (0,), (0,), "7.5 m in 6 s"),
+        ("paper", (9.0, 7.5), (1, 0), (1, 0), "crash after 6.3 s, fault of a: nobody wins"),
+        ("contest", (9.0, 7.5), (1, 0), (1, 0), "crash after 6.3 s, fault of a: b wins"),
+        ("contest", (9.0, 7.5), (2, 2), (1, 1), "crash after 6.3 s, fault of a and b: nobody wins"),
+        ("contest", (9.0, 7.5), (2, 2), (0, 0), "crash after 6.3 s, fault of nobody: a wins"),
+        ("roboracer", (9.0, 7.5), (0, 1), (0, 3), "out after 6.3 s, fault of b: a wins"),
+    ],
+)
+def test_the_end_of_a_race_in_words(rules, progress, crash, fault, words):
+    cars = len(progress)
+    state = empty_state(1, 0, cars)
+    state.progress[0], state.crash[0], state.fault[0], state.tick[:] = progress, crash, fault, 628
+    result = RaceResult(load_race_config(rules), state, Starts(np.zeros(1), np.zeros(1, np.int64)))
+    assert recording._outcome(result, NAMES[:cars]) == words
+
+
+def test_what_happened_is_told_with_the_time_and_a_plan_with_its_times():
+    state = empty_state(1, 0, 3)
+    state.tick[:], state.overtakes[0], state.fault[0] = 150, (1, 2, 0), (1, 1, 2)
+    state.crash[0], state.contact[0] = (1, 0, 0), (0, 2, 1)
+    events = recording._happened(state, np.array([1, 1, 0]), np.array([0, 0, 2], np.int8))
+    assert events == [
+        ReplayEvent(1.5, 1, "overtake", "overtakes"), ReplayEvent(1.5, 0, "crash", "crashes into the wall"),
+        ReplayEvent(1.5, 1, "crash", "crashes into another car"),
+    ]  # fmt: skip
+    two = take(empty_state(1, 0, 2), [0])
+    two.fault[0, 1] = 1
+    assert recording._happened(two, np.zeros(2, int), np.zeros(2, np.int8))[0].text == "crashes into the other car"
+    path = np.zeros((2, 4, 4))
+    path[0, :, PATH_X], path[0, :, PATH_SPEED] = [1.0, 2.0, 4.0, 4.5], [1.0, 3.0, 0.0, 0.0]
+    followed = recording._followed(path)
+    np.testing.assert_array_equal(followed[0, :, :3], path[0, :, :3])
+    # Each piece at the mean speed of its ends, of 0.1 m/s at least.
+    np.testing.assert_allclose(followed[0, :, 3], np.cumsum([0.0, 1.0 / 2.0, 2.0 / 1.5, 0.5 / 0.1]))
+    assert np.isnan(followed[1]).all()
 
 
 def test_the_race_of_a_large_number_is_drawn_without_those_before_it(oval):

@@ -1,15 +1,18 @@
 """Start places are those from which pairs of drivers get away."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import CONTEST, PAPER, Starts, list_tracks, load_track, run_races
+from pcs_racing import CONTEST, PAPER, ConfigError, Starts, list_tracks, load_track, run_races
 from pcs_racing.race import start_places
 from pcs_racing.race.driving import kernel_settings
+from pcs_racing.race.random_circuits import RandomCircuits, _calibration, random_circuit
 from pcs_racing.race.start_places import BLOCK, PLACE_EVERY, drive_away, fit_places, places_of, split_places
+from pcs_racing.track.frenet import KAPPA
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +95,23 @@ def test_where_the_left_gains_more_it_gets_fewer_lines_and_none_where_cars_do_no
     refused(r"track 'oval' has no place .* side-by-side start .* 2.2 m apart", fit_places, oval, PAPER, settings, [2.2])
 
 
+def test_a_side_gains_what_it_wins_of_whole_races_from_some_of_its_places(oval, monkeypatch):
+    """From 30 places at most, spread over all; races that ended in a crash do not count."""
+    asked, crashed = [], np.array([False, False, True, False])
+
+    def race(track, config, settings, spacing, places, pairs, key):
+        asked.append((spacing, places.tolist(), len(pairs), key))
+        return SimpleNamespace(crashed=crashed), np.array([3.0, -1.0, 5.0, 2.0])
+
+    monkeypatch.setattr(start_places, "_race_from", race)
+    gains = [start_places._gain(oval, PAPER, None, 0.9, stretches) for stretches in (((0.0, 19.5),), ((2.0, 4.0),))]
+    crashed[:] = True
+    assert start_places._gain(oval, PAPER, None, 0.9, ((2.0, 4.0),)) == 0.0
+    assert gains == pytest.approx([2 / 3 - 0.5] * 2)
+    some = (0.5 * np.linspace(0, 39, 30).astype(int)).tolist()
+    assert asked == [(0.9, places, 8, 0) for places in (some, *[[2.0, 2.5, 3.0, 3.5, 4.0]] * 2)]
+
+
 def test_more_crashes_are_allowed_only_where_places_are_few(oval, pretend):
     crashes = np.full(pretend({0.9: 0.0}), 0.018)
     crashes[:60] = 0.0
@@ -114,3 +134,28 @@ def test_shipped_circuits_start_where_hardly_a_race_is_over_at_once():
             egos, rivals = ([start_places.LATTICE.policy({"pace": pace}) for pace in car] for car in paces)
             over += int(run_races(load_track(name), egos, rivals, short, seed=2).crashed.sum())
     assert over <= 0.02 * 2 * races * len(list_tracks())
+
+
+def test_a_random_circuit_starts_where_its_line_is_nearly_straight(oval):
+    """From 2 m before a place to 8 m ahead of it the line bends by less than 0.12 1/m."""
+    track = random_circuit(RandomCircuits(), 3)
+    assert track.name == "random-3"
+    assert track.content_hash == random_circuit(RandomCircuits(), 3).content_hash
+    assert {name: own.speed_range for name, own in track.calibration.items()} == {
+        "paper": (0.66, 0.86), "contest": (0.65, 0.97), "roboracer": (0.65, 0.97),
+    }  # fmt: skip
+    for circuit in (track, oval):
+        kappa, ds = np.abs(circuit.arrays.line[:, KAPPA]), circuit.arrays.ds
+        expected = []
+        for place in np.arange(0.0, circuit.length, 0.5):
+            ahead = [int((place + step) % circuit.length / ds) % len(kappa) for step in np.arange(-2.0, 8.0, 0.5)]
+            if kappa[ahead].max() < 0.12:
+                expected.append(place)
+        known = _calibration(circuit, CONTEST)
+        assert places_of(known.start_places["front"]).tolist() == pytest.approx(expected)
+        assert 0 < len(expected) < circuit.length / 0.5
+        assert known.start_spacing == CONTEST.start_spacing
+    bends = {"width": 3.0, "shortest": 30.0, "longest": 31.0}
+    assert RandomCircuits(**bends).shortest == 30.0
+    for change in ({"shortest": 29.0}, {"longest": 30.0}):
+        refused("must ascend from 10 widths", RandomCircuits, error=ConfigError, **bends | change)

@@ -105,6 +105,25 @@ def test_ordinary_games_need_no_exact_arithmetic_whatever_the_batch(monkeypatch)
     check(np.random.default_rng(4).normal(size=(200, 5, 4)))
 
 
+def test_what_both_could_gain_over_an_exact_solution_is_measured_too(monkeypatch):
+    """With exact solutions that are pretended; a game is solved again where its gap is too large for its range."""
+    games = np.array([[[0.0, 4.0], [4.0, 0.0]], [[1.0, 1.0], [1.0, 1.0]], [[3.0, 1.0], [1.0, 3.0]]])
+    asked = []
+
+    def pretend(game):
+        asked.append(game)
+        return 2.5, np.array([0.75, 0.25]), np.array([0.5, 0.5])
+
+    monkeypatch.setattr(matrix_games, "solve_rationally", pretend)
+    monkeypatch.setattr(matrix_games, "GOOD_GAP", -1e-9)  # too large is any gap, but for a game without a range
+    solution = solve_matrix_games(games)
+    np.testing.assert_array_equal(asked, games[[0, 2]])
+    assert solution.values.tolist() == [2.5, 1.0, 2.5]
+    np.testing.assert_array_equal(solution.rows[[0, 2]], [[0.75, 0.25]] * 2)
+    # The column player gets the row player down from 2 to 1, or from 2 to 1.5; mixing evenly the row player gets 2.
+    assert solution.gaps.tolist() == [2.0 - 1.0, 0.0, 2.0 - 1.5]
+
+
 def test_impossible_games():
     for games, message in [(np.zeros((2, 0)), "none of them 0"), ([[np.nan]], "must be finite")]:
         refused(message, solve_matrix_games, games)

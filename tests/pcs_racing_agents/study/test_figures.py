@@ -1,12 +1,13 @@
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from refusal import refused
-from toy_races import toy_races
+from toy_races import toy_difference, toy_races, toy_table
 
 from pcs_racing_agents.pictures.curves import Curve, curves_picture
-from pcs_racing_agents.pictures.style import picture_bytes
+from pcs_racing_agents.pictures.style import COLOURS, picture_bytes
 from pcs_racing_agents.study import figures
 from pcs_racing_agents.study.report_inputs import ScoreAndLoss
 from pcs_racing_agents.study.table import make_table
@@ -58,22 +59,66 @@ def test_a_picture_has_the_same_bytes_every_time(name, table):
     assert len(first) < 400_000
 
 
-def test_scores_stand_where_the_table_says_and_differences_that_may_be_nothing_are_hollow(table):
-    panels = [axes for axes in figures.scores_picture(table).axes if axes.get_visible()]
-    assert len(panels) == len(table.rows)
-    assert [label.get_text() for label in panels[0].get_yticklabels()] == list(table.arms)
-    for row, axes in zip(table.rows, panels, strict=True):
-        marks = [tuple(line.get_xydata()[0]) for line in axes.lines if len(line.get_xdata()) == 1]
-        for arm in row.arms:
-            assert (arm.score, -table.arms.index(arm.arm)) in marks
-        if row.paper is not None:
-            assert (row.paper.non_gt, 0) in marks
-            assert (row.paper.gt, -2) in marks
-    for row, axes in zip(table.rows, figures.differences_picture(table).axes, strict=True):
-        marks = {tuple(line.get_xydata()[0]): line for line in axes.lines if line.get_marker() == "o"}
-        for i, one in enumerate(row.differences):
-            mark = marks[one.result.difference, -i]
-            assert (mark.get_markerfacecolor() == "white") == (one.p_holm >= 0.05)
+def drawn(axes) -> list[tuple]:
+    """Lines and marks of a panel: kind, x and y, whether a mark is hollow."""
+    return [
+        (line.get_marker(), *(list(values) for values in line.get_data()),
+         line.get_marker() != "None" and line.get_markerfacecolor() in ("none", "white"))
+        for line in axes.lines
+    ]  # fmt: skip
+
+
+def bar(low, high, value, height, mark="o", hollow=False) -> list[tuple]:
+    """An interval with its mark."""
+    return [("None", [low, high], [height, height], False), (mark, [value], [height], hollow)]
+
+
+def labels(axes) -> dict[float, str]:
+    return {place: label.get_text() for place, label in zip(axes.get_yticks(), axes.get_yticklabels(), strict=True)}
+
+
+def test_pictures_of_a_table_hold_its_numbers_each_in_the_place_of_its_agent():
+    """Agents below each other, a gap where one did not race; hollow at p >= 0.05; the paper's figures are diamonds."""
+    toy = toy_table()
+    scores, differences = figures.scores_picture(toy), figures.differences_picture(toy)
+    first, hidden, other, second = scores.axes
+    assert scores.get_size_inches() == pytest.approx([2.0 + 2.3 * 2, 0.7 + (0.55 + 0.21 * 3) * 2])
+    assert [axes.get_visible() for axes in (first, hidden, other, second)] == [True, False, False, True]
+    paper = [("D", [0.515], [0], True), ("D", [0.569], [-2], True)]
+    assert drawn(first)[1:] == [
+        *bar(0.25, 0.75, 0.5, 0), *bar(0.5, 1.0, 0.75, -1), *bar(0.5, 0.75, 0.625, -2), *paper,
+    ]  # fmt: skip
+    assert drawn(second)[1:] == [*bar(0.25, 0.75, 0.5, 0), *bar(0.5, 1.0, 0.75, -1)]
+    assert [drawn(axes)[0][1] for axes in (first, second)] == [[0.5, 0.5]] * 2
+    colours = [line.get_color() for line in first.lines[2:7:2]]
+    assert colours == ["#6b7480", COLOURS[1], COLOURS[0]]  # the base, the best agent and another one
+    assert labels(first) == {0: "still", -1: "ours", -2: "cfr-argmax"}
+    assert (first.get_ylim(), first.get_title(loc="left"), second.get_title(loc="left")) == (
+        (-2.6, 0.6), "Tarnfjord, never-switch", "Hut (unseen), somebody",
+    )  # fmt: skip
+    first, *_, second = differences.axes
+    assert drawn(first)[1:] == [
+        *bar(0.125, 0.375, 0.25, 0), *bar(-0.125, 0.375, 0.125, -1, hollow=True), ("D", [0.054], [-1], True),
+    ]  # fmt: skip
+    assert drawn(second)[1:] == bar(-0.3125, -0.1875, -0.25, 0)
+    assert labels(first) == {0: "ours", -1: "cfr-argmax"}
+    bare = replace(toy, rows=tuple(replace(row, paper=None) for row in toy.rows))
+    for draw, words in (
+        (figures.scores_picture, "the paper's win rates"),
+        (figures.differences_picture, "the paper's"),
+    ):
+        assert [f"diamonds: {words}" in draw(one).get_supxlabel() for one in (toy, bare)] == [True, False]
+    with_gain = replace(toy.rows[1], gain=toy_difference("ours", "cfr-argmax", 0.5, 0.25, 0.125, 0.01, 0.04))
+    (axes,) = figures.adaptivity_picture(replace(toy, rows=(*toy.rows, with_gain))).axes
+    assert drawn(axes)[1:] == [*bar(-0.125, 0.375, 0.125, 0, hollow=True), *bar(0.125, 0.375, 0.25, -1)]
+    colours = [
+        (line.get_color(), mark.get_markeredgecolor()) for line, mark in zip(*[iter(axes.lines[1:])] * 2, strict=True)
+    ]
+    assert colours == [(colour, colour) for colour in COLOURS[:2]]  # learned on, and another circuit
+    assert [(text.get_text(), text.xy) for text in axes.texts] == [("+0.125", (1.0, 0)), ("+0.250", (1.0, -1))]
+    assert labels(axes) == {0: "Tarnfjord against never-switch", -1: "Hut against somebody"}
+    assert axes.figure.get_size_inches() == pytest.approx([7.2, 1.0 + 0.34 * 2])
+    assert (axes.get_xlabel(), axes.get_ylim()) == ("score of ours minus score of cfr-argmax", (-1.6, 0.6))
 
 
 def test_what_can_not_be_drawn_is_named():

@@ -2,7 +2,9 @@
 
 import re
 import shutil
+import sys
 import tempfile
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +19,7 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
+from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.results.tables import read_csv
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
@@ -24,6 +27,7 @@ from pcs_racing_agents.study.playing import RATING_SEED
 from pcs_racing_agents.study.reporting import best_open_loop
 from pcs_racing_agents.study.run import seconds_counted, stage_seconds, stages_to_run
 from pcs_racing_agents.study.study import BEST_OPEN_LOOP, Study
+from pcs_racing_agents.tournament import fitting
 
 
 def settings_file(name: str, text: str) -> str:
@@ -148,6 +152,75 @@ def test_an_archive_that_was_made_is_the_one_that_ppo_learns_with(tmp_path):
     assert load_network(study.network("ppo")).training["setting_archive"] == "mine"
 
 
+def test_each_stage_works_on_the_studys_games_with_seeds_of_its_own(tmp_path, monkeypatch):
+    """What the stages before the races ask for, of two circuits."""
+    circuits = ("Pipkin", "Tarnfjord")
+    config = replace(TINY, circuits=circuits, responses=("quick",), seeds=2, replies=(), seed=2**31 + 3)
+    study, asked = Study(config, tmp_path, quiet=True), {}
+
+    def trees(game, folder, **given):
+        asked.setdefault("trees", []).append((game.track.name, game.config.stay, folder, given))
+        return nullcontext(folder)
+
+    def note(name):
+        def called(*given, **named):
+            asked[name] = given, named
+            raise KeyboardInterrupt
+
+        return called
+
+    monkeypatch.setattr(preparing, "open_trees", trees)
+    monkeypatch.setattr(preparing, "run_groups", lambda groups, **given: asked.update(groups=(groups, given["keep"])))
+    preparing.play_trees(study)
+    drawn = {"pairs": 3, "seeds_per_pair": 2, "one_thread": False}
+    assert asked["trees"] == [
+        (name, False, tmp_path / "trees" / name, {**drawn, "seed": config.seed + 1_000_000 + k})
+        for k, name in enumerate(circuits)
+    ]
+    assert asked["groups"] == ([tmp_path / "trees" / name for name in circuits], False)
+    monkeypatch.setattr(preparing, "learn_response", note("response"))
+    monkeypatch.setattr("pcs_racing_agents.learning.ppo.train.train_ppo", note("ppo"))
+    for stage in (preparing.learn_responses, preparing.train_ppo_baseline):
+        with pytest.raises(KeyboardInterrupt):
+            stage(study)
+    (games, pool, setting, settings, _), named = asked["response"]
+    names = [game.track.name for game in games] + [competitor.name for competitor in pool]
+    own = load_response_settings("quick")
+    assert (names, setting, named["name"], settings) == (
+        [*circuits, "never-switch", "random-moves"], study.setting, "quick",
+        replace(own, seed=config.seed + 3_000_000 + own.seed),
+    )  # fmt: skip
+    (settings, folder), named = asked["ppo"]
+    assert (settings.tracks, folder, named["policies"], named["rules"]) == (
+        circuits, tmp_path / "ppo" / "training", study.archive, config.game,
+    )  # fmt: skip
+    assert named["seeds"] == tuple(3 + seed for seed in settings.seeds)  # torch takes none from 2^31 on
+
+
+@pytest.mark.parametrize("number", [0, 3, 10_000])
+def test_open_loop_agents_are_fitted_on_training_races_with_targets_spread_over_the_archive(
+    tmp_path, monkeypatch, number
+):
+    study = Study(replace(TINY, fixed_targets=number, fitting_opponents=("lane-switcher",)), tmp_path, quiet=True)
+    fitted, saved = [], {}
+
+    def fake(name):
+        return lambda training, targets="none", **run: fitted.append((training, targets)) or name
+
+    for name in ("fixed", "schedule", "lead_plan"):
+        monkeypatch.setattr(fitting, f"fit_best_{name}", fake(name))
+    monkeypatch.setattr(preparing, "save_fit", lambda fit, path: saved.update({path.name: fit}))
+    preparing.choose_open_loop(study)
+    assert saved == {"best-fixed.yaml": "fixed", "best-schedule.yaml": "schedule", "best-lead-plan.yaml": "lead_plan"}
+    training, targets = fitted[0]
+    assert [(own is training, given) for own, given in fitted] == [(True, targets), (True, "none"), (True, targets)]
+    assert len(set(targets or ())) == (3 if number == 3 else 0)
+    names = [one.name for one in (*training.tracks, *training.opponents)]
+    assert (names, training.races, training.seed, training.setting) == (
+        ["Pipkin", "lane-switcher"], 2, 2_000_003, study.setting,
+    )  # fmt: skip
+
+
 def test_what_was_found_can_be_shipped(finished, tmp_path):
     config = replace(TINY, responses=("quick",))
     fits = tmp_path / "pcs_racing_agents" / "agents" / "fits"
@@ -237,6 +310,9 @@ def test_a_missing_library_is_told_before_any_work(monkeypatch, tmp_path, change
     monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None if name == library else object())
     with pytest.raises(ModuleNotFoundError, match=rf"{library} is needed .*\[{extra}\]"):
         run_study(replace(TINY, **changes), tmp_path / "x", quiet=True)
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    with pytest.raises(ModuleNotFoundError, match="PPO needs Stable-Baselines3"):
+        run_study(TINY, tmp_path / "x", only=["ppo"], quiet=True)
     assert not (tmp_path / "x").exists()
 
 

@@ -7,13 +7,13 @@ import pytest
 from refusal import refused
 from repository import python_blocks, read_page, run_block
 from scipy import stats
-from toy_races import of, toy_races
+from toy_races import STRENGTHS, of, toy_difference, toy_races, toy_table
 
 from pcs_racing_agents.results.race_files import race_table, read_results, write_results
 from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import table_text as texts
-from pcs_racing_agents.study.table import PAPER_TABLE, by_progress, make_table
-from pcs_racing_agents.tournament.statistics import compare, holm
+from pcs_racing_agents.study.table import PAPER_TABLE, ArmResult, Difference, TableRow, by_progress, make_table
+from pcs_racing_agents.tournament.statistics import clustered_mean, compare, holm
 
 
 @pytest.fixture(scope="module")
@@ -26,37 +26,61 @@ def table(races):
     return make_table(races, best="our-best", open_loop="best-fixed", seen={"Tarnfjord"})
 
 
-def test_the_papers_rows_stand_beside_theirs_and_p_values_are_adjusted(table):
-    assert [(row.track, row.opponent) for row in table.rows[:2]] == [
-        ("Tarnfjord", "never-switch"),
-        ("Tarnfjord", "random-policy"),
-    ]
-    assert [row.paper for row in table.rows] == [
-        PAPER_TABLE["Non-GT", True], PAPER_TABLE["Random", True], None, PAPER_TABLE["Non-GT", False],
-        PAPER_TABLE["Random", False], None,
-    ]  # fmt: skip
-    for arm in ("best-fixed", "cfr-argmax", "our-best"):
-        result = [next(one for one in row.differences if one.arm == arm) for row in table.rows]
-        assert [one.p_holm for one in result] == holm([one.result.p_clustered for one in result]).tolist()
-    assert [row.gain.p_holm for row in table.rows] == holm([row.gain.result.p_clustered for row in table.rows]).tolist()
-    told = ["0.500", "0.014", "3.7e-03", "3.0e-09", "< 1e-99", "-"]
-    assert [texts.p_text(p) for p in (0.5, 0.0142, 0.0037, 3e-9, 0.0, np.nan)] == told
+def test_every_row_says_what_the_statistics_say(races, table):
+    """All of a table from the races of each cell: means, intervals within 0 to 1, shares, differences, p by Holm."""
+    rows = []
+    for track in ("Tarnfjord", "Brackwater"):
+        for rival in ("never-switch", "random-policy", "somebody"):
+            cells = {arm: of(races, track, rival, arm) for arm in STRENGTHS}
+            (first, *others), start = cells, cells["never-switch"].start_s
+            labels = cells[first].variants.T
+            arms, differences = [], []
+            for arm, cell in cells.items():
+                mean = clustered_mean(cell.score, *labels, start)
+                sd = cell.score.reshape(12, -1).mean(axis=1).std(ddof=1)
+                shares = cell.crashed.mean(), (cell.fault[:, 0] > 0).mean()
+                ends = max(mean.low, 0.0), min(mean.high, 1.0)
+                arms.append(ArmResult(arm, 1200, cell.score.mean(), *ends, pytest.approx(sd), *shares))
+            for arm, base in (*((arm, first) for arm in others), ("our-best", "best-fixed")):
+                pair = cells[arm].score, cells[base].score, *labels
+                differences.append(Difference(arm, base, compare(*pair, start=start), compare(*pair), 0.0))
+            paper = PAPER_TABLE.get(
+                ({"never-switch": "Non-GT", "random-policy": "Random"}.get(rival, ""), len(rows) < 3)
+            )
+            rows.append(
+                TableRow(
+                    track, rival, len(rows) < 3, paper, 5, True, tuple(arms), tuple(differences[:-1]), differences[-1]
+                )
+            )
+    adjusted = [holm([one.result.p_clustered for one in column]).tolist()
+                for column in zip(*((*row.differences, row.gain) for row in rows), strict=True)]  # fmt: skip
+    for row, expected, p_values in zip(table.rows, rows, zip(*adjusted, strict=True), strict=True):
+        every = [
+            replace(one, p_holm=p) for one, p in zip((*expected.differences, expected.gain), p_values, strict=True)
+        ]
+        assert row == replace(expected, differences=tuple(every[:-1]), gain=every[-1])
+    assert (table.base, table.best, table.open_loop, table.arms) == (
+        "never-switch", "our-best", "best-fixed", tuple(STRENGTHS),
+    )  # fmt: skip
+    other = make_table(races, base="cfr-argmax")
+    assert other.arms == ("cfr-argmax", "never-switch", "best-fixed", "our-best")
+    assert other.rows[0].differences[0].result.difference == -table.rows[0].differences[1].result.difference
 
 
-def test_a_row_says_what_the_statistics_say(races, table):
-    ours, base = (of(races, "Brackwater", "random-policy", arm) for arm in ("cfr-argmax", "never-switch"))
-    expected = compare(ours.score, base.score, *base.variants.T, start=base.start_s)
-    row = table.rows[4]
-    result = next(one for one in row.differences if one.arm == "cfr-argmax")
-    assert result.result == expected
-    assert result.two_way == compare(ours.score, base.score, *base.variants.T)
-    arm = next(arm for arm in row.arms if arm.arm == "cfr-argmax")
-    assert arm.score == expected.mean_a == pytest.approx(ours.score.mean())
-    assert (arm.crash, arm.own_crash) == (ours.crashed.mean(), ours.fault[:, 0].mean())
-    assert arm.sd == pytest.approx(ours.score.reshape(12, -1).mean(axis=1).std(ddof=1))
-    assert arm.low < arm.score < arm.high
-    best, open_loop = (of(races, "Brackwater", "random-policy", arm) for arm in ("our-best", "best-fixed"))
-    assert row.gain.result.difference == pytest.approx(best.score.mean() - open_loop.score.mean())
+@pytest.mark.parametrize(
+    ("egos", "variants", "lines", "drawn"), [(3, 2, 5, True), (3, 2, 4, False), (3, 2, 6, False), (5, 1, 5, False)]
+)
+def test_start_lines_are_clusters_where_pairs_share_enough_of_them(egos, variants, lines, drawn):
+    row = make_table(toy_races(("a",), ("b",), {"one": -9.0, "two": 9.0}, egos, variants, lines)).rows[0]
+    assert (row.lines, row.lines_drawn, row.paper) == (lines, drawn, None)
+    assert (row.differences[0].result == row.differences[0].two_way) == (not drawn)
+    assert (row.arms[0].low, row.arms[1].high) == (0.0, 1.0)
+    assert row.differences[0].result.opponents == variants
+    races = of(toy_races(("a",), ("b",), {"one": 0.0}, egos, variants, lines), "a", "b", "one")
+    kinds = [*races.variants.T[: 1 + (variants > 1)], *([races.start_s] if drawn else [])]
+    (arm,) = make_table(races).rows[0].arms
+    assert (arm.low, arm.high) == (pytest.approx(max(clustered_mean(races.score, *kinds).low, 0.0)),
+                                   pytest.approx(min(clustered_mean(races.score, *kinds).high, 1.0)))  # fmt: skip
 
 
 def test_the_papers_statistic_counts_who_is_ahead_whatever_happened(races):
@@ -81,17 +105,6 @@ def test_the_order_of_the_races_and_a_file_between_do_not_matter(races, tmp_path
     some = races.take(np.arange(0, len(races), 5))  # of each start line both sides or none
     rounded = replace(some, start_s=some.start_s + 1e-7)
     assert make_table(read_results(write_results(rounded, tmp_path / "results.csv"))) == make_table(rounded)
-
-
-def test_few_start_lines_are_taken_as_given():
-    table = make_table(toy_races(lines=2))
-    assert not table.rows[0].lines_drawn
-    assert table.rows[0].differences[0].result == table.rows[0].differences[0].two_way
-    assert "about these lines" in texts.table_text(table)
-    own = toy_races(tracks=("a",), opponents=("b",))
-    apart = replace(own, start_s=own.variants @ [50.0, 5.0] + own.start_s)  # each pair has lines of its own
-    assert make_table(apart).rows[0].lines == 600
-    assert not make_table(apart).rows[0].lines_drawn
 
 
 def drives(races, arm):
@@ -128,27 +141,82 @@ def test_rows_may_lack_an_arm_and_an_open_loop_best_agent_a_gain(races):
     assert "Adaptivity" not in texts.table_text(table)
 
 
+TEXT = """\
+circuit           opponent      paper: GT  still     ours  cfr-argmax  ours - cfr-argmax
+Tarnfjord (seen)  never-switch     +0.054  0.500  +0.250*     +0.125             +0.125
+Hut (unseen)      somebody                 0.500  -0.250*
+*: p (Holm) below 0.05
+
+Tarnfjord (seen) against never-switch
+paper: 0.515 ± 0.251 non-GT, 0.569 ± 0.213 GT, difference +0.054, p 0.0142
+agent                  score     sd  crash  own fault  difference  95 % interval           p  p (Holm)  paired t
+still                  0.500  0.125  25.0%      12.5%
+ours                   0.750  0.062  50.0%       0.0%      +0.250  [+0.125, +0.375]  2.5e-03   5.0e-03   2.5e-04
+cfr-argmax             0.625  0.000   0.0%       0.0%      +0.125  [-0.125, +0.375]    0.500     0.500     0.050
+ours minus cfr-argmax                                      +0.125  [-0.125, +0.375]    0.125     0.050     0.013
+
+Hut (unseen) against somebody
+agent  score     sd  crash  own fault  difference  95 % interval     p        p (Holm)  paired t
+still  0.500  0.125  25.0%      12.5%
+ours   0.750  0.062  50.0%       0.0%      -0.250  [-0.312, -0.188]  < 1e-99   1.0e-06  < 1e-99
+
+Each agent drove 8 to 16 races in each row, the same ones"""
+
+MARKDOWN = """\
+| circuit | opponent | paper: GT | still | ours | cfr-argmax | ours - cfr-argmax |
+| --- | --- | --- | --- | --- | --- | --- |
+| Tarnfjord (seen) | never-switch | +0.054 | 0.500 | +0.250 [+0.125, +0.375] | +0.125 [-0.125, +0.375] | \
++0.125 [-0.125, +0.375] |
+| Hut (unseen) | somebody |  | 0.500 | -0.250 [-0.312, -0.188] |  |  |
+
+### Tarnfjord (seen) against never-switch
+
+Paper: 0.515 ± 0.251 non-GT, 0.569 ± 0.213 GT, difference +0.054, p 0.0142.
+
+| agent | score | sd | crash | own fault | difference | 95 % interval | p | p (Holm) | paired t |
+| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
+| still | 0.500 | 0.125 | 25.0% | 12.5% |  |  |  |  |  |
+| ours | 0.750 | 0.062 | 50.0% | 0.0% | +0.250 | [+0.125, +0.375] | 2.5e-03 | 5.0e-03 | 2.5e-04 |
+"""
+
+CSV = """\
+kind,track,seen,opponent,arm,base,races,egos,opponents,lines,score,score_base,score_sd,crash,own_crash,difference,\
+low,high,p,p_holm,two_way_low,two_way_high,two_way_p,paired_t_p,cohen_d,paper_non_gt,paper_gt,paper_difference,paper_p
+difference,Tarnfjord,1,never-switch,ours,still,8,2,4,5,0.75,0.5,0.0625,0.5,0,0.25,0.125,0.375,0.0025,0.005,-0.25,0.75,\
+0.25,0.00025,2,0.515,0.569,0.054,0.0142
+difference,Tarnfjord,1,never-switch,cfr-argmax,still,8,2,4,5,0.625,0.5,0,0,0,0.125,-0.125,0.375,0.5,0.5,-0.375,0.625,\
+0.25,0.05,1,0.515,0.569,0.054,0.0142
+adaptivity gain,Tarnfjord,1,never-switch,ours,cfr-argmax,8,2,4,5,0.75,0.625,0.0625,0.5,0,0.125,-0.125,0.375,0.125,\
+0.05,-0.375,0.625,0.25,0.0125,1,0.515,0.569,0.054,0.0142
+difference,Hut,0,somebody,ours,still,8,2,4,2,0.25,0.5,0.0625,0.5,0,-0.25,-0.3125,-0.1875,1e-120,1e-06,-0.75,0.25,\
+0.25,1e-121,-2,,,,
+"""
+
+
 def test_text_markdown_and_csv_hold_every_number(table, tmp_path, races):
-    for text in (texts.table_text(table), texts.table_markdown(table)):
-        for row in table.rows:
-            for arm in row.arms:
-                assert f"{arm.score:.3f}" in text
-            for one in (*row.differences, row.gain):
-                assert f"{one.result.difference:+.3f}" in text
-                assert f"[{one.result.low:+.3f}, {one.result.high:+.3f}]" in text
-        assert "0.515 ± 0.251 non-GT" in text
-        assert "chosen on training races" in text
-    assert all(line == line.rstrip() for line in texts.table_text(table).splitlines())
-    lines = texts.table_markdown(table).splitlines()
-    assert sum(line.startswith("| --- ") for line in lines) == 7
-    path = texts.write_table(table, tmp_path / "table.csv")
-    rows = list(csv.DictReader(path.read_text().splitlines()))
-    assert len(rows) == 6 * (3 + 1)
-    assert rows[3]["kind"] == "adaptivity gain"
-    assert float(rows[0]["difference"]) == pytest.approx(table.rows[0].differences[0].result.difference, abs=1e-5)
-    assert (rows[0]["paper_non_gt"], rows[11]["paper_gt"]) == ("0.515", "")
+    toy = toy_table()
+    assert texts.table_text(toy)[: len(TEXT)] == TEXT
+    assert texts.table_markdown(toy)[: len(MARKDOWN)] == MARKDOWN
+    assert texts.write_table(toy, tmp_path / "toy.csv").read_text() == CSV
+    assert texts.paper_rows(toy, "ours")[1:] == [
+        ("Tarnfjord", "never-switch", "0.500 ± 0.125", "0.750 ± 0.062", "+0.250", "2.5e-04", "0.515 ± 0.251",
+         "0.569 ± 0.213", "+0.054", "0.014"),
+    ]  # fmt: skip
+    few, drawn = ("\n".join(texts.notes(replace(toy, rows=rows))) for rows in (toy.rows, toy.rows[:1]))
+    assert "clusters of egos and opponents. Holm" in few
+    assert "about these lines" in few
+    assert "Each agent drove 8 races" in drawn
+    assert "clusters of egos, opponents and start lines. Holm" in drawn
+    assert "about these lines" not in drawn
+    assert "Adaptivity gain: ours minus cfr-argmax" in few
+    assert not any("Adaptivity" in "".join(texts.notes(replace(toy, **{name: None}))) for name in ("best", "open_loop"))
+    p_values = (0.5, 0.0142, 0.01, 0.0099, 3e-9, 1e-99, 0.0, np.nan)
+    words = ["0.500", "0.014", "0.010", "9.9e-03", "3.0e-09", "1.0e-99", "< 1e-99", "-"]
+    assert [texts.p_text(p) for p in p_values] == words
     again = make_table(races, best="our-best", open_loop="best-fixed", seen={"Tarnfjord"})
-    assert texts.write_table(again, tmp_path / "again.csv").read_bytes() == path.read_bytes()
+    one, two = (texts.write_table(made, tmp_path / name) for made, name in ((table, "a.csv"), (again, "b.csv")))
+    assert one.read_bytes() == two.read_bytes()
+    assert len(list(csv.DictReader(one.read_text().splitlines()))) == 6 * (3 + 1)
 
 
 def test_tables_of_a_study_are_told_apart_by_their_seeds():
@@ -163,16 +231,19 @@ def test_tables_of_a_study_are_told_apart_by_their_seeds():
     assert make_table(races.with_seeds([107])).rows[0].arms[0].score == 0.0
 
 
-def test_a_verdict_counts_the_rows_whose_interval_leaves_out_zero():
-    for shifts, words in [
-        ((0.0,), "a and b can't be told apart: in all of 1 row"),
-        ((1.0, 2.0), "a scores more in 2 of 2 rows than b"),
-        ((1.0, -1.0, 0.0), "a scores more in 1 and less in 1 of 3 rows than b"),
-    ]:
-        ego, opponent = (axis.ravel() for axis in np.meshgrid(np.arange(10), np.arange(10)))
-        noise = 0.1 * (-1.0) ** (ego + opponent)
-        results = [compare(noise + shift, np.zeros(100), ego, opponent) for shift in shifts]
-        assert texts.verdict_text("a", "b", results).startswith(words)
+@pytest.mark.parametrize(
+    ("differences", "words"),
+    [
+        ([0.0], "a and b can't be told apart: in all of 1 row (+0.000) the 95 % interval contains 0."),
+        ([0.2, 0.3], "a scores more in 2 of 2 rows than b (+0.200 to +0.300)."),
+        ([0.2, 0.1, -0.2], "a scores more in 1 and less in 1 of 3 rows than b (-0.200 to +0.200); "
+                           "in 1 the 95 % interval contains 0."),
+        ([-0.3], "a scores less in 1 of 1 row than b (-0.300)."),
+    ],
+)  # fmt: skip
+def test_a_verdict_counts_the_rows_whose_interval_leaves_out_zero(differences, words):
+    results = [toy_difference("a", "b", one, 0.0, 0.15, 0.5, 0.5).result for one in differences]
+    assert texts.verdict_text("a", "b", results) == words
 
 
 PAGE = read_page("run_the_study.md")

@@ -1,4 +1,6 @@
+from dataclasses import replace
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from pcs_racing_agents.agents import Driver, make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.tournament import fitting as fits
+from pcs_racing_agents.tournament.pairings import draw_schedule
 from pcs_racing_agents.tournament.play import game_rules
 
 
@@ -58,8 +61,63 @@ def test_the_best_lead_plan_is_found(training, short):
     assert fit.training["reached"] == pytest.approx(reached, abs=1e-4)
     near = [plan["behind"] == fit.choice["behind"] or plan["ahead"] == fit.choice["ahead"] for plan in plans]
     assert reached == values[near].max()
-    assert fit.training["candidates"] <= len(plans)
     assert build("best-lead-plan", short, fit=fit).facts["behind"].startswith(f"policy {fit.choice['behind']} ")
+
+
+def test_candidates_are_compared_in_the_same_races(training, short, oval, monkeypatch):
+    """Of each opponent on each track, with other start policies for each opponent; scores are means over all."""
+    tracks, opponents, given = [oval, load_track("Pipkin")], list(training.opponents), []
+    two = replace(training, tracks=tracks, opponents=opponents, seed=7)
+    tracks.clear()
+    opponents.clear()  # that lists may change changes nothing
+
+    def play(pairings, **named):
+        given.append(pairings)
+        return [SimpleNamespace(score=np.array([k, k + 0.5])) for k in range(len(pairings))]
+
+    monkeypatch.setattr(fits, "play_pairings", play)
+    agents = [build("best-fixed", short, target=target) for target in range(3)]
+    assert fits.evaluate(two, agents).tolist() == [1.75, 5.75, 9.75]
+    (pairings,) = given
+    met = list(product(agents, two.tracks, enumerate(two.opponents)))
+    for pairing, (agent, track, (k, opponent)) in zip(pairings, met, strict=True):
+        schedule = draw_schedule(track, short.config.race_rules, 8, 7)
+        counts = [len(getattr(car, "policies", range(12))) for car in (agent, opponent)]
+        assert (pairing.game.track, pairing.ego, pairing.opponent, pairing.seed) == (track, agent, opponent, 7)
+        np.testing.assert_array_equal(pairing.variants, np.roll(schedule.draws, 2 * k, axis=0) % np.array(counts, "u8"))
+        np.testing.assert_array_equal(pairing.starts.s, schedule.starts.s)
+        np.testing.assert_array_equal(pairing.noise, schedule.seeds)
+    assert two.facts(0.123456, 3) == {
+        "tracks": "oval, Pipkin", "opponents": "never-switch, lane-switcher", "races": 8 * 2 * 2, "candidates": 3,
+        "seed": 7, "reached": 0.1235,
+    }  # fmt: skip
+    assert (fits.TrainingRaces((oval,), agents, short).races, fits.TrainingRaces((oval,), agents, short).seed) == (
+        100, 1_000_003,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_search_climbs_to_the_best_neighbour_and_takes_the_first_of_equals(seed):
+    """Against a search that looks at all scores; each choice is raced once, and told how many were raced before."""
+    options, places = (1, 3, 4), 3
+    every = list(product(options, repeat=places))
+    score = dict(zip(every, np.random.default_rng(seed).integers(0, 4, len(every)).tolist(), strict=True))
+    asked: list[tuple[int, ...]] = []
+
+    def raced(choices, before):
+        assert before == len(asked)
+        asked.extend(choices)
+        return np.array([score[choice] for choice in choices], float)
+
+    best, scores = fits._search(raced, options, places)
+    assert scores == {choice: score[choice] for choice in asked}
+    assert len(set(asked)) == len(asked)
+    current, near = None, {(option,) * places for option in options}
+    known = set(near)
+    while current != (top := min(known, key=lambda choice: (-score[choice], choice))):
+        current = top
+        known |= {choice for choice in every if sum(a != b for a, b in zip(choice, current, strict=True)) == 1}
+    assert (best, set(asked)) == (current, known)
 
 
 def test_a_candidate_scores_its_own_wins(oval, archive):

@@ -91,9 +91,11 @@ def test_stay_is_a_move_for_everybody_and_a_model_remembers_its_own_game(game, z
     races = played(replace(games_of(never_switch(setting), always(setting, "restraint -")), game=bare))
     assert set(races.moves.codes[:, 0].ravel().tolist()) <= {4, -1}
     assert (np.sort(races.path, axis=2)[:, 0, -1] == races.path[:, 0, 0]).all()
-    for moves in played(games_of(Counter(), zoo["never-switch"])).moves.codes[:, 0]:
-        made = moves[moves >= 0].tolist()
-        assert made == list(range(len(made)))
+    for car, cars in enumerate([(Counter(), zoo["random-moves"]), (zoo["random-moves"], Counter())]):
+        for columns in games_of(*cars).race([cars[0]] if car == 0 else [cars[0], zoo["never-switch"]]):
+            for moves in columns["moves"][:, car]:
+                made = moves[moves >= 0].tolist()
+                assert made == list(range(len(made)))
 
 
 class Counter:

@@ -1,12 +1,15 @@
+from dataclasses import replace
+
 import numpy as np
 from refusal import refused
 
 from pcs_racing import make_game
+from pcs_racing.base.seeds import race_seeds
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.tournament import cross_pairing, play_pairing, play_pairings
+from pcs_racing_agents.tournament import cross_pairing, play_pairing, play_pairings, runner
 from pcs_racing_agents.tournament.statistics import match_units
 
 SIZE = {"egos": 4, "opponents": 3, "lines": 2, "seed": 5}
@@ -32,6 +35,7 @@ def test_a_crossed_pairing_crosses_everything_and_short_circuits_share_places(co
     assert len(np.unique(pairing.noise)) == 48
     paper = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"])
     assert len(paper) == 12 * 20 * 5 * 2  # this archive has 12 policies to start with; with 20 it were 4,000
+    np.testing.assert_array_equal(paper.noise, race_seeds(0, len(paper)))
     # Tarnfjord has 27 places to start side by side, and a pairing draws from 40 lines; a place is one cluster.
     game = make_game("Tarnfjord", archive, "paper")
     policies = build("never-switch", make_setting(archive, game.config))
@@ -87,6 +91,35 @@ def test_the_races_are_the_same_in_blocks_in_a_job_and_together_with_others(cont
     assert counts == [(144 * task // 8, 144) for task in (*range(9), 8)]
 
 
+def test_a_task_is_known_by_all_that_its_races_depend_on(contest, zoo, oval, monkeypatch):
+    """Blocks of one race at least, however many agents share them; names of any kind become those of files."""
+    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE).take([0, 1, 2])
+    monkeypatch.setattr(runner, "BLOCK", 4)
+    for egos, ends in ((1, [(0, 3)]), (2, [(0, 2), (2, 3)]), (5, [(0, 1), (1, 2), (2, 3)])):
+        blocks = list(runner._blocks(7, [pairing] * egos, False, hashed=False))
+        assert [(block.group, block.first, block.last) for block in blocks] == [(7, *pair) for pair in ends]
+    faster = replace(oval.calibration["contest"], speed_range=(1.0, 1.5))
+    other = replace(contest, config=replace(contest.config, discount=0.5))
+    changed = [
+        pairing, replace(pairing, opponent=zoo["pure-pursuit"]), replace(pairing, ego=zoo["never-switch"]),
+        replace(pairing, noise=pairing.noise + np.uint64(1)), replace(pairing, variants=pairing.variants + 1),
+        replace(pairing, starts=replace(pairing.starts, s=pairing.starts.s + 0.5)),
+        replace(pairing, starts=replace(pairing.starts, side=1 - pairing.starts.side)), replace(pairing, game=other),
+        replace(pairing, game=replace(contest, track=replace(oval, calibration={**oval.calibration, "mine": faster}))),
+    ]  # fmt: skip
+    groups = [(group, seen) for group in ([one] for one in changed) for seen in (False, True)] + [
+        ([pairing] * 2, False)
+    ]
+    tasks = [block[0] for group, seen in groups for block in runner._blocks(0, group, seen, hashed=True)]
+    assert len(set(tasks)) == len(tasks) == 2 * len(changed) + 2
+    assert next(runner._blocks(3, [replace(pairing, seed=1)], False, hashed=True))[0] == tasks[0]
+    names: list[str] = []
+    monkeypatch.setattr(runner, "run_with_or_without", lambda name, *rest, **more: names.append(name) or [])
+    for name in ("Ring 1/a+b", "?!", "x" * 99):
+        assert play_pairings([], name=name) == []
+    assert names == ["ring-1-a-b", "races", "x" * 80]
+
+
 def test_observations_are_kept_where_they_are_asked_for(contest, zoo, tmp_path):
     pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
     with open_job(tmp_path / "job", "races", {}) as job:
@@ -100,6 +133,6 @@ def test_impossible_pairings_are_refused(contest, zoo):
     for change, message in [
         ({"egos": 0}, "egos is 0"), ({"egos": [1, 1]}, r"egos is \[1, 1\]"), ({"egos": [12]}, "from 0 to 11"),
         ({"opponents": [20]}, "from 0 to 19"), ({"opponents": 2.5}, r"opponents is 2\.5"),
-        ({"lines": 0}, "lines is 0"), ({"seed": -1}, "seed is -1"),
+        ({"lines": 0}, "lines is 0"), ({"lines": 1001}, "lines is 1001"), ({"seed": -1}, "seed is -1"),
     ]:  # fmt: skip
         refused(message, cross_pairing, contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE | change)

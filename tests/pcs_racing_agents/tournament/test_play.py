@@ -2,11 +2,13 @@ import pytest
 from refusal import refused
 from same_move import Model
 
-from pcs_racing import GameConfig, load_race_config, parse_policy
+from pcs_racing import GameConfig, load_archive, load_race_config, parse_policy, save_archive
 from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.tournament import game_rules, plan_tournament, play_plan, play_tournament, tournament_settings
+from pcs_racing_agents.tournament.pairings import draw_schedule
 from pcs_racing_agents.tournament.play import record_row
 
 CONTEST = load_race_config("contest", duration=6.0)
@@ -61,6 +63,8 @@ def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, 
             recording = record_row(played, row, candidates=False)
             assert recording.replay.lead[-1] == row.lead
             assert recording.replay.car_names == (row.ego, row.opponent)
+            assert recording.replay.candidates is None
+    assert record_row(tournament, tournament.races[0]).replay.candidates is not None
     refused("was not raced here", record_row, tournament, tournament.races[0]._replace(track="Monza"))
 
 
@@ -101,6 +105,19 @@ def test_results_of_another_configuration_are_refused(mixed, oval, archive, tmp_
         refused(message, open_job(tmp_path / "a", "tournament", settings).__enter__)
 
 
+def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(mixed, oval, archive, tmp_path):
+    plan = plan_tournament(oval, MIXED)
+    default = load_archive("default")
+    expected = {"game": game_rules("paper", stay=True), "archive": "default", "archive_sha256": default.content_hash}
+    assert tournament_settings(plan) == {
+        "seed": 0, "races_per_pair": 20, **expected, "tracks": {"oval": oval.content_hash},
+        "agents": dict(zip(plan.names, map(competitor_hash, plan.competitors), strict=True)),
+    }  # fmt: skip
+    assert [len(draw_schedule(oval, plan.config, races, 0).starts) for races in (2, 2000)] == [2, 2000]
+    assert plan_tournament(oval, MIXED, archive=str(save_archive(default, tmp_path))).archive == str(tmp_path.resolve())
+    assert mixed.plan.archive == archive.name
+
+
 def test_names_for_models(oval, archive):
     both = {"trained": Model(), "untrained": Model()}
     played = play_tournament(oval, both, CONTEST, archive=archive, races_per_pair=2)
@@ -125,7 +142,7 @@ def test_bad_input_is_refused_before_any_race(oval):
         ({"tracks": []}, "there are 0 tracks"),
         ({"races_per_pair": 3}, "races_per_pair is 3"),
         ({"races_per_pair": 0}, "races_per_pair is 0"),
-        ({"races_per_pair": 4000}, "races_per_pair is 4000"),
+        ({"races_per_pair": 2002}, "races_per_pair is 2002"),
         ({"race": load_race_config("paper", start_spacing=5.0)}, "no place"),
     ]:
         arguments = {"tracks": oval, "entrants": POLICIES, "race": CONTEST, "races_per_pair": 2} | change

@@ -98,6 +98,12 @@ def test_intervals_repeat_and_know_of_shared_races():
     units = (line, line, None)
     alone, again, naive = (rate(*many, unit=unit, rng=np.random.default_rng(5), replicates=200) for unit in units)
     assert (alone.low == again.low).all()
+    usual = (rate(*many, unit=line, rng=np.random.default_rng(5), **given) for given in ({}, {"replicates": 500}))
+    assert len({ratings.low.tobytes() for ratings in (*usual, alone)}) == 2
+    # Of two lines each replicate has one twice or both once: a fit of each is in the interval's ends.
+    halves = rate(["a"] * 6, ["b"] * 6, [1, 1, 1, -1, -1, 1], unit=[1, 1, 1, 2, 2, 2], rng=np.random.default_rng(0))
+    ends = [rate(["a"] * 6, ["b"] * 6, half * 2).strength[0] for half in ([-1, -1, 1], [1, 1, 1])]
+    assert (halves.low[0], halves.high[0]) == pytest.approx(ends)
     assert ((naive.high - naive.low) < 0.35 * (alone.high - alone.low)).all()
 
 
@@ -126,6 +132,7 @@ def test_races_that_paid_nobody_and_who_is_named_first_do_not_matter():
 
 
 def test_bad_input():
+    assert [rate(["a"], ["b"], [0], prior_sd=end).strength.tolist() for end in (1e-6, 1e6)] == [[0.0, 0.0]] * 2
     for call, message in [
         (lambda: rate(["a"], ["a"], [1]), "a races itself"),
         (lambda: rate(["a"], ["b"], [2]), r"result\[0\] is 2"),
@@ -136,8 +143,8 @@ def test_bad_input():
         (lambda: rate([], [], []), "there are no races"),
         (lambda: rate(["a"], ["b"], [1], unpaid=[True]), "none of 1 races"),
         (lambda: rate(["a", "b"], ["c", "d"], [1, 0]), "b never met a"),
-        (lambda: rate(["a"], ["b"], [1], prior_sd=0.0), "prior_sd is 0"),
-        (lambda: rate(["a"], ["b"], [1], prior_sd=1e7), "prior_sd is 10000000"),
+        (lambda: rate(["a"], ["b"], [1], prior_sd=9e-7), "prior_sd is 9e-07"),
+        (lambda: rate(["a"], ["b"], [1], prior_sd=1.1e6), "prior_sd is 1100000"),
         (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0)), "the same unit"),
         (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0), replicates=5), "replicates is 5"),
     ]:

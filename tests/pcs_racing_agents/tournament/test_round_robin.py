@@ -75,6 +75,10 @@ def test_what_start_lines_decide_counts_as_noise():
     sure = round_robin(("a", "b"), table(["a"] * 32, ["b"] * 32, ["ego"] * 32, [False] * 32, line))
     assert sure.noise == 0.0
     assert sure.equilibrium == pytest.approx([1.0, 0.0])
+    for lines, enough in ((5, True), (4, False)):  # for an interval of a rating; a line without a paid race is none
+        line, ends = [*(i % lines for i in range(20)), 9], [*["ego", "opponent"] * 10, "none"]
+        result = round_robin(("a", "b"), table(["a"] * 21, ["b"] * 21, ends, [False] * 20 + [True], line))
+        assert np.isfinite(result.rating("a")).tolist() == [True, enough, enough]
 
 
 CYCLE = np.array([[0.5, 0.6, 0.3], [0.4, 0.5, 0.7], [0.7, 0.3, 0.5]])
@@ -89,6 +93,8 @@ def test_alpha_rank_prefers_who_beats_all_and_keeps_cycles():
     assert alpha_rank(LADDER, tolerance=0.25) == pytest.approx([0.5, 0.5, 0.0], abs=0.01)
     # Two agents, a beats b: a is taken over with a probability of 0.001, b with 0.999.
     assert alpha_rank([[0.5, 0.8], [0.2, 0.5]]) == pytest.approx([0.999, 0.001])
+    races = table(["a"] * 4, ["b"] * 4, ["ego"] * 4, [False] * 4, range(4))
+    assert round_robin(("a", "b"), races).alpha_rank == pytest.approx([0.999, 0.001])
 
 
 def test_a_missing_library_is_named_with_its_extra(monkeypatch):

@@ -229,6 +229,8 @@ def test_bad_input():
         (lambda: clustered_mean(ONES), "cluster labels"),
         (lambda: clustered_mean(ONES, TWO, same_pool=True), r"^same_pool"),
         (lambda: clustered_mean(ONES, TWO, list("ooxx"), same_pool=True), "one pool has one kind"),
+        (lambda: clustered_mean(ONES, TWO, TWO, [0, 0, 0, 0]), "1 start variant"),
+        (lambda: clustered_mean(ONES, TWO, TWO, TWO, [0, 0, 0, 0]), "1 cluster variant"),
         (lambda: holm([0.1, 1.1]), r"p_values\[1\] is 1.1"),
         (lambda: score([True], [True]), "race 0"),
         (lambda: score([True], [True, False]), r"won has shape \(1,\)"),

@@ -10,8 +10,18 @@ from pcs_racing_agents.agents import Driver, make_setting
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import concatenate_races
 from pcs_racing_agents.tournament import RaceRow, Tournament, game_rules
+from pcs_racing_agents.tournament import table as tables
 from pcs_racing_agents.tournament.play import TournamentPlan
-from pcs_racing_agents.tournament.table import payoff_matrix, payoff_picture, standings, sum_up, tournament_text
+from pcs_racing_agents.tournament.ratings import rate
+from pcs_racing_agents.tournament.table import (
+    payoff_matrix,
+    payoff_picture,
+    payoffs_picture,
+    ratings_picture,
+    standings,
+    sum_up,
+    tournament_text,
+)
 
 CONTEST = load_race_config("contest", duration=6.0)
 
@@ -26,7 +36,25 @@ def played(*rows: RaceRow, config=CONTEST) -> Tournament:
     return Tournament(plan, race_table(rows))
 
 
-def test_the_table_counts_every_ending_once():
+TEXT = """\
+8 races of 6 s, preset contest, on ; seed 0
+62% finished, 38% with an overtake
+How close the races were: of the 5 without a crash 100% ended within 5 m and 100% within 20 m; the median gap was 1.0 m.
+
+agent  races  score  rating  95 %    win    tie   loss  crash: own  other's  overtakes  equilibrium
+b          8  0.562     +59     -  37.5%  12.5%  12.5%       25.0%    12.5%       0.12         1.00
+a          8  0.312     -59     -  12.5%  12.5%  37.5%       25.0%    12.5%       0.38         0.00
+
+score against    (1)    (2)
+(1) b              -  0.562
+(2) a          0.312      -
+
+score: races won, a tie counting half; a crash is won by the car not to blame; rating: Bradley-Terry, 400 are odds of \
+10, start lines drawn again for the interval
+equilibrium: how often to send whom, if the other side chooses as cleverly"""
+
+
+def test_the_table_counts_every_ending_once(monkeypatch):
     rows = [
         race("a", "b", winner="ego", lead=3.0, ego_overtakes=2),
         race("a", "b", winner="opponent", lead=-3.0),
@@ -45,10 +73,16 @@ def test_the_table_counts_every_ending_once():
     assert a.score == pytest.approx((2 + 0.5) / 8)  # a win, a crash that the other pays for, half a tie
     assert b.score == pytest.approx((4 + 0.5) / 8)
     assert (a.overtakes, b.overtakes) == (3 / 8, 1 / 8)
-    text = tournament_text(played(*rows))
-    assert "62% finished, 38% with an overtake\nHow close the races were: of the 5 without a crash 100% ended" in text
+    assert tournament_text(played(*rows)) == TEXT
     matrix = payoff_matrix(played(*rows))
     np.testing.assert_allclose(matrix, [[np.nan, 2.5 / 8], [4.5 / 8, np.nan]])
+    known = {"equilibrium": None, "alpha_rank": np.array([0.75, 0.25]), "noise": 0.0625}
+    monkeypatch.setattr(tables, "sum_up", lambda tournament: replace(sum_up(tournament), **known))
+    assert [(s.name, s.alpha_rank) for s in standings(played(*rows))] == [("b", 0.25), ("a", 0.75)]
+    text = tournament_text(played(*rows)).splitlines()
+    assert [line.split()[-1] for line in text[4:7]] == ["alpha-rank", "0.25", "0.75"]
+    assert text[-1].endswith("that differ by up to 0.062 count as alike")
+    assert "equilibrium" not in "".join(text)
 
 
 def test_a_crash_that_pays_nobody_scores_nothing_and_races_from_one_place_are_one_unit(tournament):
@@ -89,3 +123,42 @@ def test_the_text_and_the_picture_hold_the_table(tournament, mixed, tmp_path):
     with Image.open(path) as picture:
         assert min(picture.size) > 300
     assert payoff_picture(mixed, tmp_path / "payoffs.svg").read_text().startswith("<?xml")
+
+
+def test_pictures_hold_each_number_at_its_place():
+    """Scores in the cells of their agents, in digits that can be read; ratings below each other, the best on top."""
+    scores = np.array([[np.nan, 1.0, 0.625], [0.0, np.nan, np.nan], [0.375, np.nan, np.nan]])
+    (axes,) = payoffs_picture(["one", "two", "three"], scores).axes
+    (image,) = axes.images
+    assert image.get_clim() == (-0.15, 1.15)  # so that neither end of the scale is black
+    np.testing.assert_array_equal(image.get_array().filled(np.nan), scores)
+    cells = {text.get_position(): (text.get_text(), text.get_color() == "white") for text in axes.texts}
+    assert cells == {(1, 0): ("1.00", True), (2, 0): ("0.62", False), (0, 1): ("0.00", True), (0, 2): ("0.38", False)}
+    for axis in (axes.xaxis, axes.yaxis):
+        assert axis.get_ticklocs().tolist() == [0, 1, 2]
+        assert [label.get_text() for label in axis.get_ticklabels()] == ["one", "two", "three"]
+    assert axes.get_xlabel() == "score of the row's agent against the column's"
+    assert (axes.xaxis.get_ticks_position(), any(spine.get_visible() for spine in axes.spines.values())) == (
+        "top",
+        False,
+    )
+    assert axes.figure.get_size_inches() == pytest.approx([0.58 * 3 + 2.0, 0.58 * 3 + 1.4])
+    races = (["a", "b", "a"] * 10, ["b", "c", "c"] * 10, [-1, 1, 1] * 5 + [1, -1, -1] * 5)
+    ratings = rate(*races, rng=np.random.default_rng(0), replicates=100)
+    ratings = replace(ratings, strength=np.array([0.0, 1.0, -1.0]))
+    ratings.low[0] = np.nan
+    (axes,) = ratings_picture(ratings).axes
+    _, *lines = (line.get_xydata() for line in axes.lines)
+    elo = 400.0 / np.log(10.0)
+    expected = [
+        [[elo * ratings.low[1], 0.0], [elo * ratings.high[1], 0.0]], [[elo, 0.0]], [[0.0, -1.0]],
+        [[elo * ratings.low[2], -2.0], [elo * ratings.high[2], -2.0]], [[-elo, -2.0]],
+    ]  # fmt: skip
+    assert len(lines) == len(expected)
+    for line, points in zip(lines, expected, strict=True):
+        np.testing.assert_allclose(line, points)
+    labels = zip(axes.get_yticks(), axes.get_yticklabels(), strict=True)
+    assert [(place, label.get_text()) for place, label in labels] == [(0, "b"), (-1, "a"), (-2, "c")]
+    assert axes.get_ylim() == (-2.6, 0.6)
+    assert axes.get_xlabel() == "rating (Bradley-Terry; 400 are odds of ten to one; mean 0)"
+    assert axes.figure.get_size_inches() == pytest.approx([7.2, 0.9 + 0.3 * 3])
