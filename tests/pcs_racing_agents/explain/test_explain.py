@@ -10,6 +10,7 @@ from same_move import Model
 from zoo_games import untrained
 
 from pcs_racing import draw_starts, make_game
+from pcs_racing.base.packing import join_segments
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.moves import move_names, move_table
 from pcs_racing.race.replay import ReplayEvent
@@ -251,8 +252,10 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
     }
     assert written(track) == numbers
     assert track.get_title("left").endswith(", triangle: overtake, cross: crash")
-    paths = [line.get_xydata() for line in track.lines if len(line.get_xdata()) == 41]
-    np.testing.assert_array_equal(paths, np.moveaxis(told.replay.cars[:, :, :2], 1, 0))
+    loops, paths = join_segments(told.replay.walls), [told.replay.cars[:, car, :2] for car in (0, 1)]
+    drawn = [line.get_xydata() for line in track.lines if len(line.get_xdata()) > 1]
+    for line, expected in zip(drawn, [*loops, *paths], strict=True):
+        np.testing.assert_array_equal(line, expected)
     # The arrow of the first move; the second one keeps its policy.
     before, after = told.archive.coordinates[[3, 5]][:, [1, 0]]
     (arrow,) = (text for text in space.texts if text.get_text() == "")
@@ -274,9 +277,11 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
         ("aggressiveness +", (0.95, top), CARS[0]), ("aggressiveness -", (0.95, bottom), CARS[1]),
         ("restraint +", (1.75, top), CARS[0]),
     }  # fmt: skip
-    above, below = (np.concatenate([p.vertices[:, 1] for p in area.get_paths()]) for area in lead.collections)
-    assert (above.min(), above.max(), below.max()) == pytest.approx((0.0, 2.3, 0.0))
-    assert below.min() == pytest.approx(-0.25)
+    above, below = (np.concatenate([p.vertices for p in area.get_paths()]) for area in lead.collections)
+    assert (above[:, 1].min(), above[:, 1].max(), below[:, 1].max()) == pytest.approx((0.0, 2.3, 0.0))
+    level = 1.6 + 0.4 * 2.3 / 2.55  # s: when the cars are side by side
+    late = below[below[:, 0] > 1.0]
+    assert (above[:, 0].max(), late[:, 0].min(), below[:, 1].min()) == pytest.approx((level, level, -0.25), abs=1e-6)
     assert lead.lines[0].get_xydata() == pytest.approx(np.stack([0.05 * np.arange(41), told.lead], axis=1))
     assert [axes.get_visible() for axes in panels] == [True] * 2 + [False] * (len(panels) - 2)
     assert panels[0].get_title("left") == "1: 0.8 s"

@@ -56,10 +56,10 @@ def test_a_rule_is_seen_in_the_shares_and_what_can_not_be_summarised_is_named(fo
 
 @pytest.fixture
 def few():
-    """Two moves of a few races, of which none made a third one."""
-    counts = np.zeros((3, 3, 3, 3), np.int64)
+    """Two moves of a few races; none made a third or a fourth one."""
+    counts = np.zeros((4, 3, 3, 3), np.int64)
     counts[0, 0, 2], counts[0, 1, 0], counts[1, 2, 1] = [1, 18, 1], [0, 0, 1], [5, 0, 5]
-    edges = np.array([[[-1.26, 2.0], [0.0, 3.5], [np.nan] * 2], [[0.2, 0.4], [0.25, 0.5], [np.nan] * 2]])
+    edges = np.array([[[-1.26, 2.0], [0.0, 3.5], *[[np.nan] * 2] * 2], [[0.2, 0.4], [0.25, 0.5], *[[np.nan] * 2] * 2]])
     return situations.Situations("somebody", ("a", "b", "stay"), "speed", *edges, counts)
 
 
@@ -85,7 +85,7 @@ def test_the_text_and_the_csv_hold_every_count_and_the_heat_map_the_shares(tmp_p
     assert [row[10] for row in rows[6:12]] == ["0.0500", "0.9000", "0.0500", "0.0000", "0.0000", "1.0000"]
     assert (rows[3][10], rows[-1][3:11]) == ("", ["nan", "", "high", "nan", "", "stay", "0", ""])
     figure = situations.situations_picture(few)
-    panels = np.reshape(figure.axes, (3, 3))
+    panels = np.reshape(figure.axes, (3, 4))
     for (move, step), panel in np.ndenumerate(panels):
         shares = few.shares[step, :, :, move]
         np.testing.assert_array_equal(np.ma.filled(panel.images[0].get_array(), np.nan), shares)
