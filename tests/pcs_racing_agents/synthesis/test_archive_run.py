@@ -1,5 +1,6 @@
 import csv
 import shutil
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -181,7 +182,7 @@ def test_limits_are_violated_by_the_largest_shortfall():
 
 def test_the_picture_of_an_archive_shows_the_front_with_its_errors(made):
     pytest.importorskip("matplotlib")
-    archive = made[0]
+    archive = replace(made[0], own_crash=np.linspace(0.0, 0.3, len(made[0])))
     figure = front_picture(archive)
     plot, bar = figure.axes
     points, spread = archive.coordinates[:, ::-1], archive.spread[:, ::-1]
