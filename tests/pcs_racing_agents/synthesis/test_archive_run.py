@@ -227,6 +227,7 @@ def test_the_executor_has_no_influence(made, tmp_path, kind, executor):
 def test_a_finished_run_races_nothing_again_and_other_folders_are_left_alone(made, monkeypatch, tmp_path):
     folder = Path(shutil.copytree(made[1], tmp_path / "copy"))
     monkeypatch.setattr("pcs_racing_agents.synthesis.evaluate.advance", None)
+    (folder / ".archive.npz.0123abcd").write_bytes(b"half")  # of a run that was killed while it wrote
     again = make_archive(TINY, folder)
     np.testing.assert_array_equal(again.coordinates, made[0].coordinates)
     assert files(folder) == files(made[1])
