@@ -97,6 +97,9 @@ def test_paths_are_shortest(world):
         for _ in range(fewest):
             policy = table[policy, first[policy]]
         assert policy == goal
+        if goal == start:  # the move that keeps it, or leads nowhere nearer
+            away = np.linalg.norm(points[table[start]] - points[start], axis=1)
+            assert away[first[start]] == away.min()
 
 
 def test_targets_and_lead_plans_that_do_not_exist_are_refused(setting):

@@ -17,32 +17,11 @@ from pcs_racing_agents.solvers.compare import MethodRow
 from pcs_racing_agents.trees import build_trees, load_trees
 from pcs_racing_agents.trees.tree import TreeStatistics
 
-# Of three policies the fastest beats the others.
-POOL = ["--policies", "lattice:pace=0.2", "lattice:pace=0.5", "lattice:pace=1.0"]
-SHORT = ["--duration", "4", "--races", "32", "--track", "Tarnfjord"]
 TREES = ["tree", "--track", "Tarnfjord", "--moves", 2, "--step", 2, "--executor", "serial"]
 
 
 def rows_of(file):
     return list(csv.DictReader(file.read_text().splitlines()))
-
-
-def test_it_prints_the_table_and_writes_files(tmp_path, printed):
-    out = tmp_path / "headroom"
-    text = printed("headroom", *POOL, *SHORT, "--out", out)
-    assert "Tarnfjord: the best fixed policy is lattice:pace=1.0" in text
-    (row,) = rows_of(out / "headroom.csv")
-    assert row["track"] == "Tarnfjord"
-    assert abs(float(row["H"])) < 0.1
-    rows = rows_of(out / "payoffs.csv")
-    payoffs = {(row["policy"], row["opponent"]): float(row["payoff"]) for row in rows}
-    assert len(payoffs) == 6
-    assert payoffs["lattice:pace=1.0", "lattice:pace=0.2"] == -payoffs["lattice:pace=0.2", "lattice:pace=1.0"] > 0.0
-
-
-def test_without_a_size_a_small_archive_races_as_a_whole(archive, saved_archive, tmp_path, printed):
-    printed("headroom", "--archive", saved_archive, *SHORT, "--out", tmp_path)
-    assert len({row["policy"] for row in rows_of(tmp_path / "payoffs.csv")}) == len(archive)
 
 
 def test_the_figures_of_a_headroom_are_those_of_the_estimates(tmp_path):

@@ -72,14 +72,6 @@ def test_a_browser_is_opened_where_there_is_a_screen(platform, variable, opened,
     assert asked == ["a page"] * opened
 
 
-def test_no_browser_is_opened_where_there_is_no_screen(folder, monkeypatch):
-    monkeypatch.setattr(view.sys, "platform", "linux")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setattr(view.webbrowser, "open", lambda _: pytest.fail("a browser in the terminal"))
-    assert main(["view", str(folder), "--replays", "0"]) == 0
-
-
 def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, printed, told):
     lone = tmp_path / "lone.csv"
     shutil.copy(folder / "results.csv", lone)

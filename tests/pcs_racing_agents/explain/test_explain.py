@@ -203,30 +203,6 @@ def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, setting):
     assert picture_bytes(explanation_picture(race)).startswith(b"<?xml")
 
 
-def test_the_pictures_show_what_was_seen_and_done(race):
-    from matplotlib.colors import to_rgba as rgba
-
-    figure = explanation_picture(race)
-    space, _, *panels, lead = figure.axes
-    numbers = [text for text in space.texts if text.get_text().isdigit()]
-    seen = {text.get_text(): text.xy for text in numbers if text.get_bbox_patch().get_facecolor() == rgba(CARS[1])}
-    for k, step in enumerate(race.steps):
-        assert seen[str(k + 1)] == pytest.approx(tuple(in_units(race.archive, step.opponent)[[1, 0]]))
-    far = [race.steps[0]._replace(opponent=race.middle - distance) for distance in (3.0, 0.0)]
-    limits = explanation_picture(replace(race, steps=far)).axes[0].get_xlim()
-    assert limits[0] < in_units(race.archive, far[0].opponent)[1] < limits[1]
-    panels = [axes for axes in panels if axes.get_visible()]
-    for axes, step in zip(panels, race.steps, strict=True):
-        assert [patch.get_width() for patch in axes.patches] == pytest.approx(step.values.tolist())
-        own = [patch.get_facecolor() == rgba(CARS[race.car]) for patch in axes.patches]
-        assert own == [move == step.move for move in range(len(race.moves))]
-        assert not axes.texts
-        assert axes.get_title("left").endswith(f": {step.time:g} s")
-        assert [set(line.get_xdata()) for line in axes.lines] == [{0.0}]
-    upright = {line.get_xdata()[0] for line in lead.lines if len({*line.get_xdata()}) == 1}
-    assert upright == {step.time for step in race.steps}
-
-
 def marks(axes):
     """Signs that stand alone: marker, place, and colour of its face."""
     found = [line for line in axes.lines if len(line.get_xdata()) == 1]
@@ -239,6 +215,8 @@ def written(axes):
 
 
 def test_the_signs_of_a_race_stand_where_things_happened(told):
+    from matplotlib.colors import to_rgba
+
     figure = explanation_picture(told)
     space, track, *panels, lead = figure.axes
     assert figure.get_suptitle() == f"{told.replay.title}, oval, contest rules: car 1 crashed"
@@ -270,8 +248,7 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
     }  # fmt: skip
     # The lead from -0.25 to 2.3 m, with room for the names of the moves.
     low, high, reach = -1.0, 2.3, 3.3
-    assert lead.get_ylim() == pytest.approx((low - 0.2 * reach, high + 0.2 * reach))
-    assert lead.get_xlim() == (0.0, 4.0)
+    assert (*lead.get_ylim(), *lead.get_xlim()) == pytest.approx((low - 0.2 * reach, high + 0.2 * reach, 0.0, 4.0))
     top, bottom = round(high + 0.17 * reach, 9), round(low - 0.17 * reach, 9)
     assert written(lead) == {
         ("aggressiveness +", (0.95, top), CARS[0]), ("aggressiveness -", (0.95, bottom), CARS[1]),
@@ -284,9 +261,8 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
     assert (above[:, 0].max(), late[:, 0].min(), below[:, 1].min()) == pytest.approx((level, level, -0.25), abs=1e-6)
     assert lead.lines[0].get_xydata() == pytest.approx(np.stack([0.05 * np.arange(41), told.lead], axis=1))
     assert [axes.get_visible() for axes in panels] == [True] * 2 + [False] * (len(panels) - 2)
-    assert panels[0].get_title("left") == "1: 0.8 s"
+    assert (panels[0].get_title("left"), panels[0].get_ylim()) == ("1: 0.8 s", (4.5, -0.5))
     assert [label.get_text() for label in panels[0].get_yticklabels()] == list(told.moves)
-    assert panels[0].get_ylim() == (4.5, -0.5)
     for unit, change, label in [
         (Unit(0.5, "of a win"), {}, "value of each move, wins; coloured: made"),
         (Unit(0.5, ""), {}, "value of each move; coloured: made"),
@@ -296,7 +272,13 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
         figure = explanation_picture(replace(told, unit=unit, steps=steps))
         expected = 0.5 * told.steps[0].values if unit else told.steps[0].probabilities
         assert [patch.get_width() for patch in figure.axes[2].patches] == pytest.approx(expected.tolist())
+        colours = [patch.get_facecolor() == to_rgba(CARS[0]) for patch in figure.axes[2].patches]
+        assert (colours, *(set(line.get_xdata()) for line in figure.axes[2].lines)) == ([True] + [False] * 4, {0.0})
         assert label in {text.get_text() for panel in figure.subfigs for text in panel.texts}
+    assert {line.get_xdata()[0] for line in lead.lines if len({*line.get_xdata()}) == 1} == {0.8, 1.6}
+    far = [told.steps[0]._replace(opponent=told.middle - distance) for distance in (3.0, 0.0)]
+    limits = explanation_picture(replace(told, steps=far)).axes[0].get_xlim()
+    assert limits[0] < in_units(told.archive, far[0].opponent)[1] < limits[1]
     bare = [step._replace(values=None, probabilities=None) for step in told.steps]
     assert len(explanation_picture(replace(told, steps=bare)).axes) == 3
 
@@ -326,10 +308,9 @@ def test_the_archive_shows_where_moves_lead(archive, tmp_path):
     assert bar.get_ylabel() == "own crashes, % of races"
     points, explored = archive.coordinates[:, [1, 0]], archive.explored_coordinates[:, [1, 0]]
     dots = axes.collections[0]
-    np.testing.assert_array_equal(dots.get_offsets(), points)
-    np.testing.assert_array_equal(dots.get_array(), 100.0 * crashes)
-    np.testing.assert_array_equal(axes.lines[0].get_xydata(), explored)
-    np.testing.assert_array_equal(axes.lines[1].get_xydata(), points[3:4])
+    drawn = [dots.get_offsets(), dots.get_array(), *(line.get_xydata() for line in axes.lines)]
+    for found, expected in zip(drawn, [points, 100.0 * crashes, explored, points[3:4]], strict=True):
+        np.testing.assert_array_equal(found, expected)
     low, high = points.min(axis=0), points.max(axis=0)
     tails, reach = np.quantile(explored, [0.02, 0.98], axis=0), high - low
     least = np.maximum(np.minimum(low, tails[0]), low - reach) - 0.08 * reach

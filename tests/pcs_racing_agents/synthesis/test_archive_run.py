@@ -192,10 +192,12 @@ def test_the_picture_of_an_archive_shows_the_front_with_its_errors(made):
     )
     assert (plot.get_xlabel(), plot.get_ylabel()) == ("restraint (s)", "aggressiveness (m)")
     assert [text.get_text() for text in plot.get_legend().get_texts()] == ["30 explored", f"{len(archive)} policies"]
-    np.testing.assert_array_equal(plot.lines[0].get_xydata(), archive.explored.coordinates[:, ::-1])
     dots, (across, upright) = plot.collections[-1], [c for c in plot.collections if hasattr(c, "get_segments")]
-    np.testing.assert_array_equal(dots.get_offsets(), points)
-    np.testing.assert_array_equal(dots.get_array(), 100.0 * archive.own_crash)
+    drawn = plot.lines[0].get_xydata(), dots.get_offsets(), dots.get_array()
+    for found, expected in zip(
+        drawn, (archive.explored.coordinates[:, ::-1], points, 100.0 * archive.own_crash), strict=True
+    ):
+        np.testing.assert_array_equal(found, expected)
     ends = [[(points[:, k] - spread[:, k]), (points[:, k] + spread[:, k])] for k in (0, 1)]
     for k, lines in enumerate((across, upright)):
         np.testing.assert_allclose(np.array(lines.get_segments())[:, :, k].T, ends[k])

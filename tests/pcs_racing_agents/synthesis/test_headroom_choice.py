@@ -52,10 +52,6 @@ def test_it_is_an_ordinary_archive_whose_manifest_says_how_it_was_chosen(made):
     assert settings["selection"] == "headroom"
     assert settings["choice_candidates"] == 8
     assert set(settings["track_hashes"].replace(",", "").split()) >= {"Pipkin", "Tarnfjord"}
-    for name in ("headroom", "headroom_elsewhere"):
-        assert settings[name.replace("headroom", "headroom_low")] <= settings[name] + 1e-9
-        assert name.replace("headroom", "transitive_share") in settings
-    assert float(settings["headroom_Tarnfjord"].split()[0]) == pytest.approx(settings["headroom_elsewhere"], abs=5e-4)
 
 
 def test_its_headroom_is_judged_on_races_that_chose_nobody(made):

@@ -209,11 +209,12 @@ def test_a_model_has_the_numbers_of_its_settings(track, drive_settings, duel_set
     settings = replace(drive_settings, **changes)
     with own_randomness():
         model = make_model(settings, [drives(track, races=8)], 5, "tanh")
-    assert (model.n_steps, model.batch_size, model.n_epochs, model.seed) == (20, 40, 3, 5)  # four of 40, none of 10
-    assert (model.gamma, model.gae_lambda, model.clip_range(1.0)) == (0.9, 0.8, 0.3)
-    assert (model.ent_coef, model.vf_coef, model.max_grad_norm, model.learning_rate) == (0.01, 0.7, 0.4, 0.002)
+    found = [model.n_steps, model.batch_size, model.n_epochs, model.seed, model.gamma, model.gae_lambda]
+    found += [model.clip_range(1.0), model.ent_coef, model.vf_coef, model.max_grad_norm, model.learning_rate]
+    found += [model.env._scale, model.use_sde]
+    # Four batches of 40, none of 10.
+    assert found == [20, 40, 3, 5, 0.9, 0.8, 0.3, 0.01, 0.7, 0.4, 0.002, 0.1, False]
     np.testing.assert_allclose(model.policy.log_std.detach().numpy(), np.log([0.3, 0.3]), rtol=1e-6)
-    assert model.env._scale == 0.1
     kinds = [
         str(layer)
         for net in (model.policy.mlp_extractor.policy_net, model.policy.mlp_extractor.value_net)
@@ -221,7 +222,6 @@ def test_a_model_has_the_numbers_of_its_settings(track, drive_settings, duel_set
     ]
     assert [kind.split("(")[0] for kind in kinds] == ["Linear", "Tanh"] * 3
     assert [kind.split("out_features=")[1][0] for kind in kinds[::2]] == ["8", "5", "6"]
-    assert not model.use_sde
 
 
 def test_environments_are_shared_out():
