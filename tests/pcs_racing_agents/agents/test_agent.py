@@ -105,7 +105,7 @@ def test_bad_agents_drivers_and_observations_are_refused(setting):
     assert isinstance(driver, Driver)
     assert (driver.name, len(driver.policies)) == ("L", 1)
     agent = random_moves(setting)
-    assert as_competitor(agent) is agent
+    assert as_competitor(agent) is as_competitor(agent, "random-moves") is agent
     assert isinstance(as_competitor(agent, "other"), Agent)
     renamed = as_competitor(driver, "M")
     assert (renamed.name, renamed.policies) == ("M", driver.policies)

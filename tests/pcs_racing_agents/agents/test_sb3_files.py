@@ -1,6 +1,7 @@
 """Policies of Stable-Baselines3 are read without running their code; those that drive race wherever a policy does."""
 
 import zipfile
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,14 @@ from refusal import refused
 from pcs_racing import load_race_config, load_track, parse_policy, run_races
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing_agents.agents import as_competitor, make
-from pcs_racing_agents.agents.sb3_files import _read_scale, actor_of, load_model, load_sb3_policy, save_model
+from pcs_racing_agents.agents.sb3_files import (
+    _read_scale,
+    actor_of,
+    load_model,
+    load_sb3_policy,
+    plain_model,
+    save_model,
+)
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import load_entrant
 
@@ -85,6 +93,10 @@ def test_layers_are_applied_one_after_the_other(activation, hidden):
         else:
             np.testing.assert_allclose(found, np.tanh(expected) if squash else expected, atol=1e-4)
         np.testing.assert_array_equal(policy.predict(ROWS[3])[0], found[3])
+    model = SimpleNamespace(policy=SimpleNamespace(state_dict=lambda: state), get_env=lambda: None)
+    assert plain_model(model, "mine").activation == "ReLU"
+    model.policy_kwargs = {"features_extractor_class": object}
+    assert plain_model(model, "mine") is model
     refused("the activation is Sigmoid", actor_of, "mine", state, "Sigmoid")
     refused("no actor of fully connected layers", actor_of, "mine", {**state, "lstm.weight": 0}, None)
 
