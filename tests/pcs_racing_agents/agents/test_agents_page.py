@@ -20,12 +20,6 @@ def test_the_page_of_the_zoo_explains_every_option_with_and_without_measurements
     for one in measurements().values():
         assert f"\n| `{one.agent}` | {one.score:.3f} | " in page
     assert "nan" not in page
-    assert describe.describe("nash", entries()["nash"]).splitlines() == [
-        "Draws its moves from an approximate equilibrium strategy.", "", "- Source: backward induction, sampled.",
-        "- Needs the network `ARCHIVE-RACE-nash`, or `network=FOLDER`.",
-        "- Option `decision`, by default `sample`. The rule: `argmax`, `regret-matching`, `sample` or `softmax`.",
-        "- Option `network`, by default `None`. Another network: the name of a shipped one or its folder.",
-    ]  # fmt: skip
     for name, entry in entries().items():
         assert set(options(name)) <= set(option_meanings(entry.build)), name
     # As between the day agents are made and the day they are measured.
@@ -61,18 +55,7 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
         )
         zoo_page.write_measurements([one, one._replace(agent="lane-switcher", many_us=np.nan, against={})])
         assert measurements()["default", "paper", "never-switch"] == one
-        strength, cost, _ = facts_of("never-switch", setting)
-        assert strength.startswith("Strength: score 0.500, rating -12 [-40, +20], on Tarnfjord, Saltmere in 300 races")
-        assert "(0.625 against random-moves)" in strength
-        assert cost == "Cost: 46 us for one observation, 0.53 us for each of 1,000 at once."
-        plan, decision = "46 us for a plan with 0.1 s of simulation", "46 us for a decision"
-        for name, many, words in [("lane-switcher", np.nan, plan), ("nash", np.nan, decision), ("x", np.nan, decision)]:
-            assert describe._cost(one._replace(agent=name, many_us=many)) == words
-        times = {np.nan: "", 0.5312: "0.531", 99.96: "100", 1234.4: "1,234"}
-        assert list(map(describe.microseconds, times)) == list(times.values())
-        assert describe.rating_text(one._replace(rating=np.nan)) == "unknown"
-        assert describe.rating_text(one._replace(rating_low=np.nan)) == "-12"
-        assert "own crashes 2.0%" in strength
+        assert facts_of("never-switch", setting)[0].startswith("Strength: score 0.500, rating -12 [-40, +20], on ")
         assert describe.measured("default", "paper", "never-switch", "0" * 64) is None
         assert np.isnan(measurements()["default", "paper", "lane-switcher"].many_us)
         page = zoo_page.zoo_page()

@@ -12,9 +12,21 @@ import pcs_racing_agents
 from pcs_racing import UnknownNameError, make_game
 from pcs_racing.planners.network import INPUTS
 from pcs_racing.planners.trained import save_driver
-from pcs_racing_agents.agents import Agent, Decider, Driver, make, make_setting, names, parse_agent, register_agent, zoo
+from pcs_racing_agents.agents import (
+    Agent,
+    Decider,
+    Driver,
+    describe,
+    make,
+    make_setting,
+    names,
+    parse_agent,
+    register_agent,
+    zoo,
+)
+from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.blind import always, random_moves
-from pcs_racing_agents.agents.describe import describe
+from pcs_racing_agents.agents.setting import training_text
 from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, load_entrant, options
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.tournament.games import game_between
@@ -171,6 +183,39 @@ def test_a_shipped_agent_is_a_file_and_a_line(setting, monkeypatch, tmp_path):
     created = build("bold", setting)
     assert (created.name, created.facts["does"]) == ("bold", "races ever more aggressively")
     assert created.setting.moves[created.predict(np.zeros((1, len(setting.elements))))[0][0]] == "aggressiveness +"
-    text = describe("bold", entries()["bold"])
+    text = describe.describe("bold", entries()["bold"])
     assert "Races ever more aggressively." in text
     assert "- Option `move`, by default `aggressiveness +`." in text
+
+
+def test_an_agent_is_described_with_its_options_and_as_it_was_measured(setting, monkeypatch):
+    assert describe.describe("nash", entries()["nash"]).splitlines() == [
+        "Draws its moves from an approximate equilibrium strategy.", "", "- Source: backward induction, sampled.",
+        "- Needs the network `ARCHIVE-RACE-nash`, or `network=FOLDER`.",
+        "- Option `decision`, by default `sample`. The rule: `argmax`, `regret-matching`, `sample` or `softmax`.",
+        "- Option `network`, by default `None`. Another network: the name of a shipped one or its folder.",
+    ]  # fmt: skip
+    digest = competitor_hash(build("never-switch", setting))
+    one = describe.Measured(
+        *("toy", "paper", "never-switch", digest, "Tarnfjord, Saltmere", 300.0, 0.5, -12.0, -40.0, 20.0, 0.02),
+        *(46.0, 0.53, {"random-moves": 0.625, "nash": 0.25}),
+    )
+    monkeypatch.setattr(describe, "measurements", lambda: {("toy", "paper", "never-switch"): one})
+    assert describe.facts_of("never-switch", setting) == [
+        "Strength: score 0.500, rating -12 [-40, +20], on Tarnfjord, Saltmere in 300 races (0.625 against random-"
+        "moves, 0.250 against nash); own crashes 2.0%.",
+        "Cost: 46 us for one observation, 0.53 us for each of 1,000 at once.", f"Hash: {digest[:16]}.",
+    ]  # fmt: skip
+    changed = competitor_hash(build("random-moves", setting))
+    unmeasured = ["Strength and cost: not measured as it is.", f"Hash: {changed[:16]}."]
+    assert describe.facts_of("random-moves", setting) == unmeasured
+    assert describe.facts_of("nash", setting) == describe.NOT_SHIPPED
+    assert describe.facts_of("response", make_setting("contest", "contest"))[0].startswith("Network: contest-contest-")
+    assert describe.measured("toy", "paper", "never-switch", "0" * 64) is None
+    plan, decision = "46 us for a plan with 0.1 s of simulation", "46 us for a decision"
+    for name, words in {"lane-switcher": plan, "nash": decision, "x": decision}.items():
+        assert describe._cost(one._replace(agent=name, many_us=np.nan)) == words
+    times = {np.nan: "", 0.5312: "0.531", 99.96: "100", 1234.4: "1,234"}
+    assert list(map(describe.microseconds, times)) == list(times.values())
+    ratings = [describe.rating_text(one._replace(**{key: np.nan})) for key in ("rating", "rating_low")]
+    assert (ratings, training_text({})) == (["unknown", "-12"], "not said")
