@@ -100,7 +100,7 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
         return "it keeps the policy, so its value is that of staying"
     names = explanation.moves
     best = int(np.argmax(values))
-    if explanation.default is not None and step.default_move is not None:
+    if explanation.default is not None:
         return _why_default(explanation, step, best)
     if step.move >= len(values):
         return f"its network has no value for {names[step.move]}"

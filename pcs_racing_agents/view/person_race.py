@@ -178,7 +178,7 @@ def first_frames(replay: Replay, seconds: float) -> Replay:
     ``replay``: without candidates. ``seconds``: up to when, s.
     """
     frames = round(seconds / replay.frame_dt) + 1
-    plans = round(seconds / replay.plan_dt) + 1
+    plans = round(seconds / replay.plan_dt)  # without the plan of that time: the next move decides about it
     return replace(
         replay,
         cars=replay.cars[:frames],

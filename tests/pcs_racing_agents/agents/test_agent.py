@@ -33,6 +33,15 @@ def test_an_agent_answers_like_a_model_of_sb3_and_draws_by_what_is_seen_and_its_
     assert 0.1 < np.mean(other == moves) < 0.4
 
 
+def splitmix(number):
+    """The output function of splitmix64 (Steele and others, 2014)."""
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        number %= 2**64
+        number = (number ^ (number >> shift)) * factor
+    number %= 2**64
+    return number ^ (number >> 31)
+
+
 def test_draws_follow_the_chances_and_rounding_never_draws_what_is_impossible():
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(20_000, 31)).astype(np.float32)
@@ -45,6 +54,12 @@ def test_draws_follow_the_chances_and_rounding_never_draws_what_is_impossible():
     changed[:, 17] = np.nextafter(rows[:, 17], np.float32(np.inf))
     assert abs(np.mean(draw(chances, changed, 0) == draw(chances, rows, 0)) - 0.46) < 0.02
     assert len(np.unique(hash_rows(rows, 0))) == 20_000
+    # By definition: the words of a row one after the other.
+    golden, state = 0x9E3779B97F4A7C15, splitmix(8 * 0x9E3779B97F4A7C15)
+    for word in rows[0].view(np.uint32).tolist():
+        state = splitmix((state ^ word) + golden)
+    assert int(hash_rows(rows[:1], 7)[0]) == state
+    assert int(draw(np.full((1, 2**20), 2.0**-20), rows[:1], 7)[0]) == state >> 44
     zeros = np.zeros((1, 3), np.float32)
     np.testing.assert_array_equal(hash_rows(zeros, 1), hash_rows(-zeros, 1))
     # Chances that add up to a bit less or more than 1.
@@ -73,6 +88,7 @@ def test_digests_tell_what_somebody_does_and_nothing_is_kept_of_whom_they_can_no
     changed = replace(network, layers=replace(layers, biases=(layers.biases[0], layers.biases[1] + 1.0)))
     others.append(build("cfr-argmax", setting, network=changed))
     assert len({first.content_hash, *(agent.content_hash for agent in others)}) == 7
+    assert [competitor_hash(agent) for agent in others] == [agent.content_hash for agent in others]
     assert competitor_hash(make("lattice:pace=0.3")) != competitor_hash(make("lattice:pace=0.4"))
     function = Agent("function", lambda seen: np.full((len(seen), 5), 0.2), setting)
     for unknown in (Model(), as_competitor(Model(), "named"), function):
@@ -89,10 +105,14 @@ def test_bad_agents_drivers_and_observations_are_refused(setting):
     assert isinstance(driver, Driver)
     assert (driver.name, len(driver.policies)) == ("L", 1)
     agent = random_moves(setting)
-    assert as_competitor(agent) is agent
+    assert as_competitor(agent) is as_competitor(agent, "random-moves") is agent
     assert isinstance(as_competitor(agent, "other"), Agent)
     renamed = as_competitor(driver, "M")
     assert (renamed.name, renamed.policies) == ("M", driver.policies)
+    assert repr(agent) == "<Agent 'random-moves': archive 'toy', paper rules>"
+    assert repr(driver) == "<Driver 'L': 1 policies of planner 'lattice'>"
+    named = as_competitor(Model(3), "three")
+    assert (named.predict(np.zeros((2, 5)))[0].tolist(), as_competitor(named, "four").name) == ([3, 3], "four")
     for wrong in ("never-switch", 3, Model):
         refused("can't race", as_competitor, wrong)
     refused("an agent's name is ''", random_moves, setting, name="")

@@ -15,6 +15,7 @@ def test_a_schedule_follows_the_steps_and_never_switching_is_staying(setting, ga
         moves, _ = agent.predict(game.observation(state)[:, 0])
         np.testing.assert_array_equal(moves, expected)
         state = game.step(state, np.full((3, 2), 4))
+    assert (agent.predict(game.observation(state)[:, 0])[0] == 2).all()  # after the last step, too
     assert agent.facts["plan"] == "restraint +, stay, aggressiveness -, restraint +"
     refused("has 4 moves", best_schedule, setting, moves=plan[:3])
     refused("and a fit", best_schedule, setting, moves=plan, fit="somewhere.yaml")
@@ -56,7 +57,9 @@ def test_a_lead_plan_looks_at_who_leads_and_at_nothing_else(setting, game, seen)
             hidden[:, 6 * step + 2 : 6 * step + 4] = 0.5  # the opponent's coordinates
             hidden[:, 6 * step + 4] = np.sign(hidden[:, 6 * step + 4])
         np.testing.assert_array_equal(plan.predict(hidden)[0], expected)
-    assert plan.facts["ahead"].startswith("policy 1 (")
+    one, other = setting.archive.normalised[1]
+    assert plan.facts["ahead"] == f"policy 1 (aggressiveness {one:.2f}, restraint {other:.2f})"
+    assert best_fixed(setting, target=1).facts["target"] == plan.facts["ahead"]
 
 
 def _reachable(table) -> list[list[int]]:
@@ -94,6 +97,9 @@ def test_paths_are_shortest(world):
         for _ in range(fewest):
             policy = table[policy, first[policy]]
         assert policy == goal
+        if goal == start:  # the move that keeps it, or leads nowhere nearer
+            away = np.linalg.norm(points[table[start]] - points[start], axis=1)
+            assert away[first[start]] == away.min()
 
 
 def test_targets_and_lead_plans_that_do_not_exist_are_refused(setting):

@@ -9,8 +9,9 @@ from refusal import refused
 from pcs_racing import UnknownNameError, get_planner, make_game
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.planners.network import INPUTS
-from pcs_racing.planners.trained import save_driver
+from pcs_racing.planners.trained import read_driver, save_driver
 from pcs_racing_agents.agents import make
+from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
 
 
@@ -28,7 +29,15 @@ def test_the_zoo_races_the_shipped_driver_or_another_one_with_a_hash_of_its_own(
     shipped, own = make("ppo-drive"), make("ppo-drive", network=folder)
     assert shipped.planner is get_planner("ppo-drive")
     assert pickle.loads(pickle.dumps(shipped)).planner is shipped.planner
-    assert own.planner.name == "mine"
+    assert (own.planner.name, own.name) == ("mine", "ppo-drive")
+    _, manifest = read_driver(folder)
+    facts = {"network": "mine", "trained on": "steps 7", "weights sha256": manifest["weights_sha256"]}
+    assert {key: own.facts[key] for key in facts} == facts
+    assert shipped.facts["network"] == "ppo-drive"
+    assert [one.name for one in make("gap-follower").policies] == ["gap-follower"]
+    assert [one.name for one in planner_driver(None, name="x", planner="lane-switcher").policies[:2]] == [
+        "lane-switcher:0", "lane-switcher:1"
+    ]  # fmt: skip
     assert len({shipped.content_hash, own.content_hash, make("pure-pursuit").content_hash}) == 3
     refused("unknown driver 'nobody'", make, "ppo-drive", error=UnknownNameError, network="nobody")
     # They are of one name and have no parameters: results of one must not be taken for the other's.

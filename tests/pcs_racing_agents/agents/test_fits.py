@@ -19,6 +19,7 @@ def test_a_fit_is_kept_and_followed(setting, tmp_path, kind, seen):
     fit = make_fit(kind, CHOICES[kind], setting, {"races": 10, "reached": 0.5})
     path = save_fit(fit, tmp_path / "fit.yaml")
     assert vars(load_fit(path)) == vars(fit)
+    assert fit.game == setting.identity._replace(elements=(), moves=())
     agent = build(kind, setting, fit=str(path))
     assert agent.facts["trained on"] == "races 10, reached 0.5"
     same = build(kind, setting, **{OPTIONS[kind]: CHOICES[kind]})
@@ -43,6 +44,10 @@ def test_files_that_are_no_fit_are_refused(setting, tmp_path):
         ({"kind": "worst"}, "fit of 'worst' is unknown"),
         ({"choice": "7"}, "index of a policy"),
         ({"race": 3}, "race is 3"),
+        ({"choice": True}, "index of a policy"),
+        ({"epsilon": 0.5}, "epsilon is 0.5; it must be a list"),
+        ({"epsilon": ["a"]}, "must be a list of numbers"),
+        ({"moves": 0}, "moves is 0"),
         ({"training": [1]}, r"training is \[1\]"),
     ]:
         path = save_fit(make_fit("best-fixed", 3, setting, {}), tmp_path / "fit.yaml")

@@ -13,6 +13,7 @@ from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.blind import random_moves
 from pcs_racing_agents.agents.from_network import DECISIONS, adaptive, from_network, get_decision
 from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.jobs.fingerprint import fingerprint
 
 
 def test_the_papers_agent_makes_the_move_of_highest_regret_and_matching_draws_in_proportion(setting, network, seen):
@@ -22,7 +23,11 @@ def test_the_papers_agent_makes_the_move_of_highest_regret_and_matching_draws_in
     clipped = build("cfr-argmax", setting, network=replace(network, clipped=True))
     np.testing.assert_array_equal(clipped.predict(rows)[0], network.choose(rows))
     assert agent.facts["source"] == "the paper's GT agent, Equations 8 and 9"
-    assert len(agent.facts["weights sha256"]) == 64
+    assert agent.facts["weights sha256"] == fingerprint(network.layers)
+    facts = {"setting_a": 1, "test_b": 2, "validation_c": 3, "training_d": 4, "games": 5, "loss": 0.25}
+    agent = build("cfr-argmax", setting, network=replace(network, training=facts))
+    about = {key: agent.facts[key] for key in ("network", "trained on", "decision")}
+    assert list(about.values()) == ["untrained-regret: regret, preset paper", "games 5, loss 0.25", "argmax"]
     agent = build("cfr-regret-matching", setting, network=network)
     values = np.maximum(network.unclipped(seen[1]), 0.0).astype(float)
     some = values.sum(axis=1) > 0.0

@@ -65,7 +65,9 @@ def models(oval, setting):
 def test_a_model_decides_alike_as_our_own_network(models, game, setting, seen):
     model, rows = models[0], np.concatenate(seen)
     network = network_from_sb3(model, game_identity(game), training={"steps": 0})
-    assert network.hidden == (24, 16)
+    assert (network.hidden, network.target, network.clipped) == ((24, 16), "ppo", False)
+    assert (network.name, network.training) == ("ppo", {"steps": 0})
+    assert (network.mean.tolist(), network.scale.tolist()) == ([0.0] * 31, [1.0] * 31)
     agent = build("ppo", setting, network=network)
     np.testing.assert_array_equal(agent.predict(rows)[0], model.predict(rows, deterministic=True)[0])
     with torch.no_grad():

@@ -45,7 +45,8 @@ def test_drawing_on_the_way_is_drawing_before_the_game(game, setting, network):
 
 def test_a_member_that_would_not_have_come_here_is_out(setting, game):
     stays, goes = never_switch(setting), always(setting, "aggressiveness +")
-    mixture = Agent("mixture", make_mixture([stays, goes], [0.5, 0.5]), setting)
+    mixture = Agent("mixture", make_mixture([stays, random_moves(setting), goes], [2.0, 0.0, 2.0]), setting)
+    assert mixture.strategy.members == (stays, goes)
     state = game.reset(games=4, seed=1, policies=(0, 3))
     np.testing.assert_allclose(mixture.probabilities(game.observation(state)[:, 0]), [[0.5, 0, 0, 0, 0.5]] * 4)
     moved = game.step(state, np.tile([0, 4], (4, 1)))
@@ -65,8 +66,9 @@ def test_a_set_of_networks_is_played_as_the_mixture_of_its_members(setting, seen
     by_hand = make_mixture(members, [0.25, 0.5, 0.25])
     for rows in seen[:-1]:
         np.testing.assert_array_equal(agent.probabilities(rows), by_hand(rows))
-    assert agent.facts["weights"] == "0.25, 0.5, 0.25"
-    assert agent.facts["trained on"] == "rounds 3"
+    facts = {key: agent.facts[key] for key in ("networks", "weights", "decision", "trained on")}
+    assert list(facts.values()) == ["three: 3, preset paper", "0.25, 0.5, 0.25", "regret-matching", "rounds 3"]
+    assert build("psro", make_setting("contest", "contest")).facts["networks"].startswith("contest-contest-psro: ")
     assert agent.content_hash == build("self-play", setting, networks=known).content_hash
     other = NetworkSet("three", networks[::-1], np.array([3.0, 2.0, 1.0]), "regret-matching")
     assert agent.content_hash != build("self-play", setting, networks=other).content_hash

@@ -1,6 +1,7 @@
 """Policies of Stable-Baselines3 are read without running their code; those that drive race wherever a policy does."""
 
 import zipfile
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,14 @@ from refusal import refused
 from pcs_racing import load_race_config, load_track, parse_policy, run_races
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing_agents.agents import as_competitor, make
-from pcs_racing_agents.agents.sb3_files import actor_of, load_model, load_sb3_policy, save_model
+from pcs_racing_agents.agents.sb3_files import (
+    _read_scale,
+    actor_of,
+    load_model,
+    load_sb3_policy,
+    plain_model,
+    save_model,
+)
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import load_entrant
 
@@ -52,6 +60,59 @@ def test_moves_are_those_of_the_model(tmp_path, activation, monkeypatch):
     monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match="torch is needed"):
         load_sb3_policy(tmp_path / "mine.zip")
+
+
+@pytest.mark.parametrize("activation", ["Tanh", "ReLU"])
+@pytest.mark.parametrize("hidden", [(5,), (9, 7), (4, 8, 6)])
+def test_layers_are_applied_one_after_the_other(activation, hidden):
+    """As in a few lines of numpy, for every kind of actor."""
+    rng, sizes = np.random.default_rng(0), (46, *hidden, 3)
+    weights = [rng.normal(0.0, 0.3, pair).astype(np.float32) for pair in zip(sizes[1:], sizes[:-1], strict=True)]
+    biases = [rng.normal(0.0, 0.3, size).astype(np.float32) for size in sizes[1:]]
+    expected = ROWS
+    for k, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        expected = expected @ weight.T + bias
+        if k < len(hidden):
+            expected = np.tanh(expected) if activation == "Tanh" else np.maximum(expected, 0.0)
+    inner = [2 * k for k in range(len(hidden))]
+    for names, more, moves, squash in [
+        ([*(f"mlp_extractor.policy_net.{k}" for k in inner), "action_net"], {}, True, False),
+        ([*(f"mlp_extractor.policy_net.{k}" for k in inner), "action_net"], {"log_std": 0}, False, False),
+        ([*(f"actor.latent_pi.{k}" for k in inner), "actor.mu"], {}, False, True),
+        ([f"actor.mu.{k}" for k in [*inner, 2 * len(hidden)]], {}, False, True),
+    ]:
+        state = {}
+        for name, weight, bias in zip(names, weights, biases, strict=True):
+            state |= {f"{name}.weight": torch.tensor(weight), f"{name}.bias": torch.tensor(bias)}
+        policy = actor_of("folder/mine.zip", {**state, **more}, activation)
+        assert (policy.name, policy.moves, policy.squash) == ("mine", moves, squash)
+        assert actor_of("mine", state, None).activation == ("Tanh" if names[0].startswith("mlp") else "ReLU")
+        found = policy.predict(ROWS)[0]
+        if moves:
+            np.testing.assert_array_equal(found, expected.argmax(axis=1))
+        else:
+            np.testing.assert_allclose(found, np.tanh(expected) if squash else expected, atol=1e-4)
+        np.testing.assert_array_equal(policy.predict(ROWS[3])[0], found[3])
+    model = SimpleNamespace(policy=SimpleNamespace(state_dict=lambda: state), get_env=lambda: None)
+    assert plain_model(model, "mine").activation == "ReLU"
+    model.policy_kwargs = {"features_extractor_class": object}
+    assert plain_model(model, "mine") is model
+    refused("the activation is Sigmoid", actor_of, "mine", state, "Sigmoid")
+    refused("no actor of fully connected layers", actor_of, "mine", {**state, "lstm.weight": 0}, None)
+
+
+def test_a_scale_is_read_with_its_bounds(tmp_path):
+    good = {"mean": [0.0, 9e8], "spread": [1e-8, 9e8], "clip": 0.5}
+    scale = _read_scale(tmp_path, good, 2)
+    assert [np.asarray(part).tolist() for part in scale] == list(good.values())
+    seen = scale(np.float32([[1e-9, 0.0], [1.0, 0.0]]))
+    np.testing.assert_allclose(seen, [[0.1, -0.5], [0.5, -0.5]], rtol=1e-6)
+    assert seen.dtype == np.float32
+    for key, value in [
+        ("mean", [0.0]), ("mean", [0.0, -1e9]), ("spread", [0.0, 1.0]), ("spread", [1.0, 1e9]), ("spread", [-1.0, 1.0]),
+        ("clip", 0.0), ("clip", [1.0]), ("mean", ["a", 0.0]),
+    ]:  # fmt: skip
+        refused("scale must hold mean and spread, 2 numbers", _read_scale, tmp_path, {**good, key: value}, 2)
 
 
 @pytest.mark.parametrize(("kind", "more"), [("PPO", {}), ("SAC", {"buffer_size": 9}), ("TD3", {"buffer_size": 9})])

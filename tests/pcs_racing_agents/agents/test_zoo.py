@@ -1,15 +1,33 @@
+from dataclasses import replace
+from inspect import signature
+
 import numpy as np
 import pytest
+from random_layers import random_layers
 from refusal import refused
 from same_move import Model
-from zoo_games import untrained
+from zoo_games import CONFIG, untrained
 
 import pcs_racing_agents
 from pcs_racing import UnknownNameError, make_game
-from pcs_racing_agents.agents import Agent, Decider, Driver, make, make_setting, names, parse_agent, register_agent, zoo
+from pcs_racing.planners.network import INPUTS
+from pcs_racing.planners.trained import save_driver
+from pcs_racing_agents.agents import (
+    Agent,
+    Decider,
+    Driver,
+    describe,
+    make,
+    make_setting,
+    names,
+    parse_agent,
+    register_agent,
+    zoo,
+)
+from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.blind import always, random_moves
-from pcs_racing_agents.agents.describe import describe
-from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, options
+from pcs_racing_agents.agents.setting import training_text
+from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, load_entrant, options
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.tournament.games import game_between
 
@@ -37,6 +55,9 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
     for name in listed:
         created = build(name, setting, seed=3, **learned(name, setting))
         assert created.name == name
+        if name in SHIPPED:
+            assert signature(entries()[name].build).parameters["seed"].default == 0
+            assert entries()[name].moves == (not isinstance(created, Driver))
         if isinstance(created, Driver):
             assert name in (*("random-policy", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit"),)
             continue
@@ -52,6 +73,27 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
         if name in SHIPPED:
             assert created.facts["does"] == entries()[name].summary
             assert created.facts["source"] == entries()[name].source
+
+
+def test_an_entrant_has_its_own_name_or_the_one_that_is_given(setting, tmp_path):
+    layers = random_layers(len(INPUTS), 6, 2, seed=1)
+    folder = save_driver(tmp_path / "place", layers, name="mine", hold=4, training={})
+    for text, own, more in [
+        (str(folder), "mine", {"drive": True}), ("ppo-drive", "ppo-drive", {"drive": True}),
+        ("never-switch", "never-switch", {}), ("lattice:pace=0.5", "lattice:pace=0.5", {}),
+    ]:  # fmt: skip
+        assert load_entrant(text, setting, **more).name == own
+        assert load_entrant(text, setting, **more, name="other").name == "other"
+    refused("no file of weights", load_entrant, "a:b", setting, weights=tmp_path / "none.npz")
+
+
+def test_the_archive_of_a_setting_has_the_axes_of_the_game(archive):
+    one = make_setting(archive, replace(CONFIG, characteristics=("restraint",)))
+    assert (one.archive.characteristics, one.moves) == (("restraint",), ("restraint +", "restraint -", "stay"))
+    same = make_setting(archive, replace(CONFIG, characteristics=archive.characteristics))
+    assert same.archive is archive
+    assert [make_setting(archive, replace(CONFIG, stay=stay)).offered for stay in (False, True)] == [4, 5]
+    assert (one.move("restraint-"), one.race, len(one.elements)) == (1, "paper", 5 * 4 + 1)
 
 
 def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_another(game, setting, oval):
@@ -90,6 +132,9 @@ def test_agents_as_text_and_bad_names_and_options(setting):
         ("best-fixed", {"goal": 3}, "has no option 'goal'"),
         ("always-restraint+", {"x": 1}, "has no option 'x'"),
         (7, {}, "agent 7"),
+        ("lattice:pace=0.5", {"x": 1}, "'lattice:pace=0.5' is unknown"),
+        ("random-policy", {"first": 1, "x": 2}, "has no option 'x'; it has first"),
+        ("never-switch", {"x": 2}, "has no option 'x'; it has none"),
         ("lattice:pace=7", {}, "must lie in"),
     ]:
         refused(message, build, name, setting, **given)
@@ -138,6 +183,39 @@ def test_a_shipped_agent_is_a_file_and_a_line(setting, monkeypatch, tmp_path):
     created = build("bold", setting)
     assert (created.name, created.facts["does"]) == ("bold", "races ever more aggressively")
     assert created.setting.moves[created.predict(np.zeros((1, len(setting.elements))))[0][0]] == "aggressiveness +"
-    text = describe("bold", entries()["bold"])
+    text = describe.describe("bold", entries()["bold"])
     assert "Races ever more aggressively." in text
     assert "- Option `move`, by default `aggressiveness +`." in text
+
+
+def test_an_agent_is_described_with_its_options_and_as_it_was_measured(setting, monkeypatch):
+    assert describe.describe("nash", entries()["nash"]).splitlines() == [
+        "Draws its moves from an approximate equilibrium strategy.", "", "- Source: backward induction, sampled.",
+        "- Needs the network `ARCHIVE-RACE-nash`, or `network=FOLDER`.",
+        "- Option `decision`, by default `sample`. The rule: `argmax`, `regret-matching`, `sample` or `softmax`.",
+        "- Option `network`, by default `None`. Another network: the name of a shipped one or its folder.",
+    ]  # fmt: skip
+    digest = competitor_hash(build("never-switch", setting))
+    one = describe.Measured(
+        *("toy", "paper", "never-switch", digest, "Tarnfjord, Saltmere", 300.0, 0.5, -12.0, -40.0, 20.0, 0.02),
+        *(46.0, 0.53, {"random-moves": 0.625, "nash": 0.25}),
+    )
+    monkeypatch.setattr(describe, "measurements", lambda: {("toy", "paper", "never-switch"): one})
+    assert describe.facts_of("never-switch", setting) == [
+        "Strength: score 0.500, rating -12 [-40, +20], on Tarnfjord, Saltmere in 300 races (0.625 against random-"
+        "moves, 0.250 against nash); own crashes 2.0%.",
+        "Cost: 46 us for one observation, 0.53 us for each of 1,000 at once.", f"Hash: {digest[:16]}.",
+    ]  # fmt: skip
+    changed = competitor_hash(build("random-moves", setting))
+    unmeasured = ["Strength and cost: not measured as it is.", f"Hash: {changed[:16]}."]
+    assert describe.facts_of("random-moves", setting) == unmeasured
+    assert describe.facts_of("nash", setting) == describe.NOT_SHIPPED
+    assert describe.facts_of("response", make_setting("contest", "contest"))[0].startswith("Network: contest-contest-")
+    assert describe.measured("toy", "paper", "never-switch", "0" * 64) is None
+    plan, decision = "46 us for a plan with 0.1 s of simulation", "46 us for a decision"
+    for name, words in {"lane-switcher": plan, "nash": decision, "x": decision}.items():
+        assert describe._cost(one._replace(agent=name, many_us=np.nan)) == words
+    times = {np.nan: "", 0.5312: "0.531", 99.96: "100", 1234.4: "1,234"}
+    assert list(map(describe.microseconds, times)) == list(times.values())
+    ratings = [describe.rating_text(one._replace(**{key: np.nan})) for key in ("rating", "rating_low")]
+    assert (ratings, training_text({})) == (["unknown", "-12"], "not said")

@@ -19,7 +19,7 @@ import yaml
 from PIL import Image
 from refusal import refused
 
-from pcs_racing import list_tracks, load_track, read_replay
+from pcs_racing import list_tracks, load_race_config, load_track, parse_policy, read_replay, record_race
 from pcs_racing.base.settings import Settings, names, setting, whole
 from pcs_racing.planners import registry
 from pcs_racing.race.calibration import calibrate
@@ -27,8 +27,12 @@ from pcs_racing.track.maps import find_shipped
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.agents import make_setting, parse_agent
 from pcs_racing_agents.agents.own_code import parse_driver
+from pcs_racing_agents.cli import synthesize
 from pcs_racing_agents.cli.commands import Option, SettingOptions, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
+from pcs_racing_agents.cli.options import output_file, output_folder
+from pcs_racing_agents.jobs.progress import duration_text
+from pcs_racing_agents.synthesis.archive_search import ArchiveProgress
 
 SHORT = ["--duration", "4"]
 PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]
@@ -53,6 +57,59 @@ def test_a_race_tells_what_happened(run, printed):
     assert "car 0: lattice:pace=0.8, " in out
     assert re.search(r"\n(lattice:pace=0.\d wins by .* m after 4 s|crash after .* s, fault of .*)\nto watch it: ", out)
     assert run("race", "--track", "Pipkin", *PAIR, *SHORT, "--seed", 3)[1] == out  # the same seed, the same race
+
+
+def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printed, tmp_path):
+    """Race 4 is the second of races 3 to 5."""
+    rules = tmp_path / "rules.yaml"
+    rules.write_text("preset: contest\nname: sprint\nduration: 3.0\nheats: 3\n")
+    words = ["race", "--track", "Pipkin", *PAIR, "--race", rules, "--index", 4, "--seed", 2]
+    out = printed(*words)
+    track, config = load_track("Pipkin"), load_race_config(rules)
+    cars = [parse_policy(text) for text in PAIR[1::2]]
+    races = [record_race(track, *cars, config, seed=2, index=index) for index in (3, 4, 5)]
+    one = races[1]
+    driven = [
+        f"car {car}: {PAIR[1 + 2 * car]}, {one.progress[-1, car] - one.progress[0, car]:.1f} m driven" for car in (0, 1)
+    ]
+    happened = [f"{event.time:5.1f} s  car {event.car} {event.text}" for event in one.events]
+    lines = out.splitlines()
+    assert lines[0] == f"Pipkin, {track.length:.1f} m a lap, preset sprint, seed 2, race 4"
+    assert lines[1 : 4 + len(happened)] == [*driven, *happened, one.outcome]
+    won = [sum(race.outcome.startswith(text) for race in races) for text in PAIR[1::2]]
+    numbers = [int(number) for number in re.findall(r"\d+", lines[-2])]
+    assert (numbers, sum(won)) == ([3, 5, 3, *won], 3)
+    again = shlex.split(lines[-1].removeprefix("to watch it: pcs-racing "))[:-2]
+    assert printed(*again).splitlines() == lines
+
+
+def test_progress_of_a_search_tells_the_time_that_is_left(monkeypatch):
+    """By the last eight news: the first ones of a run that resumes are too fast."""
+    told, clock = [], iter(range(0, 1000, 10))
+    monkeypatch.setattr(synthesize, "show_line", lambda: lambda text, last: told.append((text, last)))
+    monkeypatch.setattr(synthesize.time, "monotonic", lambda: next(clock))
+    show = synthesize.progress_line()
+    for done in (0.0, 0.1, *np.linspace(0.2, 0.9, 8), 1.0):
+        show(ArchiveProgress("search", 3, 60, 100, 0.5, 7, 0.125, float(done)))
+    begun = "search: generation 3/60, hypervolume 0.500, 7 policies, own crashes 12.5%, "
+    assert told[0] == (f"{begun}10 s", False)
+    assert told[1] == (f"{begun}20 s, about {duration_text(20 * 0.9 / 0.1)} left", False)
+    assert told[9] == (f"{begun}100 s, about {duration_text(70 * 0.1 / 0.7)} left", False)
+    assert told[10] == (f"{begun}110 s", True)
+
+
+def test_files_and_folders_are_checked_before_the_work(tmp_path):
+    (tmp_path / "x.csv").mkdir()
+    (tmp_path / "file").write_text("")
+    assert output_file(tmp_path / "a.csv", ".txt", ".csv") == tmp_path / "a.csv"
+    assert [output_folder(tmp_path / "a" / "b").is_dir() for _ in range(2)] == [True] * 2
+    for name, message in [
+        ("a.png", r"must end in \.txt or \.csv"),
+        ("b/a.csv", "there is no folder"),
+        ("x.csv", "it is a folder"),
+    ]:
+        refused(message, output_file, tmp_path / name, ".txt", ".csv")
+    refused("can't make the folder", output_folder, tmp_path / "file" / "b")
 
 
 def test_a_map_folder_with_a_space_in_its_name_and_rules_from_a_file(printed, copied, tmp_path):
@@ -110,12 +167,20 @@ def test_the_zoo_and_all_planners_are_listed_with_their_options_and_parameters(p
     assert {"cfr-argmax", "always-aggressiveness+", "lane-switcher"} <= {line.split()[0] for line in out.splitlines()}
     assert "- Option target, by default None. The policy's index." in printed("agents", "best-fixed")
     assert set(registry.SHIPPED) <= set(printed("policies").splitlines())
-    assert "air to keep beside the opponent, m" in printed("policies", "lattice")
+    lattice, switcher = (printed("policies", name) for name in ("lattice", "lane-switcher"))
+    for one in registry.get_planner("lattice").parameters:
+        assert re.search(
+            rf"\n  {one.name} +{one.default:g} +in \[{one.low:g}, {one.high:g}\] +{re.escape(one.meaning)}\n", lattice
+        )
+    assert switcher.splitlines()[1] == f"  variants: {', '.join(registry.get_planner('lane-switcher').variants)}"
+    told = printed("agents", "always-restraint+")
+    assert told.startswith("always-restraint+\n\nMakes the same move again and again.\n")
 
 
 def test_track_list_and_show(printed, tmp_path):
     out = printed("track", "list")
-    assert [line.split()[0] for line in out.splitlines()] == ["circuit", *list_tracks()]
+    laps = {name: f"{load_track(name).length:.1f}" for name in list_tracks()}
+    assert [tuple(line.split()) for line in out.splitlines()[1:]] == list(laps.items())
     out = printed("track", "show", "pipkin", "--out", tmp_path / "picture.png")
     assert out.startswith("Pipkin")
     with Image.open(tmp_path / "picture.png") as picture:

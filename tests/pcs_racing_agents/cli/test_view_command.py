@@ -14,6 +14,7 @@ from refusal import refused
 
 from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.view.race_choice import SelectedRace, choose_races
 from pcs_racing_agents.view.race_replays import RaceRepeater, RepeatedRace
 from pcs_racing_agents.view.results_folder import open_results
 from pcs_racing_agents.view.view_server import MOST_KEPT, Answer, RaceService, make_server
@@ -49,12 +50,26 @@ def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
     assert 'id="race-17"' in content
 
 
-def test_no_browser_is_opened_where_there_is_no_screen(folder, monkeypatch):
-    monkeypatch.setattr(view.sys, "platform", "linux")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setattr(view.webbrowser, "open", lambda _: pytest.fail("a browser in the terminal"))
-    assert main(["view", str(folder), "--replays", "0"]) == 0
+def test_what_is_asked_for_stands_first_and_then_what_the_rule_selects(tournament_folder):
+    races = open_results(tournament_folder[0]).races
+    chosen = choose_races(races, 4)
+    first, other = chosen[2].race, next(k for k in range(18) if k not in [pick.race for pick in chosen])
+    asked = [SelectedRace(number, "a race that was asked for") for number in (other, first)]
+    assert view._picks(races, [other, first], 4) == [*asked, *(pick for pick in chosen if pick.race != first)]
+    assert view._picks(races, [], 0) == []
+
+
+@pytest.mark.parametrize(
+    ("platform", "variable", "opened"),
+    [("linux", "DISPLAY", 1), ("linux", "WAYLAND_DISPLAY", 1), ("linux", "HOME", 0), ("win32", "HOME", 1)],
+)
+def test_a_browser_is_opened_where_there_is_a_screen(platform, variable, opened, monkeypatch):
+    asked = []
+    monkeypatch.setattr(view.sys, "platform", platform)
+    monkeypatch.setattr(view.os, "environ", {variable: "x"})
+    monkeypatch.setattr(view.webbrowser, "open", asked.append)
+    view.open_page("a page")
+    assert asked == ["a page"] * opened
 
 
 def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, printed, told):
@@ -87,7 +102,9 @@ def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, printed)
         (["{folder}", "--out", "{folder}/none/page.html"], "there is no folder"),
         (["{folder}", "--out", "a.html", "--serve"], "--out goes without --serve"),
         (["{folder}", "--port", "80"], "--port goes with --serve"),
-        (["{folder}", "--replays", "-1"], "--replays is -1; it must be from 0 to"),
+        (["{folder}", "--replays", "-1"], "--replays is -1; it must be from 0 to 2000"),
+        (["{folder}", "--replays", "2001"], "--replays is 2001; it must be"),
+        (["{folder}", "--index", *["1"] * 2001], "--index names 2001 races; a page holds at most 2000"),
         (["{folder}", "--index", "18"], "--index names 18; there are races 0 to 17"),
         (["{folder}", "--index", "-1"], "--index names -1"),
         (["{folder}", "--serve", "--port", "70000"], "port is 70000"),

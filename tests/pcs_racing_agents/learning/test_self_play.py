@@ -5,14 +5,18 @@ import pytest
 from refusal import refused
 from small_games import PENNIES, kuhn_poker
 from tree_sampler import TreeSampler
+from zoo_games import untrained
 
 from pcs_racing import load_race_config, make_game
-from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents import Agent, make_setting
+from pcs_racing_agents.agents.from_network import regret_matching
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning import self_play
+from pcs_racing_agents.learning.responses.branches import branch_games, random_player
 from pcs_racing_agents.learning.self_play import RaceSampler, learn_self_play, load_self_play_settings
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.solvers import exploitability, uniform_profile
+from pcs_racing_agents.tournament.games import game_between
 
 pytest.importorskip("torch", reason="torch is not installed")
 
@@ -70,7 +74,6 @@ def test_the_weights_are_those_of_linear_cfr_and_other_games_are_refused(race, o
     networks = learned([RaceSampler(offered, make_setting(archive, offered.config))], SHORT, tmp_path / "one")
     assert networks.identity.moves[-1] == "stay"
     assert (networks.decision, len(networks.networks)) == ("regret-matching", 2)
-    np.testing.assert_allclose(networks.weights, [0.4, 0.6])
     longer = make_game(race.track, archive, race.config, moves=3)
     samplers = [RaceSampler(one, make_setting(archive, one.config)) for one in (race, longer)]
     with open_job(tmp_path / "x", "self-play", {}) as job:
@@ -78,13 +81,74 @@ def test_the_weights_are_those_of_linear_cfr_and_other_games_are_refused(race, o
         refused("at least one", learn_self_play, [], SHORT, job)
 
 
-def test_exploration_leaves_moves_a_chance_and_random_play_has_no_advantages(race, archive, setting, network, seen):
+def test_exploration_leaves_moves_a_chance_and_random_play_has_no_advantages(
+    race, archive, game, setting, network, seen
+):
     sampler = RaceSampler(race, make_setting(archive, race.config))
     keys = np.arange(1, 9, dtype=np.uint64)
     rows = sampler.traverse(None, 0.1, 1, keys)
     np.testing.assert_allclose(rows["advantages"].sum(axis=1), 0.0, atol=1e-12)
     parts = [sampler.traverse(None, 0.1, 1, keys[k : k + 4]) for k in (0, 4)]
     np.testing.assert_array_equal(rows["advantages"], np.concatenate([part["advantages"] for part in parts]))
+    trained, sampler = untrained(setting, "advantage"), RaceSampler(game, setting, "utility")
+    rows = sampler.traverse(trained, 0.2, 1, keys)
+    chances = self_play.ExploringStrategy(trained, 0.2, 5)(rows["observations"])
+    np.testing.assert_allclose((chances * rows["advantages"]).sum(axis=1), 0.0, atol=1e-12)
+    assert np.abs(rows["advantages"]).max() > 0.0
+    first, second = (Agent("x", self_play.ExploringStrategy(trained, 0.2, 5), setting, seed) for seed in (0, 1))
+    before = random_player(game, setting, 2)
+    by_hand = branch_games(game_between(game, first, second), second, keys, 1, [before], first, "utility", 5)
+    np.testing.assert_array_equal(rows["observations"], by_hand.observations)
+    np.testing.assert_allclose(rows["advantages"], by_hand.outcomes - (chances * by_hand.outcomes).sum(axis=1)[:, None])
     chances = self_play.ExploringStrategy(network, 0.1, len(setting.moves))(seen[0])
     assert chances.min() >= 0.1 / len(network.moves) - 1e-12
     np.testing.assert_allclose(chances.sum(axis=1), 1.0)
+    expected = 0.9 * regret_matching(network.unclipped(seen[0])) + 0.1 / len(network.moves)
+    np.testing.assert_allclose(chances, expected)
+
+
+@pytest.mark.parametrize("weights", ["linear", "uniform"])
+def test_each_iteration_adds_its_rows_and_plays_by_the_network_of_the_one_before(tmp_path, monkeypatch, weights):
+    asked, fitted = [], []
+
+    class Counting(TreeSampler):
+        def traverse(self, network, exploration, step, keys):
+            asked.append((network and network.name, exploration, step, tuple(keys.tolist())))
+            return super().traverse(network, exploration, step, keys)
+
+    def train(job, part, rows, identity, members, name, executor):
+        fitted.append((part, [one.seed for one in members], rows))
+        return real(job, part, rows, identity, members, name, executor)
+
+    real = self_play.train_kept
+    monkeypatch.setattr(self_play, "train_kept", train)
+    settings = load_self_play_settings(
+        iterations=3,
+        starts=8,
+        epochs=1,
+        patience=1,
+        members=2,
+        seed=5,
+        weights=weights,
+        **{**TABLE, "exploration": 0.3},
+    )
+    networks = learned([Counting(kuhn_poker())] * 2, settings, tmp_path / "run")
+    steps = kuhn_poker().depth
+    assert [one[:3] for one in asked] == [
+        (f"iteration-{k}" if k else None, 0.3, step) for k in range(3) for _ in range(2) for step in range(steps)
+    ]
+    assert len({keys for *_, keys in asked}) == len(asked)  # games of their own everywhere
+    for k, (part, seeds, rows) in enumerate(fitted, start=1):
+        assert (part, seeds) == (f"iteration-{k}-networks", [(5 * 64 + k) * 32 + member for member in (0, 1)])
+        new = rows.weights[len(fitted[k - 2][2]) if k > 1 else 0 :]
+        assert set(new.tolist()) == {float(k) if weights == "linear" else 1.0}
+    place, game = np.divmod(fitted[2][2].pair, 1_000_000)
+    assert set(place.tolist()) <= {
+        (k * 100 + step) * 1000 + i for k in (1, 2, 3) for step in range(steps) for i in (0, 1)
+    }
+    assert game.max() < 8
+    np.testing.assert_allclose(networks.weights, np.array([2.0, 3.0, 4.0]) / 9.0 if weights == "linear" else 1 / 3)
+    assert networks.training == {
+        "rows": len(fitted[2][2]), "iterations": 3, "starts": 8, "exploration": 0.3, "weights": weights, "worth": "win",
+        "seed": 5,
+    }  # fmt: skip

@@ -46,6 +46,11 @@ def test_draws_are_repeated_and_impossible_choices_refused():
     first = diverse.select_diverse(archive, 6, rng=np.random.default_rng(5))
     np.testing.assert_array_equal(first, diverse.select_diverse(archive, 6, rng=5))
     assert {tuple(diverse.select_diverse(archive, 6, rng=seed)) for seed in range(5)} != {tuple(first)}
+    places = archive.normalised
+    kernel = np.exp(-0.5 * ((places[:, None] - places[None]) ** 2).sum(axis=2) / 0.2**2) + 1e-6 * np.eye(30)
+    np.testing.assert_allclose(diverse.similarity(places, 0.2), kernel, rtol=1e-12)
+    drawn = np.sort(diverse.sample_kdpp(diverse.similarity(places, 0.2), 6, np.random.default_rng(5)))
+    np.testing.assert_array_equal(first, drawn)  # the defaults
     # The determinants of all sets are below the smallest number there is.
     kernel = diverse.similarity(np.random.default_rng(0).uniform(size=(90, 2)) * 1e-3, 0.5)
     chosen = diverse.sample_kdpp(kernel, 70, np.random.default_rng(1))

@@ -80,6 +80,7 @@ def test_a_pooled_coordinate_is_that_of_all_races_together(scenarios):
     scenarios = replace(scenarios, characteristics=("speed", "reaction"))
     task = (scenarios, policies(2))
     segments, found = race_segments(task), summarise(race_policies(task))
+    assert segments["values"].shape == (2, len(scenarios), 2, 2)
     columns = [list(SUMS).index(name) for name in ("PROFILE_BEHIND", "TIME_BEHIND", "PROFILE", "TIME")]
     for k in range(2):
         races = segments["sums"][k, :, 0][:, columns]
@@ -149,6 +150,11 @@ def test_the_spread_is_that_of_a_mean_over_races():
     np.testing.assert_allclose(whole.spread[:, 0], (totals[..., 0] / 2.0).std(axis=1, ddof=1) / np.sqrt(50.0))
     segments = rng.integers(1, 3, (4000, 50))
     values = rng.normal(3.0, 2.0, (4000, 50, 1)) + 3.0 * (segments[..., None] - 1)
+    # A win, a tie, a crash that pays nobody and a loss against rivals; the last race does not count.
+    raced = {"winner": np.array([[0, -1, -1, 1, 0]]), "crashed": np.array([[False, False, True, True, False]])}
+    raced |= {"rival": np.arange(5)[None] < 4, "own_crash": raced["crashed"], "segments": np.ones((1, 5))}
+    judged = summarise({**raced, "totals": np.arange(5.0)[None, :, None]})
+    assert (judged.score[0], judged.won[0], judged.own_crash[0]) == (1.5 / 4, 0.4, 0.4)
     cut = summarise({"totals": values, "segments": segments, "own_crash": np.zeros((4000, 50), bool), **nobody(4000)})
     assert cut.spread.mean() == pytest.approx(cut.coordinates.std(), rel=0.06)
 

@@ -77,6 +77,7 @@ def test_uncrowded_improvement_adds_hypervolume_or_says_how_far_that_is(front, s
     gain = indicators.uncrowded_improvement(points, front, -1.0)
     after = np.array([indicators.hypervolume(np.vstack([front, point]), -1.0) for point in points])
     np.testing.assert_allclose(np.maximum(gain, 0.0), after - before, atol=1e-9)
+    np.testing.assert_allclose(indicators.total_hypervolume(points, front, -1.0), after, atol=1e-9)
     # A step of that length up the right axes leads to the border; a shorter one in any direction does not.
     away = indicators.distance_to_improvement(points, front, -1.0)
     np.testing.assert_array_equal(away, np.maximum(-gain, 0.0))

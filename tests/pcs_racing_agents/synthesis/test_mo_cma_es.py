@@ -151,6 +151,16 @@ def test_a_search_that_gains_or_finds_nothing_feasible_does_not_start_again():
     assert len(archive.front) == 0
 
 
+def test_a_search_that_has_collapsed_starts_again_anywhere_if_nothing_is_feasible():
+    starts = []
+    for seed in range(6):
+        search = MOCMAES(setting(step_size=0.5e-4, seed=np.random.SeedSequence(seed)))
+        search.tell(search.ask(), np.zeros((10, 2)), np.ones(10), ParetoArchive.empty(4))
+        assert (search.restarts, search.step_size) == (1, pytest.approx(0.5e-4, rel=0.3))
+        starts.append(search.ask().mean(axis=0))
+    assert np.std(starts) == pytest.approx(0.29, abs=0.1)
+
+
 def cube(mean=0.5, step_size=0.1, largest=0.2, population=10, elite=3, dimension=3):
     return CubeCMAES(np.full(dimension, mean), step_size, largest, population, elite, np.random.default_rng(0))
 

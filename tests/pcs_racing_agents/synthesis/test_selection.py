@@ -11,12 +11,15 @@ clouds = hnp.arrays(np.float64, st.tuples(st.integers(1, 12), st.integers(1, 3))
 
 
 @given(points=clouds)
-def test_the_first_layer_is_what_no_other_point_beats(points):
+def test_each_layer_is_what_no_point_of_it_or_behind_it_beats(points):
     def beats(one, other):
         return all(one >= other) and any(one > other)
 
-    for point, layer in zip(points, front_layers(points), strict=True):
-        assert (layer == 0) == (not any(beats(other, point) for other in points))
+    layers, left, depth = np.full(len(points), -1), list(range(len(points))), 0
+    while left:
+        first = [i for i in left if not any(beats(points[j], points[i]) for j in left)]
+        layers[first], left, depth = depth, [i for i in left if i not in first], depth + 1
+    np.testing.assert_array_equal(front_layers(points), layers)
 
 
 def raced(totals, segments=None):
@@ -89,3 +92,8 @@ def test_chosen_points_keep_their_distance(points, spacing, most):
     assert (away[~np.eye(len(chosen), dtype=bool)] >= spacing).all()
     best = np.flatnonzero(front_layers(points) == 0)
     assert best[0] in chosen
+    # No spacing that is a twentieth narrower would do.
+    reach = spacing
+    while len(kept := spread_first(points, reach, len(points))) > most:
+        reach = max(1.05 * reach, 1e-4)
+    assert sorted(kept) == chosen.tolist()

@@ -64,7 +64,8 @@ def test_it_comes_near_the_whole_front_and_random_search_does_not(function, shar
 
 
 def test_the_front_is_what_nothing_explored_beats():
-    result = synthesize(spheres, UNIT, population=12, generations=10, elite_ratio=1.0)
+    seen = []
+    result = synthesize(spheres, UNIT, population=12, generations=10, elite_ratio=1.0, callback=seen.append)
     front = non_dominated(result.explored_objectives, duplicates=False)
     np.testing.assert_array_equal(result.parameters, result.explored_parameters[front])
     np.testing.assert_array_equal(result.objectives, spheres(result.parameters))
@@ -75,6 +76,14 @@ def test_the_front_is_what_nothing_explored_beats():
     last = result.generations[-1]
     assert (last.generation, last.evaluations, last.archive_size) == (10, 120, len(result.parameters))
     assert last.hypervolume == pytest.approx(grown[-1])
+    assert (seen[0].infeasible, len(seen)) == (0, 10) == (0, len(result.generations))
+    for one in result.generations:
+        low, high = one.front.min(axis=0), one.front.max(axis=0)
+        assert one.hypervolume == pytest.approx(hypervolume((one.front - low) / (high - low), -0.1))
+        np.testing.assert_array_equal(one.front, spheres(one.front_parameters))
+        assert one.archive_size == len(one.front)
+    scaled = (result.objectives - result.nadir) / (result.ideal - result.nadir)
+    assert grown[-1] == pytest.approx(hypervolume(scaled, result.reference))
 
 
 def test_infeasible_points_never_enter_the_archive_but_lead_the_way_back():
@@ -112,6 +121,17 @@ def test_a_search_starts_again_within_the_bounds_in_the_middle_of_the_front():
     assert points.min() >= -2.0
     assert points.max() == 4.0
     assert 0.2 < (points == 4.0).mean() < 0.7
+    search = Search(bounds, start=np.full(6, 4.0))
+    assert search.ask().shape == (50, 6)
+    assert Search(bounds).ask().mean() == pytest.approx(1.0, abs=0.3)
+    search = Search(bounds, population=4)
+    first = search.add([[-2.0] * 6, [4.0] * 6], [[0.0, 1.0], [1.0, 0.0]], [0.0, 0.5])
+    assert (first.generation, first.evaluations, first.archive_size, first.infeasible) == (0, 2, 1, 1)
+    assert search.archive.tolist() == [[-2.0] * 6]
+    search.ask()
+    search.tell([[0.0, 0.0]] * 4)
+    later = search.add([[0.0] * 6], [[2.0, 2.0]])
+    assert (later.generation, later.evaluations, search.archive.tolist()) == (1, 7, [[0.0] * 6])
 
 
 def test_every_method_repeats_itself_stays_within_bounds_and_leaves_numpy_alone(method):
@@ -161,6 +181,11 @@ def test_an_executor_and_asking_and_telling_change_nothing():
 
     with ThreadPoolExecutor(2) as executor:
         same(synthesize(evaluate, UNIT, executor=executor, **SMALL), synthesize(evaluate, UNIT, **SMALL))
+    parts = []
+    with ThreadPoolExecutor(1) as executor:
+        options = {**SMALL, "population": 40, "generations": 1}
+        synthesize(lambda points: parts.append(len(points)) or spheres(points), UNIT, executor=executor, **options)
+    assert sorted(parts) == [2] * 8 + [3] * 8  # up to 16 blocks
     search = Search(UNIT, population=12, seed=3)
     for _ in range(6):
         search.tell(spheres(search.ask()))

@@ -1,14 +1,13 @@
 """Which races are shown: by rule, the same every time, spread over agents, outcomes, opponents and circuits."""
 
-from collections import Counter
+from itertools import product, zip_longest
 
-import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcs_racing_agents.results.race_files import race_table
 from pcs_racing_agents.results.races import RaceRow
-from pcs_racing_agents.view.race_choice import OUTCOMES, choose_races, outcomes
+from pcs_racing_agents.view.race_choice import OUTCOMES, SelectedRace, choose_races, outcomes
 
 
 def columns_of(races):
@@ -53,27 +52,18 @@ def test_a_win_by_switching_is_one_that_staying_loses():
     found = [OUTCOMES[i] for i in outcomes(race_table(rows), 0)]
     assert found[:4] == ["a win by switching", *["a win with switches"] * 3]
     assert found[4:] == ["a loss", "a win without switching", "a loss"]
-
-
-def test_agents_and_outcomes_take_turns_and_the_closest_comes_first():
-    rng = np.random.default_rng(0)
-    races = []
-    for pair in (("a", "b"), ("a", "c"), ("b", "c")):
-        for track in ("s", "t"):
-            for lead in rng.permutation(np.arange(-10, 11)).tolist():
-                winner = "ego" if lead > 0 else "opponent" if lead < 0 else "none"
-                races.append((*pair, track, lead, winner, "none", "none", "1; 2" if lead % 2 else "1; 1"))
-    columns = columns_of(races)
-    picks = choose_races(columns, 12)
-    assert [pick.why for pick in picks[:3]] == ["a: a win with switches", "b: a win with switches", "a: a loss"]
-    assert max(Counter(pick.why.split(": ")[0] for pick in picks).values()) <= 6
-    assert {pick.why.split(": ")[1] for pick in picks} >= {"a win with switches", "a loss"}
-    first = next(pick for pick in picks if pick.why == "a: a win with switches")
-    pile = sorted(race[3] for race in races if race[:3] == races[first.race][:3] and race[3] > 0 and race[3] % 2)
-    assert races[first.race][3] == pile[0] == 1
-    picked = [races[pick.race] for pick in choose_races(columns, 60)]
-    lost = {(race[1], race[2]) for race in picked if race[0] == "a" and race[3] < 0}
-    assert lost == {("b", "s"), ("b", "t"), ("c", "s"), ("c", "t")}
+    won, lost = rows[0], rows[4]
+    for change in ({}, {"opponent": "c"}, {"track": "u"}, {"seed": 1}, {"preset": "paper"}):
+        pair = [won, lost._replace(**change)]
+        assert OUTCOMES[outcomes(race_table(pair), 0)[0]] == found[1 if change else 0]
+        turned = [
+            row._replace(
+                ego=row.opponent, opponent=row.ego, winner={"ego": "opponent", "opponent": "ego"}[row.winner],
+                ego_variant=0, opponent_variant=row.ego_variant, ego_path=(), opponent_path=row.ego_path,
+            )
+            for row in pair
+        ]  # fmt: skip
+        assert OUTCOMES[outcomes(race_table(turned), 1)[0]] == found[1 if change else 0]
 
 
 words = st.sampled_from(["a", "b", "c"])
@@ -86,15 +76,30 @@ races = st.tuples(
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(races, min_size=1, max_size=40), st.integers(0, 50))
-def test_as_many_as_asked_for_each_of_them_once(given_races, count):
+def test_agents_and_outcomes_take_turns_and_the_closest_comes_first(given_races, count):
     columns = columns_of(given_races)
     picks = choose_races(columns, count)
     assert len(picks) == len({pick.race for pick in picks}) == min(count, len(columns))
-    assert picks == choose_races(columns, count)
-    by_car = np.array([outcomes(columns, car) for car in range(2)])
-    for race, why in picks:
-        name, outcome = why.split(": ")
-        cars = [car for car in range(2) if given_races[race][car] == name]
-        assert any(OUTCOMES[by_car[car, race]] == outcome for car in cars)
-    if count:
-        assert choose_races(columns, count - 1) == picks[: count - 1] or len(picks) < count
+    assert picks == by_definition(columns, count)
+
+
+def by_definition(races, count):
+    """Piles of each outcome and agent, who take turns; in a pile opponents and circuits do, from another one on."""
+    names, by_car = list(races.agents.words), [outcomes(races, car) for car in (0, 1)]
+    piles = {}
+    for outcome, agent in product(range(len(OUTCOMES)), range(len(names))):
+        groups = {}
+        for car, number in product((0, 1), range(len(races))):
+            if by_car[car][number] == outcome and races.agents.codes[number, car] == agent:
+                place = int(races.agents.codes[number, 1 - car]), int(races.track.codes[number])
+                groups.setdefault(place, []).append((abs(races.lead[number]), car, number))
+        order = [[number for *_, number in sorted(groups[place])] for place in sorted(groups)]
+        order = [order[(k + agent) % len(order)] for k in range(len(order))]
+        piles[agent, outcome] = [number for turn in zip_longest(*order) for number in turn if number is not None]
+    picks = {}
+    while len(picks) < min(count, len(races)):
+        for (agent, outcome), pile in piles.items():
+            left = [number for number in pile if number not in picks]
+            if left and len(picks) < count:
+                picks[left[0]] = SelectedRace(left[0], f"{names[agent]}: {OUTCOMES[outcome]}")
+    return list(picks.values())

@@ -1,17 +1,27 @@
 """Driving in the learner's races is driving as the planner that comes of it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from random_layers import random_layers
 
-from pcs_racing import advance, load_race_config, load_track, parse_policy
+from pcs_racing import advance, load_race_config, load_track, parse_policy, run_races
+from pcs_racing.envs.duel import DuelEnv
 from pcs_racing.planners.network import INPUTS, network_planner
 from pcs_racing.planners.trained import trained_planner
 from pcs_racing.race.state import take
 from pcs_racing_agents.learning.ppo.drives import LearnerEnv
-from pcs_racing_agents.learning.ppo.evaluation import mean_score
+from pcs_racing_agents.learning.ppo.evaluation import (
+    EvaluationCurve,
+    Matchup,
+    MatchupScore,
+    evaluation_curves,
+    mean_score,
+    score_races,
+    score_table,
+)
 from pcs_racing_agents.learning.ppo.learner import actor_layers, group_seeds, make_model, own_randomness, split_envs
 from pcs_racing_agents.learning.ppo.train import make_task
 
@@ -90,15 +100,128 @@ def test_slow_opponents_are_only_met_in_learning_and_judging_is_racing_under_the
     assert learning.duration == 1.0
     assert learning.speed_range == (0.3, track.calibration["contest"].speed_range[1])
     assert make_task(replace(drive_settings, slowest=0.0)).learning_rules(track, rules).speed_range is None
-    level = make_task(drive_settings)
+    level = make_task(replace(drive_settings, evaluation_races=11))
     layers = random_layers(len(INPUTS), 8, 2)
-    scores = level.evaluate(layers)
-    assert scores == level.evaluate(layers)
-    assert {cell.opponent for cell in scores} == set(drive_settings.opponents)
-    assert {cell.race for cell in scores} == {"short"}
-    mean = mean_score(scores, drive_settings.opponents)
-    assert mean.races == 4
-    assert mean.worth == pytest.approx(mean.won - max(mean.lost, mean.fault), abs=0.51)
+    scores, (rules,) = level.evaluate(layers), level.rules
+    policy = network_planner("learner", (8,), hold=4).policy(layers.flat(), name="learner")
+    rivals = [parse_policy(name) for name in drive_settings.opponents for _ in range(4)]
+    raced = run_races(track, policy, rivals, rules, seed=1_000_003)
+    for k, name in enumerate(drive_settings.opponents):
+        rows = slice(4 * k, 4 * k + 4)
+        won, lost, blamed = raced.winner[rows] == 0, raced.winner[rows] == 1, raced.own_crash[rows, 0]
+        race = SimpleNamespace(
+            crashed=raced.state.crashed[rows], fault=raced.state.fault[rows], lead=raced.state.lead[rows]
+        )
+        expected = score_races(won - 1.0 * (lost | blamed), raced.winner[rows], race)
+        assert scores[Matchup("Pipkin", "short", name)] == expected
+    assert len(scores) == 2
+    assert make_task(drive_settings).evaluate(layers).keys() == scores.keys()
+
+
+def test_scores_and_their_means_are_those_of_the_races():
+    """By hand: four races of one matchup; two matchups, of which the second counts three times."""
+    race = SimpleNamespace(
+        crashed=np.array([True, False, True, False]), lead=np.array([1.0, -2.0, 3.0, 6.0]),
+        fault=np.array([[1, 0], [0, 0], [0, 1], [0, 0]]),
+    )  # fmt: skip
+    winner = np.array([-1, 1, 0, 0], np.int8)
+    one = score_races(np.array([-1.0, -1.0, 1.0, 2.0]), winner, race)
+    assert one == (4, 0.25, pytest.approx(0.75), 0.5, 0.25, 0.5, 0.25, 2.0)
+    alone = SimpleNamespace(crashed=race.crashed[:1], lead=race.lead[:1], fault=race.fault[:1])
+    assert np.isnan(score_races(np.ones(1), winner[:1], alone).error)
+    other = MatchupScore(10, 0.65, 0.5, 0.9, 0.05, 0.1, 0.05, -2.0)
+    scores = {Matchup("A", "short", "x"): one, Matchup("B", "short", "y"): other}
+    weights = {"x": 1, "y": 3}
+    mean = mean_score(scores, weights)
+    error = np.hypot(0.25 * 0.75, 0.75 * 0.5)
+    assert mean == (14, *map(pytest.approx, (0.55, error, 0.8, 0.1, 0.2, 0.1, -1.0)))
+    assert score_table(scores, weights).splitlines() == [
+        "         payoff     +-    won   lost  crashed  at fault    lead",
+        "A short   0.250  0.750  50.0%  25.0%    50.0%     25.0%   2.0 m",
+        "B short   0.650  0.500  90.0%   5.0%    10.0%      5.0%  -2.0 m",
+        "all       0.550  0.419  80.0%  10.0%    20.0%     10.0%  -1.0 m",
+    ]
+    curves = [EvaluationCurve(seed, (0, 500_000), (scores, {**scores})) for seed in (3, 4)]
+    panels = evaluation_curves(curves, weights)
+    values = {"payoff of a race": mean.worth, "races won": mean.won, "crashes by own fault": mean.fault}
+    assert list(panels) == list(values)
+    for title, lines in panels.items():
+        for line, seed in zip(lines, (3, 4), strict=True):
+            assert (line.label, line.x.tolist(), line.y.tolist()) == (f"seed {seed}", [0.0, 0.5], [values[title]] * 2)
+            assert (line.error is None) == (title != "payoff of a race")
+    assert panels["payoff of a race"][0].error.tolist() == [mean.error] * 2
+
+
+def test_learners_race_in_groups_of_a_circuit_rules_and_planner(drive_settings):
+    opponents = {"lattice:pace=0": 1, "pure-pursuit": 1, "lattice": 2}
+    task = make_task(
+        replace(drive_settings, opponents=opponents, tracks=("Pipkin", "Tarnfjord"), rivalry=0.3, leading=5.0)
+    )
+    groups = task.env_groups()
+    assert [(env.num_envs, env.batch.track.name) for env in groups] == [
+        (6, "Pipkin"), (2, "Pipkin"), (6, "Tarnfjord"), (2, "Tarnfjord")
+    ]  # fmt: skip
+    first, second = (env.batch for env in groups[:2])
+    names = [[policy.name for one in batch.opponents for policy in one.policies] for batch in (first, second)]
+    assert names == [["lattice:pace=0", "lattice", "lattice"], ["pure-pursuit"]]
+    options = first.options
+    assert (options.time_step, options.rivalry, first._leading, options.crash_penalty) == (0.04, 0.3, 0.2, 10.0)
+    rules = task.learning_rules(task.tracks[0], task.rules[0])
+    assert replace(first.setup.config, start_lines=rules.start_lines) == rules
+    assert groups[0].metadata["autoreset_mode"].value == "SameStep"
+    assert (groups[0].single_action_space.high.tolist(), groups[0].single_action_space.low.tolist()) == (
+        [10.0] * 2,
+        [-10.0] * 2,
+    )
+    seen = groups[0].single_observation_space
+    assert (seen.shape, seen.low.max(), seen.high.min()) == ((len(INPUTS),), -np.inf, np.inf)
+    assert task.identity == {"tracks_sha256": {track.name: track.content_hash for track in task.tracks}}
+
+
+def test_duels_are_played_as_in_the_environment(duel_settings):
+    """Each game of an evaluation again, in an environment of one."""
+    task = make_task(replace(duel_settings, evaluation_races=9, envs=8))
+    groups = task.env_groups()
+    assert [env.num_envs for env in groups] == [6, 2]
+    layers = random_layers(31, 8, 4, seed=3)
+    scores, network = task.evaluate(layers), task.network(layers, "net")
+    assert list(scores) == [Matchup("Pipkin", "paper", name) for name in duel_settings.opponents]
+    for (matchup, score), seed in zip(scores.items(), group_seeds(0, 3, 1), strict=True):
+        payoffs = []
+        for game in range(3):
+            env = DuelEnv(track="Pipkin", archive=task.archive, race=task.game.config, opponent=matchup.opponent)
+            seen, _ = env.reset(seed=seed + game)
+            over = False
+            while not over:
+                seen, reward, ended, late, _ = env.step(int(network.choose(seen[None])[0]))
+                over = ended or late
+            payoffs.append(reward)
+        assert (score.races, score.worth) == (3, pytest.approx(np.mean(payoffs)))
+        assert score.error == pytest.approx(np.std(payoffs, ddof=1) / np.sqrt(3.0))
+    assert task.default_name == "default-paper-ppo"
+    tracks = {"tracks_sha256": {"Pipkin": task.tracks[0].content_hash}}
+    assert task.identity == {"archive_sha256": task.archive.content_hash, **tracks}
+
+
+def test_a_model_has_the_numbers_of_its_settings(track, drive_settings, duel_settings):
+    changes = {"batch_size": 50, "epochs": 3, "discount": 0.9, "gae_lambda": 0.8, "clip_range": 0.3, "entropy": 0.01}
+    changes |= {"value_weight": 0.7, "max_gradient": 0.4, "learning_rate": 0.002, "noise": 0.3, "value_hidden": (5, 6)}
+    settings = replace(drive_settings, **changes)
+    with own_randomness():
+        model = make_model(settings, [drives(track, races=8)], 5, "tanh")
+    found = [model.n_steps, model.batch_size, model.n_epochs, model.seed, model.gamma, model.gae_lambda]
+    found += [model.clip_range(1.0), model.ent_coef, model.vf_coef, model.max_grad_norm, model.learning_rate]
+    found += [model.env._scale, model.use_sde]
+    # Four batches of 40, none of 10.
+    assert found == [20, 40, 3, 5, 0.9, 0.8, 0.3, 0.01, 0.7, 0.4, 0.002, 0.1, False]
+    np.testing.assert_allclose(model.policy.log_std.detach().numpy(), np.log([0.3, 0.3]), rtol=1e-6)
+    kinds = [
+        str(layer)
+        for net in (model.policy.mlp_extractor.policy_net, model.policy.mlp_extractor.value_net)
+        for layer in net
+    ]
+    assert [kind.split("(")[0] for kind in kinds] == ["Linear", "Tanh"] * 3
+    assert [kind.split("out_features=")[1][0] for kind in kinds[::2]] == ["8", "5", "6"]
 
 
 def test_environments_are_shared_out():
@@ -107,3 +230,4 @@ def test_environments_are_shared_out():
     assert sum(split_envs(64, [11, 4])) == 64
     seeds = group_seeds(1, 5, 0) + group_seeds(1, 5, 1) + group_seeds(2, 5, 0)
     assert len(set(seeds)) == 15
+    assert max(group_seeds(1, 500, 0)) < 2**62  # one may be added a million times

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from random_layers import random_layers
 from refusal import refused
 from same_arrays import assert_same
 
@@ -14,9 +15,15 @@ from pcs_racing.planners.trained import read_driver
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.jobs.chunks import read_chunk
 from pcs_racing_agents.jobs.executors import make_executor
-from pcs_racing_agents.learning.ppo.evaluation import evaluation_curves, mean_score, read_evaluations, write_evaluations
+from pcs_racing_agents.learning.ppo.evaluation import (
+    Matchup,
+    MatchupScore,
+    mean_score,
+    read_evaluations,
+    write_evaluations,
+)
 from pcs_racing_agents.learning.ppo.learner import actor_layers, learn_once, make_model, own_randomness
-from pcs_racing_agents.learning.ppo.train import train_ppo
+from pcs_racing_agents.learning.ppo.train import SeedRecord, make_task, train_ppo
 from pcs_racing_agents.networks import load_network
 
 torch = pytest.importorskip("torch")
@@ -118,7 +125,8 @@ def test_training_ends_at_a_plateau_and_leaves_random_generators_alone(settings,
     np.random.seed(5)  # noqa: NPY002
     torch.manual_seed(5)
     expected = np.random.get_state()[1].copy(), torch.get_rng_state(), torch.get_num_threads()  # noqa: NPY002
-    train_ppo(settings["drive"], tmp_path / "short", steps=160)
+    short = train_ppo(settings["drive"], tmp_path / "short", steps=480, evaluate_every=250)
+    assert short.curves[0].steps == (0, 320, 480)  # after the update that passes a multiple, and at the end
     np.testing.assert_array_equal(np.random.get_state()[1], expected[0])  # noqa: NPY002
     assert torch.equal(torch.get_rng_state(), expected[1])
     assert torch.get_num_threads() == expected[2]
@@ -193,8 +201,32 @@ def test_a_duel_policy_is_an_agent_of_the_zoo_and_a_drive_policy_a_driver(traine
     layers, manifest = read_driver(trained["drive"].folder)
     for one, two in zip(layers.weights, trained["drive"].layers.weights, strict=True):
         np.testing.assert_array_equal(one, two)
-    assert manifest["training"]["seed"] == 0
-    assert manifest["training"]["steps_of_all_seeds"] == 640
+    run, about = trained["drive"], manifest["training"]
+    score = mean_score(run.scores, run.settings.opponents)
+    figures = {key: float(f"{value:.4g}") for key, value in score._asdict().items() if key != "races"}
+    stated = {
+        "algorithm": "PPO", "seed": 0, "steps": run.steps, "steps_of_all_seeds": 640, "evaluations": 3, **figures,
+        "setting_tracks": "Pipkin", "setting_hidden": "8", "setting_steps": 640, "setting_noise": 0.5,
+        "setting_opponents": "1 lattice:pace=0, 1 pure-pursuit",
+    }  # fmt: skip
+    assert {key: about[key] for key in stated} == stated
+
+
+def test_a_record_keeps_the_first_of_the_best_and_survives_as_arrays(trained):
+    task = trained["drive"].task
+    record = SeedRecord(3, {"x": 1, "y": 3})
+    layers = [random_layers(len(INPUTS), 8, 2, seed=seed) for seed in range(4)]
+    matchups = [Matchup("Pipkin", "short", name) for name in ("x", "y")]
+    for k, (one, other) in enumerate([(0.0, 0.1), (0.4, 0.2), (0.4, 0.2), (0.9, 0.0)]):
+        scores = [MatchupScore(2, worth, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6) for worth in (one, other)]
+        record.add(100 * k, dict(zip(matchups, scores, strict=True)), layers[k])
+    assert [record.payoff(k) for k in range(4)] == pytest.approx([0.075, 0.25, 0.25, 0.225])
+    assert (record.best_at, record.best, record.curve.steps) == (1, layers[1], (0, 100, 200, 300))
+    record.updates, record.seconds = [(160.0, 1.0, 2.0)], 7.0
+    again = SeedRecord.from_arrays(3, task, record.arrays())
+    assert (again.curve, again.updates, again.seconds) == (record.curve, record.updates, record.seconds)
+    np.testing.assert_array_equal(again.best.flat(), layers[1].flat())
+    refused("know no archive and no game", make_task, trained["drive"].settings, archive=load_archive("default"))
 
 
 def test_curves_are_kept_and_other_files_are_none(settings, trained, tmp_path):
@@ -207,13 +239,14 @@ def test_curves_are_kept_and_other_files_are_none(settings, trained, tmp_path):
     again = write_evaluations(result, tmp_path / "again.csv")
     assert again.read_bytes() == (run.folder / "curve.csv").read_bytes()
     lines = (run.folder.parent / "updates.csv").read_text().splitlines()
-    assert lines[0].startswith("seed,steps,approx_kl")
     assert [line.split(",")[1] for line in lines[1:]] == ["160", "320", "480", "640"]
-    panels = evaluation_curves(result, settings["drive"].opponents)
-    assert list(panels) == ["payoff of a race", "races won", "crashes by own fault"]
-    (payoff,) = panels["payoff of a race"]
-    assert (payoff.label, payoff.x.tolist()) == ("seed 0", [0.0, 0.00032, 0.00064])
-    assert payoff.y[1] == mean_score(result[0].scores[1], settings["drive"].opponents).worth
+    arrays = chunk_of(run.folder.parent)
+    rows = [f"0,{int(row[0])},{','.join(f'{value:.6g}' for value in row[1:])}" for row in arrays["updates"]]
+    assert lines[1:] == rows
+    assert lines[0] == "seed,steps,approx_kl,clip_fraction,entropy_loss,explained_variance,value_loss,reward"
+    worse = (run.folder / "curve.csv").read_text().replace("\n0,320,", "\n0,soon,", 1)
+    (tmp_path / "curve.csv").write_text(worse)
+    refused("line 4 is none of a learning curve", read_evaluations, tmp_path / "curve.csv")
     for text in ["seed,steps\n0,1\n", "no curve at all\nx\n"]:
         (tmp_path / "curve.csv").write_text(text)
         refused("curve", read_evaluations, tmp_path / "curve.csv")

@@ -14,7 +14,17 @@ from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.jobs.executors import make_executor
 from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.responses import best_reply, kept_networks, load_response_settings
-from pcs_racing_agents.learning.responses.best_reply import excess_estimate
+from pcs_racing_agents.learning.responses.best_reply import (
+    BestReply,
+    excess_estimate,
+    reply_rows,
+    reply_text,
+    write_replies,
+)
+from pcs_racing_agents.results.race_files import race_table
+from pcs_racing_agents.results.races import RaceRow
+from pcs_racing_agents.results.tables import interval_text
+from pcs_racing_agents.tournament.statistics import clustered_mean
 
 SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epochs=30, patience=8)
 
@@ -56,10 +66,6 @@ def test_an_agent_that_slows_down_loses_to_its_reply_and_an_even_score_is_no_los
     even = replace(reply.races, winner=np.tile(np.array([0, 1], np.int8), len(reply.races) // 2))
     assert excess_estimate(even).mean == 0.0
     refused("no races", excess_estimate, even.take([]))
-    ego, opponent = reply.races.variants.T.astype(int)
-    faster = replace(reply.races, winner=np.where(ego == opponent, -1, ego < opponent).astype(np.int8))
-    estimate = excess_estimate(faster)
-    assert (estimate.mean, estimate.se) == (pytest.approx(0.0), pytest.approx(0.0, abs=1e-12))
 
 
 def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(slow, games, setting, monkeypatch):
@@ -87,6 +93,88 @@ def test_a_driver_with_one_policy_can_be_replied_to_in_enough_races(games, setti
     assert len(reply.loss.clusters) == 2  # start policies of the reply, and start lines
     refused("races is 39", reply_to, never_switch(setting), games, setting, tmp_path / "few", races=39)
     assert not (tmp_path / "few" / "chunks").exists()
+
+
+def test_losses_are_told_for_each_circuit_and_for_all(tmp_path):
+    """Races of made-up ends: on s the reply wins 2 of 4 and the agent 1, on t the agent wins all and crashes once."""
+    ends = [("s", "ego", "none"), ("s", "ego", "none"), ("s", "opponent", "ego"), ("s", "none", "none")]
+    ends += [("t", "opponent", "both"), ("t", "opponent", "none")]
+    rows = [
+        RaceRow(
+            ego="best-reply", opponent="a", track=track, race=k, start_s=float(k), winner=winner, fault=fault,
+            crash="none" if fault == "none" else "car", ego_variant=k % 2, opponent_variant=k % 2, duration=9.0,
+            ego_path=(k % 2,), opponent_path=(),
+        )
+        for k, (track, winner, fault) in enumerate(ends)
+    ]  # fmt: skip
+    table = race_table(rows)
+    tracks = np.array([track for track, *_ in ends])
+    parts = [("s", table.take(tracks == "s")), ("t", table.take(tracks == "t")), ("all", table)]
+    shares = ((0.5, 0.25, 0.0), (0.0, 1.0, 0.5), (2 / 6, 0.5, 1 / 6))
+    replies, losses = {"a": BestReply(None, table, None)}, [excess_estimate(part) for _, part in parts]
+    assert [loss.mean for loss in losses] == pytest.approx([0.125, -0.5, -0.5 / 6])
+    assert reply_rows(replies) == [
+        (
+            "a",
+            track,
+            f"{loss.mean:+.3f}",
+            interval_text(loss.low, loss.high),
+            str(len(part)),
+            f"{won:.3f}",
+            f"{lost:.3f}",
+            f"{own:.1%}",
+        )
+        for (track, part), loss, (won, lost, own) in zip(parts, losses, shares, strict=True)
+    ]
+    text = reply_text(replies, SMALL).splitlines()
+    assert text[0].split("  ")[0] == "agent"
+    assert text[-1] == "learner: 192 games branched at every step and on each circuit, 1 rounds, 1 networks"
+    written = csv.reader(write_replies(replies, tmp_path / "replies.csv").read_text().splitlines())
+    assert list(written) == [
+        ["agent", "track", "loss", "low", "high", "se", "df", "races", "reply_won", "agent_won", "agent_own_crash"],
+        *(
+            [
+                "a",
+                track,
+                *(f"{value:.6g}" for value in (loss.mean, loss.low, loss.high, loss.se)),
+                str(loss.df),
+                str(len(part)),
+                *(f"{share:.6g}" for share in all_shares),
+            ]
+            for (track, part), loss, all_shares in zip(parts, losses, shares, strict=True)
+        ),
+    ]
+    assert [row[1] for row in reply_rows({"a": BestReply(None, race_table(rows[:4]), None)})] == ["s"]
+
+
+def test_an_excess_is_clustered_by_policies_and_lines_without_what_policies_bring(slow):
+    """By definition: where policies met in both roles, half of the difference of the two means is taken off."""
+
+    def same(races, expected):
+        found = excess_estimate(races)
+        assert (found[:-1], found.clusters) == (pytest.approx(expected[:-1]), expected.clusters)
+
+    races = slow[1].races
+    ego, opponent = races.variants.T.astype(int)
+    line = np.unique(races.start_s.round(4), return_inverse=True)[1]
+    excess = 0.5 * (1.0 * (races.winner == 0) - (races.winner == 1))
+    even = excess.copy()
+    for k in range(len(races)):
+        there, back = (
+            (ego == one) & (opponent == other) for one, other in ((ego[k], opponent[k]), (opponent[k], ego[k]))
+        )
+        assert there.sum() == back.sum() == 10
+        even[k] -= 0.5 * (excess[there].mean() - excess[back].mean())
+    same(races, clustered_mean(even, ego, opponent, line, same_pool=True))
+    drivers = replace(races, path=np.full_like(races.path, -1))
+    same(drivers, clustered_mean(excess, ego, opponent, line, same_pool=False))
+    single = replace(races, variants=races.variants * [1, 0])
+    same(single, clustered_mean(excess, ego, line))
+    uneven = races.take(np.arange(len(races)) > 0)
+    first = (ego == ego[0]) & (opponent == opponent[0]) | (ego == opponent[0]) & (opponent == ego[0])
+    even[first] = excess[first]  # one race less in one of the directions
+    parts = [part[1:] for part in (ego, opponent, line)]
+    same(uneven, clustered_mean(even[1:], *parts, same_pool=True))
 
 
 def test_the_command_prints_the_loss_and_writes_it(tmp_path, printed, told):

@@ -10,8 +10,8 @@ from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.learning.responses import ResponseSettings, branch_games, learn_response, merge_networks
-from pcs_racing_agents.learning.responses.branches import outcome
+from pcs_racing_agents.learning.responses import ResponseSettings, branch_games, learn_response, learner, merge_networks
+from pcs_racing_agents.learning.responses.branches import block_rows, game_blocks, outcome
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament.games import game_between
 
@@ -70,8 +70,83 @@ def test_branches_do_not_depend_on_the_batch_and_a_driver_may_be_the_opponent(ga
     rival = planner_driver(setting, name="lane-switcher")
     game = game_between(game, never_switch(setting), rival)
     result = branch_games(game, rival, race_seeds(0, 3), 0, [never_switch(setting)], never_switch(setting))
-    assert result.outcomes.shape == (len(result.game), len(game.move_names))
     assert np.isin(result.outcomes, (0.0, 0.5, 1.0)).all()
+    # By hand: each key chooses the driver's policy.
+    chosen = [rival.policies[int(key) % 20] for key in race_seeds(0, 3)]
+    for move in range(len(game.move_names)):
+        state = game.reset(race_seeds(0, 3), opponents=chosen)
+        for own_move in (move, len(game.move_names) - 1):
+            state = game.step(state, np.stack([np.full(3, own_move), np.zeros(3, int)], axis=1))
+        np.testing.assert_array_equal(result.outcomes[:, move], outcome(game, state)[result.game])
+
+
+def test_blocks_divide_games_that_depend_on_their_place_and_number_alone():
+    blocks = game_blocks(3, (1, 2), 600)
+    assert [(one.place, one.first, one.last) for one in blocks] == [
+        ((1, 2), k, min(k + 256, 600)) for k in (0, 256, 512)
+    ]
+    keys = np.concatenate([block.keys for block in blocks])
+    np.testing.assert_array_equal(keys, race_seeds(blocks[0].root, 600))
+    others = (game_blocks(4, (1, 2), 1), game_blocks(3, (2, 1), 1), game_blocks(3, (1,), 1), blocks)
+    assert len({one[0].root for one in others}) == 4
+    arrays = {"observations": np.ones((2, 3)), "advantages": np.array([[0.5, 0.0]] * 2), "game": np.array([4, 7])}
+    rows = block_rows(arrays, blocks[1], 12, 5, 0.25)
+    assert (rows.pair.tolist(), rows.step.tolist(), rows.weights.tolist()) == (
+        [12_000_260, 12_000_263],
+        [5] * 2,
+        [0.25] * 2,
+    )
+    assert (rows.targets.dtype, rows.targets.tolist()) == (np.float32, arrays["advantages"].tolist())
+    assert block_rows(arrays, blocks[0], 0, 0).weights.tolist() == [1.0, 1.0]
+
+
+def test_a_response_is_learned_backwards_with_the_network_of_the_steps_behind(lesson, tmp_path, monkeypatch):
+    """Two rounds of two steps: who moves before and after each branch, what is learned, and by how many networks."""
+    branched, fitted = [], []
+
+    def branch(game, opponent, keys, step, behaviours, continuation, payoff, count):
+        branched.append(
+            (opponent.name, len(keys), step, [one.name for one in behaviours], continuation.name, payoff, count)
+        )
+        return branch_games(game, opponent, keys, step, behaviours, continuation, payoff, count)
+
+    def train(job, part, rows, identity, members, name, executor):
+        fitted.append((part, [one.seed for one in members], rows))
+        layers = random_layers(len(identity.elements), 4, len(identity.moves), seed=len(fitted))
+        size = len(identity.elements)
+        facts = {"rows": 3, "loss": 0.5}
+        one = RegretNetwork(name, identity, "advantage", False, layers, np.zeros(size), np.ones(size), facts)
+        return [one] * len(members)
+
+    monkeypatch.setattr(learner, "branch_games", branch)
+    monkeypatch.setattr(learner, "train_kept", train)
+    games, pool, setting = lesson
+    settings = ResponseSettings(starts=10, rounds=2, members=3, seed=5, worth="utility", epochs=7, patience=4)
+    with open_job(tmp_path / "job", "response", {}) as job:
+        network = learn_response(games, pool, setting, settings, job, shares=[2, 1], name="mine", part="a-")
+    names, both = [opponent.name for opponent in pool], (["random-moves"], ["random-moves", "mine"])
+    expected = []
+    for k, (round_, step) in enumerate([(0, 1), (0, 0), (1, 1), (1, 0)]):
+        after = "mine" if k else "random-moves"
+        for name, count in zip(names, (7, 3), strict=True):
+            expected.append((name, count, step, both[round_], after, "utility", 5))
+        part, seeds, rows = fitted[k]
+        assert (part, seeds) == (
+            f"a-round-{round_}-step-{step}-networks",
+            [5 * 64 + i for i in range(3 if k == 3 else 2)],
+        )
+        assert (rows.weights == 1.0).all()
+        assert len(set(rows.pair.tolist())) == len(rows) > len(fitted[k - 1][2]) * (k > 0)
+        np.testing.assert_allclose(rows.targets.mean(axis=1), 0.0, atol=1e-5)
+    assert branched == expected
+    assert network.training == {"rows": len(fitted[3][2]), "worth": "utility", "loss": 0.5, "members": 3}
+    last = fitted[3][2]
+    games_of = [last.pair // 1_000_000 == place for place in (100_000, 100_001)]
+    assert [int(one.sum()) for one in games_of] == [7, 3]
+    assert set(last.step[games_of[0]].tolist()) == {0}
+    fit = settings.fit_settings(9)
+    assert (fit.seed, fit.epochs, fit.patience, fit.hidden, fit.batch_size) == (9, 7, 4, (64, 64), 512)
+    assert (fit.learning_rate, fit.weight_decay, fit.rows_per_epoch) == (0.003, 0.001, 50_000)
 
 
 def test_a_win_is_1_a_tie_a_half_and_a_crash_that_pays_neither_car_0(game):
@@ -108,6 +183,9 @@ def test_the_merged_network_puts_out_the_mean_of_members_of_one_kind():
         x = np.random.default_rng(9).normal(size=(20, 3))
         merged = merge_networks(members, "merged")
         np.testing.assert_allclose(merged(x), np.mean([m(x) for m in members], axis=0), atol=2e-5)
+        assert (merged.name, merged.training) == ("merged", {"members": 3})
+    alone = network(0, clipped=True)
+    np.testing.assert_allclose(merge_networks([alone], "alone")(x), alone(x), atol=1e-6)
     merge_networks([network(0, (5, 4)), network(1, (2, 7))], "merged")
     refused("different numbers of layers", merge_networks, [network(0), network(1, (5,))], "merged")
     with pytest.raises(InputError, match="networks 'net-0' and 'net-1' differ in clipped"):
