@@ -41,7 +41,7 @@ from pcs_racing.race.kernel import WORK_SIZE, KernelSettings
 from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
-from pcs_racing.race.state import RaceState, take
+from pcs_racing.race.state import LAPS, RaceState, take
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
 
@@ -132,8 +132,9 @@ class DriveBatch:
         self._prepare_races(threads)
         low, high = (bound * self._sight.gain + self._sight.shift for bound in (self._sight.low, self._sight.high))
         self.observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-        turn, top = self._limits
-        ends = np.array([[-1.0, -1.0], [1.0, 1.0]] if options.normalized else [[-turn, 0.0], [turn, top]], np.float32)
+        turn, low_speed, top = self._limits
+        units = [[-turn, low_speed], [turn, top]]
+        ends = np.array([[-1.0, -1.0], [1.0, 1.0]] if options.normalized else units, np.float32)
         self.action_space = spaces.Box(ends[0], ends[1], dtype=np.float32)
 
     def _make_game(self) -> RaceGame:
@@ -176,7 +177,7 @@ class DriveBatch:
         #: shape (races, cars): Faults that agents have paid for, which one that ended a race never is.
         self._paid = np.zeros((races, self.cars), np.int8)
         self.vehicles = self.randomization.vehicles
-        self._limits = max(car.steer_max for car in setup.vehicles[: self.players]), float(options.top_speed)
+        self._limits = max(car.steer_max for car in setup.vehicles[: self.players]), *options.limits[1:]
         paid = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
         fault_loses = setup.config.crash_rule == "fault-loses"
         laps = np.inf if options.laps is None else float(options.laps)
@@ -406,8 +407,7 @@ class DriveBatch:
         # In most steps no race is over, and nobody need be asked who won.
         over = state.crashed | (state.tick >= config.ticks)
         if self.options.laps is not None:
-            lengths = np.array([one.arrays.length for one in self._inputs])
-            over |= state.progress.max(axis=1) >= self.options.laps * lengths
+            over |= state.lap_count.max(axis=1) >= self.options.laps
         if not over.any():
             return result
         rows = np.flatnonzero(over)
@@ -424,7 +424,7 @@ class DriveBatch:
         info = race_info(self.state, race, car)
         over = any(self.state.crash[race].tolist()) or self.state.tick.item(race) >= self.setup.config.ticks
         if self.options.laps is not None:
-            over = over or self.state.progress[race].max() >= self.options.laps * self._inputs[race].arrays.length
+            over = over or self.state.laps[race, :, LAPS].max() >= self.options.laps
         info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
         cars = self.state.cars[race]

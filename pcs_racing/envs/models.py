@@ -27,8 +27,8 @@ from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
 
 KEPT = (
-    "time_step", "top_speed", "beams", "fov", "max_range", "lidar_noise", "look_ahead", "own_state", "own_pose",
-    "see_opponent", "time_left", "normalize", "normalized",
+    "time_step", "min_speed", "top_speed", "beams", "fov", "max_range", "lidar_noise", "look_ahead", "own_state",
+    "own_pose", "see_opponent", "time_left", "normalize", "normalized",
 )  # fmt: skip
 """Arguments of an environment that say what a model observes and what its actions mean."""
 
@@ -79,9 +79,9 @@ class ModelDriver:
         seen = np.empty((len(rows), len(sight.low)), np.float32)
         buffers = np.empty(len(sight.low)), np.empty(SEEN_SHAPE), np.empty(WORK_SHAPE)
         observe_car(track.arrays, state, vehicles, sight, rows, car, *buffers, seen)
-        turn, top = self.options.limits
+        turn, low, top = self.options.limits
         kept = np.clip(self._answers(seen), -1.0, 1.0)
-        return np.stack([turn * kept[:, 0], 0.5 * top * (1.0 + kept[:, 1])], axis=1)
+        return np.stack([turn * kept[:, 0], low + 0.5 * (top - low) * (1.0 + kept[:, 1])], axis=1)
 
     def _answers(self, seen: NDArray[np.float32]) -> NDArray[np.float64]:
         """Actions in [-1, 1], before they are clipped."""

@@ -17,7 +17,7 @@ from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.config import DT
 from pcs_racing.race.driving import _pieces, pad_parameters
-from pcs_racing.race.positions import count_crossing
+from pcs_racing.race.positions import move_along
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, run_races, start_lines, start_races, starts_of
 from pcs_racing.race.state import ITTC, ITTC_SAMPLES, NO_CRASH, WALL_CRASH, empty_state
 from pcs_racing.track.track import Calibration
@@ -150,23 +150,20 @@ def test_each_car_has_its_own_vehicle_and_the_memory_that_its_steering_needs(ova
 
 
 def test_laps_are_those_that_progress_tells(oval):
-    """Crossings of s = 0 found by interpolating progress every 0.02 s give the same times."""
+    """A lap ends at a multiple of the length: interpolated progress, sampled every 0.02 s, gives the same times."""
     drivers = [PURE_PURSUIT.policy({"pace": 0.9}), PURE_PURSUIT.policy({"pace": 0.2})]
     setup = RaceSetup(oval, LONG, (drivers[0].planner, drivers[1].planner))
     state = start_races(setup, Starts(np.array([oval.length - 6.0]), np.array([0])), np.zeros(1, np.uint64))
     theta = pad_parameters(drivers, setup.theta_size)[None]
-    begin = state.frenet[0, :, 0].copy()
-    begin[begin > 0.5 * oval.length] -= oval.length
-    times, way = [0.0], [begin]
+    times, way = [0.0], [state.progress[0].copy()]
     while state.tick[0] < LONG.ticks and not state.crashed[0]:
         advance(setup, state, theta, 2, threads=1)
         times.append(float(state.tick[0]) * DT)
-        way.append(begin + state.progress[0])
+        way.append(state.progress[0].copy())
     way = np.array(way)
     for car in range(2):
-        marks = np.arange(0.0, way[:, car].max(), oval.length)
-        crossed = np.interp(marks, way[:, car], times)
-        laps = np.diff(crossed)
+        marks = np.arange(oval.length, way[:, car].max(), oval.length)
+        laps = np.diff(np.interp(marks, way[:, car], times), prepend=0.0)
         assert state.lap_count[0, car] == len(laps)
         if len(laps):
             assert state.lap_time[0, car] == pytest.approx(laps[-1], abs=1e-3)
@@ -185,11 +182,16 @@ def test_driving_into_a_wall_ends_the_race_and_who_rolls_back_drives_no_lap(oval
     assert result.own_crash.tolist() == [[True, False]]
     assert 0.0 < result.time[0] < PAPER.duration
     state, length = empty_state(1, 0), 100.0
-    for tick, driven in ((0, 0.5), (10, -0.5), (20, 0.5), (5000, 0.5), (5010, -0.5), (5020, 0.5), (9000, 0.5)):
-        count_crossing(length, length - 0.25 if driven > 0 else 0.25, driven, tick, state.laps, 0, 0)
-    assert state.lap_count.tolist() == [[2, 0]]
-    assert state.lap_time[0, 0] == pytest.approx(40.0)
-    assert state.best_lap[0, 0] == pytest.approx(40.0)
+    moved = state.frenet, state.progress, state.laps
+    state.frenet[0, 0, 0] = state.progress[0, 0] = -1.0 % length  # a metre before the end of the first lap
+    for tick, s in ((3000, 1.0), (3010, 99.5), (3020, 0.5), (6000, 40.0), (6500, 80.0), (7002, 1.0), (7004, 99.0)):
+        move_along(length, *moved, tick, 0, 0, s, 0.0)
+    assert state.lap_count.tolist() == [[2, 0]]  # a car that rolls back and returns ends no lap
+    assert state.progress[0, 0] == pytest.approx(199.0)
+    # The line was crossed half way through 0.02 s of the first lap, and 20/21 of them into the second.
+    first, second = 29.99, 70.02 - 0.02 / 21.0
+    assert state.lap_time[0, 0] == pytest.approx(second - first)
+    assert state.best_lap[0, 0] == pytest.approx(first)
 
 
 @pytest.mark.parametrize(
