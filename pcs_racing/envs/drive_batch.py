@@ -14,7 +14,19 @@ from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import compiled_for, first_call
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import WORK_SHAPE
-from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_batch_size, place_poses, poses_option, start_option
+from pcs_racing.envs.batch import (
+    FREE,
+    BatchStep,
+    Generators,
+    Rows,
+    check_batch_size,
+    check_part,
+    check_races,
+    check_within,
+    place_poses,
+    poses_option,
+    start_option,
+)
 from pcs_racing.envs.drive_kernel import (
     SEEN_SHAPE,
     Sight,
@@ -452,17 +464,23 @@ class DriveBatch:
         moving = None if self._moving is None else self._moving.get_state()
         return self.state.copy(), self.drawn.copy(), self.theta.copy(), moving, self.randomization.get_state()
 
+    def check_state(self, state: tuple[Any, ...]) -> list[Track]:
+        """Refuse what `get_state` can't have returned; returns the circuit of each race, with its obstacles."""
+        moving = None if self._moving is None else FREE
+        check_part("the state", state, (self.state, self.drawn, self.theta, moving, FREE))
+        tracks = self.randomization.check_state(state[4])
+        lengths = np.array([track.length for track in tracks])
+        check_races("the state's races", state[0], self.setup.config, lengths)
+        check_within("the state's opponents", state[1], 0, max(1, len(self.opponents)) - 1)
+        if self._moving is not None:
+            self._moving.check_state(state[3], lengths)
+        return tracks
+
     def set_state(self, state: tuple[Any, ...]) -> None:
         """Continue from what `get_state` returned, here or in an equal batch."""
+        tracks = self.check_state(state)
         races, drawn, theta, moving, randomization = state
-        if not isinstance(races, RaceState) or [a.shape for a in races] != [a.shape for a in self.state]:
-            raise InputError(
-                f"the state is not one of {self.episodes} races with these planners; use what get_state returned"
-            )
-        count = max(1, len(self.opponents))
-        if np.shape(drawn) != (self.episodes,) or not ((drawn >= 0) & (drawn < count)).all():
-            raise InputError(f"the state's opponents {drawn!r} are not among the {len(self.opponents)} that there are")
-        self.randomization.set_state(randomization)
+        self.randomization.set_state(randomization, tracks)
         for number, rows in self.randomization.groups(self._rows):
             self._set_inputs(rows, self.circuit(number).inputs)
         # Into the own arrays: the state that was given stays as it is.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.batch import Generators, Rows
+from pcs_racing.envs.batch import FREE, Generators, Rows, check_part, check_races, check_within
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.models import model_policy, policy_of
 from pcs_racing.game.competitor import (
@@ -76,6 +76,13 @@ def _opponent(given: Any, weight: float, game: RaceGame) -> Opponent:
     check_competitor(game, competitor)
     name = given.strip() if isinstance(given, str) else competitor_name(competitor)
     return Opponent(name, weight, competitor, driver_policies(competitor))
+
+
+def check_games(name: str, games: GameState, game: RaceGame, lengths: NDArray[np.float64]) -> None:
+    """Refuse games of a state of which a number is out of its range; ``lengths`` are those of their circuits, m."""
+    check_races(f"{name}.race", games.race, game.config.race, lengths)
+    check_within(f"{name}.step", games.step, 0, game.config.moves)
+    check_within(f"{name}.policy", games.policy, OUTSIDE, len(game.archive) - 1)
 
 
 def draw_opponent(edges: NDArray[np.float64], generator: np.random.Generator) -> int:
@@ -210,9 +217,14 @@ class MovingOpponents:
         """Return copies of all that changes."""
         return self._games.copy(), self._before.copy(), list(self._memories)
 
-    def set_state(self, state: tuple[GameState, RaceState, list[Any]] | None) -> None:
+    def check_state(self, state: tuple[GameState, RaceState, list[Any]], lengths: NDArray[np.float64]) -> None:
+        """Refuse what `get_state` can't have returned; ``lengths`` are those of the circuits, m."""
+        name = "the state's moves of the opponent"
+        check_part(name, state, (self._games, self._before, [FREE] * len(self._memories)))
+        check_games(name, state[0], self.game, lengths)
+        check_races(name, state[1], self.game.config.race, lengths)
+
+    def set_state(self, state: tuple[GameState, RaceState, list[Any]]) -> None:
         """Continue from what `get_state` returned."""
-        if state is None:
-            raise InputError("the state holds no moves of the opponent; use what get_state returned")
         games, before, memories = state
         self._games, self._before, self._memories = games.copy(), before.copy(), list(memories)
