@@ -12,7 +12,7 @@ from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import FREE, Generators, Rows, check_part, check_races, check_within
 from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.envs.models import model_policy, policy_of
+from pcs_racing.envs.models import layers, model_policy, policy_of
 from pcs_racing.game.competitor import (
     Competitor,
     ask_moves,
@@ -74,6 +74,8 @@ def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
 def _opponent(given: Any, weight: float, game: RaceGame) -> Opponent:
     competitor = make_competitor(given, game) if isinstance(given, str) else given
     check_competitor(game, competitor)
+    if callable(getattr(competitor, "get_env", None)):
+        list(layers(competitor.get_env()))  # refuses a wrapper that the model would lose
     name = given.strip() if isinstance(given, str) else competitor_name(competitor)
     return Opponent(name, weight, competitor, driver_policies(competitor))
 
