@@ -34,7 +34,7 @@ MOST_EPISODES = 100_000
 
 MAX_STEPS = 2**62
 
-FREE = object()
+FREE: Any = object()
 """In the model of a state: a part that may be anything."""
 
 

@@ -74,8 +74,9 @@ def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
 def _opponent(given: Any, weight: float, game: RaceGame) -> Opponent:
     competitor = make_competitor(given, game) if isinstance(given, str) else given
     check_competitor(game, competitor)
-    if callable(getattr(competitor, "get_env", None)):
-        list(layers(competitor.get_env()))  # refuses a wrapper that the model would lose
+    trained_in = getattr(competitor, "get_env", None)
+    if callable(trained_in):
+        list(layers(trained_in()))  # refuses a wrapper that the model would lose
     name = given.strip() if isinstance(given, str) else competitor_name(competitor)
     return Opponent(name, weight, competitor, driver_policies(competitor))
 

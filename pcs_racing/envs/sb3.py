@@ -248,7 +248,7 @@ class OneOfBatch:
     :class:`SB3VecEnv` alone.
     """
 
-    def __init__(self, group: BatchVectorEnv, row: int) -> None:
+    def __init__(self, group: Any, row: int) -> None:
         self._group, self._row, self._episode = group, row, row // group.players
 
     def __getattr__(self, name: str) -> Any:

@@ -213,7 +213,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
         unused = isinstance(state.generators, list) and not state.generators
         count = 0 if unused else self.batch.episodes
-        check_part("the state", state, VectorState(FREE, [FREE] * count, self._over, self._steps))  # type: ignore[arg-type]
+        check_part("the state", state, VectorState(FREE, [FREE] * count, self._over, self._steps))
         check_within("the state's steps", state.steps, 0, MAX_STEPS)
         return [generator_of(f"the state's generator {i}", given) for i, given in enumerate(state.generators)]
 
