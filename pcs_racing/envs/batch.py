@@ -158,7 +158,7 @@ def check_within(name: str, values: NDArray[Any], low: float, high: ArrayLike) -
 
 
 def check_races(name: str, races: RaceState, config: RaceConfig, lengths: NDArray[np.float64]) -> None:
-    """Refuse races of which a number is out of its range; ``lengths`` are those of their circuits, m."""
+    """Refuse races with a number out of its range; ``lengths`` are the lengths of their circuits, m."""
     for part, low, high in (
         ("tick", 0, config.ticks),
         ("crash", 0, CAR_CRASH),
@@ -176,8 +176,8 @@ def generator_of(name: str, state: Any) -> np.random.Generator:
     generator = np.random.default_rng()
     try:
         generator.bit_generator.state = state
-        # numpy cuts off what does not fit in a field.
-        if str(generator.bit_generator.state) != str(dict(state)):
+        # numpy cuts off numbers that do not fit in a field.
+        if generator.bit_generator.state != dict(state):
             raise ValueError(f"{state!r:.200}")
     except (TypeError, ValueError, KeyError, OverflowError, AttributeError) as error:
         raise InputError(f"{name}, a random generator, can't be restored: {error}") from None

@@ -192,7 +192,7 @@ def _plain(options: DriveOptions) -> dict[str, Any]:
 
 
 def _changes(layer: Any) -> bool:
-    """Whether the class of a wrapper or environment, by what it overrides, may change observations or actions."""
+    """Return whether a wrapper or environment may change observations or actions, by the methods of its class."""
     for kind in type(layer).__mro__:
         library = kind.__module__.partition(".")[0]
         # Known classes, and their subclasses that override nothing of it.

@@ -82,7 +82,7 @@ def _opponent(given: Any, weight: float, game: RaceGame) -> Opponent:
 
 
 def check_games(name: str, games: GameState, game: RaceGame, lengths: NDArray[np.float64]) -> None:
-    """Refuse games of a state of which a number is out of its range; ``lengths`` are those of their circuits, m."""
+    """Refuse games with a number out of its range; ``lengths`` are the lengths of their circuits, m."""
     check_races(f"{name}.race", games.race, game.config.race, lengths)
     check_within(f"{name}.step", games.step, 0, game.config.moves)
     check_within(f"{name}.policy", games.policy, OUTSIDE, len(game.archive) - 1)

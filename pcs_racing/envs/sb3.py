@@ -139,7 +139,9 @@ class SB3VecEnv(VecEnv):
                 shared = options[:: group.players]
                 for i, one in enumerate(options):
                     if one and one is not shared[i // group.players] and repr(one) != repr(shared[i // group.players]):
-                        raise InputError(f"options of environment {self._edges[k] + i} are not those of its whole race")
+                        raise InputError(
+                            f"options of environment {self._edges[k] + i} differ from the options of its race"
+                        )
                 seen, info = group.reset(seed=own, options=shared if any(shared) else None)
                 observations.append(seen)
                 infos += _infos(info)

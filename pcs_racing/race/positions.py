@@ -24,7 +24,7 @@ def end_lap(laps, race, car, time):  # type: ignore[no-untyped-def]
 @kernel(forceinline=True)
 def move_along(length, frenet, progress, laps, tick, race, car, s, d):  # type: ignore[no-untyped-def]
     """Account for a car that was at another place of the line before."""
-    # Nobody drives half a lap in a control period: a larger change of s is a crossing of s = 0.
+    # No car drives half a lap in a control period: a larger change of s is a crossing of s = 0.
     half = 0.5 * length
     driven = s - frenet[race, car, 0]
     if driven > half:

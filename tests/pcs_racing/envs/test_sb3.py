@@ -222,7 +222,7 @@ def test_the_players_of_a_race_share_its_options_and_no_batch_begins_alone():
     first = env.reset()
     assert not np.array_equal(first[0], first[2])
     env.set_options([{}, {"start": (20.0, 1)}, {}, {}])
-    refused("options of environment 1 are not those of its whole race", env.reset)
+    refused("options of environment 1 differ from the options of its race", env.reset)
     parts = [
         DriveVectorEnv(1, opponent=None, track=name, autoreset_mode="SAME_STEP") for name in ("Pipkin", "Tarnfjord")
     ]
