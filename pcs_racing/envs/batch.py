@@ -12,15 +12,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
-from pcs_racing.race.state import RaceState, empty_state
+from pcs_racing.race.state import CAR_CRASH, RaceState, empty_state
 from pcs_racing.track.frenet import X, Y
 
 Rows = NDArray[np.int64]
@@ -30,6 +31,11 @@ Generators = Sequence[np.random.Generator]
 """A generator for each episode."""
 
 MOST_EPISODES = 100_000
+
+MAX_STEPS = 2**62
+
+FREE: Any = object()
+"""In the model of a state: a part that may be anything."""
 
 
 class BatchStep(NamedTuple):
@@ -115,3 +121,64 @@ def place_poses(setup: RaceSetup, poses: NDArray[np.float64]) -> RaceState:
     behind = np.mod(state.frenet[:, :1, 0] - state.frenet[..., 0] + 0.5 * length, length) - 0.5 * length
     state.progress[:] = behind.min(axis=1, keepdims=True) - behind
     return state
+
+
+# Checks of a state that is to be continued from: all of them come before anything is written.
+
+
+def check_part(name: str, given: Any, like: Any) -> None:
+    """Refuse a part of a state that is not built as another one: of its types and shapes, with finite numbers."""
+    if like is FREE:
+        return
+    found, wanted = type(given).__name__, type(like).__name__
+    fits = type(given) is type(like)
+    if isinstance(like, np.ndarray):
+        wanted = f"finite {like.dtype} of shape {like.shape}"
+        found = f"{given.dtype} of shape {given.shape}" if fits else found
+        fits = fits and (given.dtype, given.shape) == (like.dtype, like.shape)
+        fits = fits and (like.dtype.kind != "f" or bool(np.isfinite(given).all()))
+    elif isinstance(like, dict | list | tuple) and fits:
+        keys = [list(one) if isinstance(one, dict) else list(range(len(one))) for one in (given, like)]
+        wanted, found, fits = f"{wanted} with {keys[1]!r:.80}", f"{found} with {keys[0]!r:.80}", keys[0] == keys[1]
+        for key in keys[1] if fits else ():
+            part = like._fields[key] if hasattr(like, "_fields") else key
+            check_part(f"{name}.{part}", given[key], like[key])
+    if not fits:
+        raise InputError(
+            f"{name} is {found}; it must be {wanted}: use what get_state returned in an environment of equal arguments"
+        )
+
+
+def check_within(name: str, values: NDArray[Any], low: float, high: ArrayLike) -> None:
+    """Refuse numbers of a state that are out of a range, both ends included."""
+    wrong = (values < low) | (values > high)
+    if wrong.any():
+        most = float(np.max(high))
+        raise InputError(f"{name} holds {values[wrong][0]}; it must be from {low:g} to {most:g}")
+
+
+def check_races(name: str, races: RaceState, config: RaceConfig, lengths: NDArray[np.float64]) -> None:
+    """Refuse races with a number out of its range; ``lengths`` are the lengths of their circuits, m."""
+    for part, low, high in (
+        ("tick", 0, config.ticks),
+        ("crash", 0, CAR_CRASH),
+        ("contact", 0, CAR_CRASH),
+        ("fault", 0, 127),
+        ("leader", -1, races.number - 1),
+        ("overtakes", 0, config.ticks),
+    ):
+        check_within(f"{name}.{part}", getattr(races, part), low, high)
+    check_within(f"{name}.frenet", races.frenet[..., 0], 0.0, lengths[:, None])
+
+
+def generator_of(name: str, state: Any) -> np.random.Generator:
+    """Return a generator of its own in a state."""
+    generator = np.random.default_rng()
+    try:
+        generator.bit_generator.state = state
+        # numpy cuts off numbers that do not fit in a field.
+        if generator.bit_generator.state != dict(state):
+            raise ValueError(f"{state!r:.200}")
+    except (TypeError, ValueError, KeyError, OverflowError, AttributeError) as error:
+        raise InputError(f"{name}, a random generator, can't be restored: {error}") from None
+    return generator

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.envs.batch import MAX_STEPS, check_within
 from pcs_racing.game.starting import random_bits
 from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits
 from pcs_racing.track.loading import as_track
@@ -84,13 +85,15 @@ class Circuits:
         """Return copies of all that changes."""
         return self.number.copy(), self._keys.copy(), self._past.copy()
 
+    def check_state(self, state: tuple[NDArray[Any], ...]) -> None:
+        """Refuse what `get_state` can't have returned, in arrays of its shapes."""
+        last = len(self._listed) - 1 if self._builder is None else self._builder.settings.count - 1
+        check_within("the state's circuits", state[0], 0, last)
+        check_within("the state's episodes on a circuit", state[2], -1, MAX_STEPS)
+
     def set_state(self, state: tuple[NDArray[Any], ...]) -> None:
         """Continue from what `get_state` returned."""
-        number, keys, past = state
-        least, most = 0, len(self._listed) - 1 if self._builder is None else self._builder.settings.count - 1
-        if np.shape(number) != self.number.shape or not ((number >= least) & (number <= most)).all():
-            raise InputError(f"the state's circuits {number!r:.200} are not those of this environment")
-        self.number[:], self._keys[:], self._past[:] = number, keys, past
+        self.number[:], self._keys[:], self._past[:] = state
 
     def close(self) -> None:
         """Stop building circuits."""

@@ -37,7 +37,7 @@ class DriveEnv(ScalarEnv, observation_table=observation_table(drive_elements(Dri
     | Index | Action | -1 | 0 | 1 |
     |---|---|---|---|---|
     | 0 | target steering angle | -0.4189 rad (right) | 0 | 0.4189 rad (left) |
-    | 1 | target speed | 0 m/s | half of `top_speed` | `top_speed` |
+    | 1 | target speed | `min_speed`, 0 m/s | half of their sum | `top_speed`, 8 m/s |
 
     The steering moves to its target at 3.2 rad/s at most; the speed error decays with a time constant of 0.1 s where
     engine and brakes allow it. Braking beyond about 6 m/s^2 unloads the rear axle, and the car spins.
@@ -87,9 +87,9 @@ class DriveEnv(ScalarEnv, observation_table=observation_table(drive_elements(Dri
     how many were its fault, where they do not end the race),
     ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a no-contest
     crash; alone 1 at the end, or 4), ``opponent``, the index of the episode's opponent (-1 if there is none), ``laps``
-    (complete ones, from one crossing of the line s = 0 to the next), ``lap_time`` and ``best_lap`` (s, of the last and
-    the shortest of them; -1 if there is none), and where episodes differ in it, ``track`` (its number), ``obstacles``
-    (how many) and what ``randomize`` drew.
+    (complete ones, counted from the start line; the first begins with the race), ``lap_time`` and ``best_lap`` (s, of
+    the last and the shortest of them; -1 if there is none), and where episodes differ in it, ``track`` (its number),
+    ``obstacles`` (how many) and what ``randomize`` drew.
     Arrays: ``poses`` (x, y, heading) and ``velocities`` (speed, yaw rate, slip) of all cars in m, rad and s, the own
     one first, shape (N, 3).
     ``env.unwrapped.metadata["codes"]`` holds the words of all codes; ``env.unwrapped.outcome()`` is the info in words.

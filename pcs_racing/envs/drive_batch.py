@@ -14,7 +14,19 @@ from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import compiled_for, first_call
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import WORK_SHAPE
-from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_batch_size, place_poses, poses_option, start_option
+from pcs_racing.envs.batch import (
+    FREE,
+    BatchStep,
+    Generators,
+    Rows,
+    check_batch_size,
+    check_part,
+    check_races,
+    check_within,
+    place_poses,
+    poses_option,
+    start_option,
+)
 from pcs_racing.envs.drive_kernel import (
     SEEN_SHAPE,
     Sight,
@@ -41,7 +53,7 @@ from pcs_racing.race.kernel import WORK_SIZE, KernelSettings
 from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
-from pcs_racing.race.state import RaceState, take
+from pcs_racing.race.state import LAPS, RaceState, take
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
 
@@ -132,8 +144,9 @@ class DriveBatch:
         self._prepare_races(threads)
         low, high = (bound * self._sight.gain + self._sight.shift for bound in (self._sight.low, self._sight.high))
         self.observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-        turn, top = self._limits
-        ends = np.array([[-1.0, -1.0], [1.0, 1.0]] if options.normalized else [[-turn, 0.0], [turn, top]], np.float32)
+        turn, low_speed, top = self._limits
+        units = [[-turn, low_speed], [turn, top]]
+        ends = np.array([[-1.0, -1.0], [1.0, 1.0]] if options.normalized else units, np.float32)
         self.action_space = spaces.Box(ends[0], ends[1], dtype=np.float32)
 
     def _make_game(self) -> RaceGame:
@@ -176,7 +189,7 @@ class DriveBatch:
         #: shape (races, cars): Faults that agents have paid for, which one that ended a race never is.
         self._paid = np.zeros((races, self.cars), np.int8)
         self.vehicles = self.randomization.vehicles
-        self._limits = max(car.steer_max for car in setup.vehicles[: self.players]), float(options.top_speed)
+        self._limits = max(car.steer_max for car in setup.vehicles[: self.players]), *options.limits[1:]
         paid = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
         fault_loses = setup.config.crash_rule == "fault-loses"
         laps = np.inf if options.laps is None else float(options.laps)
@@ -406,8 +419,7 @@ class DriveBatch:
         # In most steps no race is over, and nobody need be asked who won.
         over = state.crashed | (state.tick >= config.ticks)
         if self.options.laps is not None:
-            lengths = np.array([one.arrays.length for one in self._inputs])
-            over |= state.progress.max(axis=1) >= self.options.laps * lengths
+            over |= state.lap_count.max(axis=1) >= self.options.laps
         if not over.any():
             return result
         rows = np.flatnonzero(over)
@@ -424,7 +436,7 @@ class DriveBatch:
         info = race_info(self.state, race, car)
         over = any(self.state.crash[race].tolist()) or self.state.tick.item(race) >= self.setup.config.ticks
         if self.options.laps is not None:
-            over = over or self.state.progress[race].max() >= self.options.laps * self._inputs[race].arrays.length
+            over = over or self.state.laps[race, :, LAPS].max() >= self.options.laps
         info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
         cars = self.state.cars[race]
@@ -452,17 +464,23 @@ class DriveBatch:
         moving = None if self._moving is None else self._moving.get_state()
         return self.state.copy(), self.drawn.copy(), self.theta.copy(), moving, self.randomization.get_state()
 
+    def check_state(self, state: tuple[Any, ...]) -> list[Track]:
+        """Refuse what `get_state` can't have returned; returns the circuit of each race, with its obstacles."""
+        moving = None if self._moving is None else FREE
+        check_part("the state", state, (self.state, self.drawn, self.theta, moving, FREE))
+        tracks = self.randomization.check_state(state[4])
+        lengths = np.array([track.length for track in tracks])
+        check_races("the state's races", state[0], self.setup.config, lengths)
+        check_within("the state's opponents", state[1], 0, max(1, len(self.opponents)) - 1)
+        if self._moving is not None:
+            self._moving.check_state(state[3], lengths)
+        return tracks
+
     def set_state(self, state: tuple[Any, ...]) -> None:
         """Continue from what `get_state` returned, here or in an equal batch."""
+        tracks = self.check_state(state)
         races, drawn, theta, moving, randomization = state
-        if not isinstance(races, RaceState) or [a.shape for a in races] != [a.shape for a in self.state]:
-            raise InputError(
-                f"the state is not one of {self.episodes} races with these planners; use what get_state returned"
-            )
-        count = max(1, len(self.opponents))
-        if np.shape(drawn) != (self.episodes,) or not ((drawn >= 0) & (drawn < count)).all():
-            raise InputError(f"the state's opponents {drawn!r} are not among the {len(self.opponents)} that there are")
-        self.randomization.set_state(randomization)
+        self.randomization.set_state(randomization, tracks)
         for number, rows in self.randomization.groups(self._rows):
             self._set_inputs(rows, self.circuit(number).inputs)
         # Into the own arrays: the state that was given stays as it is.

@@ -17,7 +17,7 @@ from pcs_racing.game.reward import step_reward, win_sign
 from pcs_racing.race.config import CONTROL_EVERY
 from pcs_racing.race.kernel import advance_races
 from pcs_racing.race.positions import gap_to
-from pcs_racing.race.state import MOST_CARS
+from pcs_racing.race.state import LAPS, MOST_CARS
 from pcs_racing.race.steering import steering_noise
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between
 from pcs_racing.track.grid import cast
@@ -271,9 +271,10 @@ def observe_car(track, state, vehicles, sight, rows, car, row, seen, work, out):
 def set_commands(actions, limits, state, vehicles, first, last):  # type: ignore[no-untyped-def]
     """Turn actions in [-1, 1] into target steering angles and speeds, where the drivers of the players' cars read them.
 
-    ``actions`` has the shape (B, players, 2); ``limits`` are the largest steering angle (rad) and the top speed (m/s).
+    ``actions`` has the shape (B, players, 2); ``limits`` are the largest steering angle (rad), and the lowest and the
+    highest speed (m/s).
     """
-    steer_max, top_speed = limits
+    steer_max, min_speed, top_speed = limits
     for race in range(first, last):
         # Drivers are asked every second step; between two of them a command takes effect from here.
         now = state.tick[race] % CONTROL_EVERY != 0
@@ -281,7 +282,7 @@ def set_commands(actions, limits, state, vehicles, first, last):  # type: ignore
             # The driver of a player's car does nothing but hold what stands in its memory.
             memory, command = state.memory[race, car], state.command[race, car]
             memory[0] = steer_max * min(max(actions[race, car, 0], -1.0), 1.0)
-            memory[1] = 0.5 * top_speed * (1.0 + min(max(actions[race, car, 1], -1.0), 1.0))
+            memory[1] = min_speed + 0.5 * (top_speed - min_speed) * (1.0 + min(max(actions[race, car, 1], -1.0), 1.0))
             if now:
                 command[1] = memory[1]
                 # Late commands keep to the beat of their queue.
@@ -340,7 +341,7 @@ def _won(state, race, car, crashed, fault_loses):  # type: ignore[no-untyped-def
 
 
 @inner_kernel
-def _end_step(length, state, end_tick, weights, sight, results, first, last):  # type: ignore[no-untyped-def]
+def _end_step(state, end_tick, weights, sight, results, first, last):  # type: ignore[no-untyped-def]
     """Rewards and ends after a step, from the progress before it and the state after it."""
     per_metre, rivalry, penalty, win, fault_loses, goal = weights
     progress, crash, fault, before = state.progress, state.crash, state.fault, results.before
@@ -349,7 +350,7 @@ def _end_step(length, state, end_tick, weights, sight, results, first, last):  #
         crashed, finished = False, False
         for car in range(number):
             crashed |= crash[race, car] != 0
-            finished |= progress[race, car] >= goal * length
+            finished |= state.laps[race, car, LAPS] >= goal
         late = state.tick[race] >= end_tick
         # Where winning pays, nothing follows after the last moment of a race.
         ended = crashed or finished or (late and win > 0.0)
@@ -375,8 +376,8 @@ def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions,
     """One step of races ``first`` to ``last - 1``: drive ``ticks`` steps on, pay, and observe.
 
     What is not named here is as in :func:`pcs_racing.race.kernel.advance_races`. Actions, shape (B, players, 2), are
-    steering and speed, clipped to [-1, 1]; their limits the largest steering angle (rad) and the top speed (m/s). The
-    weights are the reward for a metre, the share of the opponent's progress that is taken off, the penalty
+    steering and speed, clipped to [-1, 1]; their limits are as in :func:`set_commands`. The weights are the reward for
+    a metre, the share of the opponent's progress that is taken off, the penalty
     (:func:`pcs_racing.game.reward.step_reward`), the reward of a win, whether a fault loses the race, and the laps that
     end it. Rows are the numbers from 0 to B - 1, buffers ``scratch`` and ``work`` of the races, ``row``, ``seen`` and
     ``work`` of the observations, their contents undefined afterwards; results are :class:`StepResults`.
@@ -384,5 +385,5 @@ def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions,
     scratch, work, row, seen, scan_work = buffers
     set_commands(actions, limits, state, vehicles, first, last)
     advance_races(track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work)
-    _end_step(track.length, state, settings.end_tick, weights, sight, results, first, last)
+    _end_step(state, settings.end_tick, weights, sight, results, first, last)
     observe_races(track, state, vehicles, sight, rows, first, last, row, seen, scan_work, results.observations)

@@ -94,6 +94,11 @@ class DriveOptions(EpisodeOptions):
         None, whole(1, 1000), "Laps from the start line after which the first car ends a race; none by default."
     )
     time_step: float = setting(0.1, checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s.")
+    min_speed: float = setting(
+        0.0,
+        number(F1TENTH.v_min, 0.0),
+        "Target speed that the action -1 asks for, m/s; below 0 a car can reverse, for instance away from a wall.",
+    )
     top_speed: float = setting(8.0, number(0.1, F1TENTH.v_max), "Target speed that the action 1 asks for, m/s.")
     normalized: bool = setting(
         True, flag(), "Whether actions are in [-1, 1]; else they are a steering angle in rad and a speed in m/s."
@@ -145,10 +150,10 @@ class DriveOptions(EpisodeOptions):
         return round(self.time_step / DT)
 
     @property
-    def limits(self) -> tuple[float, float]:
-        """Largest steering angle (rad) and top speed (m/s) that an action asks for."""
+    def limits(self) -> tuple[float, float, float]:
+        """Largest steering angle (rad), and lowest and highest speed (m/s) that an action asks for."""
         cars = self.vehicle if isinstance(self.vehicle, tuple) else (self.vehicle,)
-        return max(car.steer_max for car in cars), float(self.top_speed)
+        return max(car.steer_max for car in cars), float(self.min_speed), float(self.top_speed)
 
 
 def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
@@ -166,7 +171,7 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
             Element("yaw rate", "rad/s", -20.0, 20.0, "own yaw rate"),
             Element("slip", "rad", -pi, pi, "own slip angle: course minus heading"),
             Element("target steering", "rad", -turn, turn, "what the last action asked for"),
-            Element("target speed", "m/s", 0.0, top, "what the last action asked for"),
+            Element("target speed", "m/s", float(options.min_speed), top, "what the last action asked for"),
             Element("offset", "m", -10.0, 10.0, "distance from the race line, positive to the left"),
             Element("heading error", "rad", -pi, pi, "own heading minus that of the race line"),
         ]
@@ -245,7 +250,7 @@ def make_sight(options: DriveOptions, cars: int, players: int, track: Track) -> 
     )
 
 
-def shares(actions: NDArray[np.float64], limits: tuple[float, float]) -> NDArray[np.float64]:
-    """Actions in rad and m/s as shares from -1 to 1 of the limits, shape (..., 2)."""
-    turn, top = limits
-    return (actions - (0.0, 0.5 * top)) / (turn, 0.5 * top)
+def shares(actions: NDArray[np.float64], limits: tuple[float, float, float]) -> NDArray[np.float64]:
+    """Return actions in rad and m/s as shares from -1 to 1 of the limits, shape (..., 2)."""
+    turn, low, top = limits
+    return (actions - (0.0, 0.5 * (low + top))) / (turn, 0.5 * (top - low))

@@ -1,7 +1,7 @@
 """Many games side by side: the batch behind the environments of the strategy level."""
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,10 +13,19 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import ANYTHING, flag, setting
-from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_batch_size, start_option
+from pcs_racing.envs.batch import (
+    FREE,
+    BatchStep,
+    Generators,
+    Rows,
+    check_batch_size,
+    check_part,
+    check_within,
+    start_option,
+)
 from pcs_racing.envs.infos import Result, common_codes, of_players, race_info, race_infos, race_results
 from pcs_racing.envs.obstacles import obstacles_option
-from pcs_racing.envs.opponents import Opponent, draw_opponent, parse_opponents, replies, shared_planner
+from pcs_racing.envs.opponents import Opponent, check_games, draw_opponent, parse_opponents, replies, shared_planner
 from pcs_racing.envs.randomization import EpisodeOptions, EpisodeRandomization
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
@@ -77,16 +86,6 @@ class GameOptions(EpisodeOptions):
 KEPT = 64  # games on circuits that no episode is on
 
 
-def check_shapes(names: Sequence[str], given: Sequence[Any], wanted: Sequence[Any], owner: str) -> None:
-    """Refuse arrays of a state whose shapes are others than those of an environment."""
-    for name, array, like in zip(names, given, wanted, strict=True):
-        if np.shape(array) != like.shape:
-            raise InputError(
-                f"the state's {name} has shape {np.shape(array)}; in this environment it must be {like.shape}: it "
-                f"belongs to {owner}"
-            )
-
-
 class GameBatch:
     """Games of moves; car 0 belongs to a player, car 1 to an opponent, or to a second one of two ``players``.
 
@@ -98,6 +97,7 @@ class GameBatch:
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
     frame_rate = 1  #: Of single frames: a step is longer than a second.
     cars = 2
+    played_in = "games"  #: How messages name what is played.
 
     def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
         check_batch_size(episodes, threads)
@@ -198,7 +198,7 @@ class GameBatch:
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
         drawn, drivers = self._draw_opponents(generators)
         if self.state is None:
-            self.state = self._empty()
+            self.state = self._blank()
         for circuit, some in self.randomization.groups(rows):
             fresh = self.game_on(circuit)[0].reset(
                 keys[some],
@@ -399,12 +399,22 @@ class GameBatch:
         kept = None if value is None else value.copy()
         return kept, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories), self.randomization.get_state()
 
+    def check_state(self, values: tuple[Any, ...]) -> list[Track]:
+        """Refuse what `get_state` can't have returned; returns the circuit of each episode, with its obstacles."""
+        check_part("the state", values, (FREE, self.drawn, self.moves, [FREE] * self.episodes, FREE))
+        tracks = self.randomization.check_state(values[4])
+        if values[0] is not None:
+            check_part(f"the state of {self.episodes} {self.played_in}", values[0], self.value() or self._blank())
+            self._check_value(values[0], np.array([track.length for track in tracks]))
+        check_within("the state's opponents", values[1], 0, max(1, len(self.opponents)) - 1)
+        check_within("the state's moves", values[2], NO_MOVE, len(self.game.competitor_moves) - 1)
+        return tracks
+
     def set_state(self, values: tuple[Any, ...]) -> None:
         """Continue from what `get_state` returned, here or in an equal batch."""
+        tracks = self.check_state(values)
         value, drawn, moves, memories, randomization = values
-        if value is not None:
-            self._check_value(value)
-        self.randomization.set_state(randomization)
+        self.randomization.set_state(randomization, tracks)
         self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
         self._continue(None if value is None else value.copy())
 
@@ -413,19 +423,11 @@ class GameBatch:
         if state is not None:
             self.seen = self.game.observation(state)
 
-    def _check_value(self, state: Any) -> None:
-        if not isinstance(state, GameState) or state.games != self.episodes:
-            raise InputError(f"the state is not one of {self.episodes} games; use what get_state returned")
-        # Shapes before values: an index in an archive says nothing if the arrays belong to another game.
-        model, owner = self._empty(), "another archive, planner or number of moves"
-        check_shapes(model.race._fields, state.race, model.race, owner)
-        check_shapes(model._fields[1:], state[1:], model[1:], owner)
-        if not ((state.policy >= OUTSIDE) & (state.policy < len(self.game.archive))).all():
-            raise InputError(
-                f"the state's policies {state.policy[0].tolist()} are not all in archive {self.game.archive.name!r}"
-            )
+    def _check_value(self, state: Any, lengths: NDArray[np.float64]) -> None:
+        check_games("the state's games", state, self.game, lengths)
 
-    def _empty(self) -> GameState:
+    def _blank(self) -> Any:
+        """Return what is played, before anything is."""
         return self.game.empty_state(empty_state(self.episodes, self.game.setup.memory_size))
 
     def close(self) -> None:

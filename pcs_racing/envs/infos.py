@@ -16,7 +16,7 @@ Every environment uses the same names, and every value is a number or an array o
 | `race_result` | of a match: :class:`Result` of the race that ended last |
 | `score`, `opponent_score` | of a match: races won so far, a tie counting half |
 | `policy` | index of the policy in the archive; -1 for a driver from outside |
-| `laps` | complete laps of the own car, from one forward crossing of the line s = 0 to the next |
+| `laps` | complete laps of the own car, counted from the start line; the first one begins with the race |
 | `lap_time`, `best_lap` | s, of the last and the shortest of these laps; -1 if there is none |
 | `poses` | of the control level: x, y (m) and heading (rad) of every car, the own one first, shape (N, 3) |
 | `velocities` | likewise: speed (m/s), yaw rate (rad/s) and slip angle (rad) |
@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.race.config import DT
-from pcs_racing.race.state import BEST_LAP, LAP_TIME, MOST_CROSSINGS, NO_LAP, RaceState
+from pcs_racing.race.state import BEST_LAP, LAP_TIME, LAPS, NO_LAP, RaceState
 
 _POSE, _MOTION = np.array([0, 1, 4]), np.array([3, 5, 6])  # columns of a car's state
 
@@ -131,8 +131,7 @@ def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
     others = [other for other in range(races.number) if other != car]
     progress = races.progress.item(race, car)
     crashes = [races.crash.item(race, k) | races.contact.item(race, k) for k in (car, *others)]
-    # The first crossing of the line begins a lap and ends none.
-    laps = max(int(races.laps.item(race, car, MOST_CROSSINGS)) - 1, 0)
+    laps = int(races.laps.item(race, car, LAPS))
     return {
         "time": races.tick.item(race) * DT,
         "progress": progress,

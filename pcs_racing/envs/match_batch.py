@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import ANYTHING, flag, setting, whole
-from pcs_racing.envs.batch import BatchStep, Generators, Rows
-from pcs_racing.envs.game_batch import GameBatch, GameOptions, check_shapes
+from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_within
+from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.infos import Result, codes, of_players
 from pcs_racing.game.competitor import Chooser
 from pcs_racing.game.match import KEEP, MatchGame, MatchState, ask_choices, put_matches
+from pcs_racing.game.rules import OUTSIDE
 from pcs_racing.race.races import start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
@@ -47,6 +48,7 @@ class MatchBatch(GameBatch):
     """
 
     options_type = MatchOptions
+    played_in = "matches"
 
     def __init__(self, episodes: int, **arguments: Any) -> None:
         for name in UNUSED:
@@ -89,10 +91,8 @@ class MatchBatch(GameBatch):
             )
             put_matches(fresh, some, begun)
         self.randomization.place_obstacles(rows, fresh.starts, generators, boxes)
-        if self.played is None:
-            self.played = fresh
-        else:
-            put_matches(self.played, rows, fresh)
+        self.played = self.played or self._blank()
+        put_matches(self.played, rows, fresh)
         self.drawn[rows], self.moves[rows] = drawn, -1
         self._forget(rows)
         self.driven = []
@@ -232,13 +232,14 @@ class MatchBatch(GameBatch):
         if played is not None:
             self._follow(played)
 
-    def _check_value(self, played: Any) -> None:
-        if not isinstance(played, MatchState) or played.matches != self.episodes:
-            raise InputError(f"the state is not one of {self.episodes} matches; use what get_state returned")
-        super()._check_value(played.game)
+    def _check_value(self, played: Any, lengths: NDArray[np.float64]) -> None:
+        super()._check_value(played.game, lengths)
+        check_within("the state's matches.race", played.race, 0, self.match.races)
+        check_within("the state's matches.sides", played.sides, 0, 1)
+        check_within("the state's matches.policy", played.policy, OUTSIDE, len(self.game.archive) - 1)
+
+    def _blank(self) -> MatchState:
         # A driver of car 1 for each match, where its planner is not the archive's.
         policies = self.opponents[0].policies if self.opponents else ()
         anybody = [policies[0] if policies else None] * self.episodes
-        model = self.match.begin(np.zeros(self.episodes, np.uint64), opponents=anybody)
-        owner = "a match of another number of races, or to another archive"
-        check_shapes(model._fields[1:], played[1:], model[1:], owner)
+        return self.match.begin(np.zeros(self.episodes, np.uint64), opponents=anybody)

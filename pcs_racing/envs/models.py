@@ -6,6 +6,7 @@ is due in a batch of races is asked in one call.
 
 import hashlib
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -27,10 +28,26 @@ from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
 
 KEPT = (
-    "time_step", "top_speed", "beams", "fov", "max_range", "lidar_noise", "look_ahead", "own_state", "own_pose",
-    "see_opponent", "time_left", "normalize", "normalized",
+    "time_step", "min_speed", "top_speed", "beams", "fov", "max_range", "lidar_noise", "look_ahead", "own_state",
+    "own_pose", "see_opponent", "time_left", "normalize", "normalized",
 )  # fmt: skip
 """Arguments of an environment that say what a model observes and what its actions mean."""
+
+LIBRARIES = ("gymnasium", "stable_baselines3", "pettingzoo")
+HARMLESS = (
+    "Wrapper", "RewardWrapper", "VectorWrapper", "VectorRewardWrapper", "VecEnvWrapper", "BaseParallelWrapper",
+    "TimeLimit", "Autoreset", "OrderEnforcing", "PassiveEnvChecker", "Monitor", "RecordEpisodeStatistics",
+    "NormalizeReward", "RecordVideo", "RecordVideoParallel", "RenderCollection", "HumanRendering", "DictInfoToList",
+    "ClipAction", "VecMonitor", "VecCheckNan", "VecVideoRecorder", "DummyVecEnv", "SubprocVecEnv", "SyncVectorEnv",
+    "AsyncVectorEnv",
+)  # fmt: skip
+"""Classes of these libraries behind which a model sees and does what it would without them; a driver clips as well."""
+
+CHANGING = (
+    "observation", "observations", "action", "actions", "step", "step_async", "step_wait", "reset", "reset_async",
+    "reset_wait",
+)  # fmt: skip
+"""Methods with which a wrapper of another class can change observations or actions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +96,9 @@ class ModelDriver:
         seen = np.empty((len(rows), len(sight.low)), np.float32)
         buffers = np.empty(len(sight.low)), np.empty(SEEN_SHAPE), np.empty(WORK_SHAPE)
         observe_car(track.arrays, state, vehicles, sight, rows, car, *buffers, seen)
-        turn, top = self.options.limits
+        turn, low, top = self.options.limits
         kept = np.clip(self._answers(seen), -1.0, 1.0)
-        return np.stack([turn * kept[:, 0], 0.5 * top * (1.0 + kept[:, 1])], axis=1)
+        return np.stack([turn * kept[:, 0], low + 0.5 * (top - low) * (1.0 + kept[:, 1])], axis=1)
 
     def _answers(self, seen: NDArray[np.float32]) -> NDArray[np.float64]:
         """Actions in [-1, 1], before they are clipped."""
@@ -174,15 +191,51 @@ def _plain(options: DriveOptions) -> dict[str, Any]:
     return values
 
 
-def kept_arguments(env: Any) -> dict[str, Any]:
-    """The arguments of an environment at the control level, whatever wraps it."""
-    seen = env
-    while seen is not None:
-        if type(seen).__name__ in ("VecNormalize", "VecFrameStack") and getattr(seen, "norm_obs", True):
-            raise InputError(f"the model was trained behind {type(seen).__name__}; only save_model keeps VecNormalize")
-        options = getattr(vars(seen).get("batch"), "options", None)
-        if isinstance(options, DriveOptions):
-            return {"cars": int(seen.batch.cars), **_plain(options)}
-        inner = [vars(seen).get(name) for name in ("groups", "envs")]
-        seen = next((one[0] for one in inner if one), vars(seen).get("venv", vars(seen).get("env")))
-    raise InputError(f"{type(env).__name__} is no environment of steering and speed that can be looked into; give env=")
+def _changes(layer: Any) -> bool:
+    """Return whether a wrapper or environment may change observations or actions, by the methods of its class."""
+    for kind in type(layer).__mro__:
+        library = kind.__module__.partition(".")[0]
+        # Known classes, and their subclasses that override nothing of it.
+        if library in ("pcs_racing", "pcs_racing_agents") or (library in LIBRARIES and kind.__name__ in HARMLESS):
+            return False
+        if any(name in vars(kind) for name in CHANGING):
+            return True
+    return False
+
+
+def layers(env: Any, kept: Any = None) -> Iterator[Any]:
+    """Yield the wrappers and environments that an environment consists of.
+
+    A wrapper that a model trained behind it would lose is refused, except ``kept``, which the caller keeps.
+    """
+    inside = [env]
+    while inside:
+        layer = inside.pop(0)
+        name, own = type(layer).__name__, getattr(layer, "__dict__", {})
+        scaling = name == "VecNormalize"
+        if layer is not kept and (own.get("norm_obs") is not False if scaling else _changes(layer)):
+            more = "only save_model keeps VecNormalize" if scaling else "train without it"
+            raise InputError(
+                f"the model was trained behind {name}; {more}. A wrapper of rewards alone is a "
+                "gymnasium.RewardWrapper; if it changes no observation and no action, give the environment without it "
+                "as env= or like="
+            )
+        yield layer
+        inside += [*own.get("groups", ()), *own.get("envs", ()), *(own[key] for key in ("venv", "env") if key in own)]
+
+
+def kept_arguments(env: Any, kept: Any = None) -> dict[str, Any]:
+    """Return the arguments of an environment at the control level, whatever wraps it; ``kept`` is as in `layers`."""
+    batches = [getattr(layer, "__dict__", {}).get("batch") for layer in layers(env, kept)]
+    drives: list[Any] = [batch for batch in batches if isinstance(getattr(batch, "options", None), DriveOptions)]
+    if not drives:
+        raise InputError(
+            f"{type(env).__name__} is no environment of steering and speed that can be looked into; give env="
+        )
+    found = [{"cars": int(batch.cars), **_plain(batch.options)} for batch in drives]
+    for key in ("cars", *KEPT):
+        if any(one[key] != found[0][key] for one in found):
+            raise InputError(
+                f"the environments of {type(env).__name__} differ in {key}; give one of them as env= or like="
+            )
+    return found[0]

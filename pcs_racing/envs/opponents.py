@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.batch import Generators, Rows
+from pcs_racing.envs.batch import FREE, Generators, Rows, check_part, check_races, check_within
 from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.envs.models import model_policy, policy_of
+from pcs_racing.envs.models import layers, model_policy, policy_of
 from pcs_racing.game.competitor import (
     Competitor,
     ask_moves,
@@ -75,8 +75,18 @@ def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
 def _opponent(given: Any, weight: float, game: RaceGame) -> Opponent:
     competitor = make_competitor(given, game) if isinstance(given, str) else given
     check_competitor(game, competitor)
+    trained_in = getattr(competitor, "get_env", None)
+    if callable(trained_in):
+        list(layers(trained_in()))  # refuses a wrapper that the model would lose
     name = given.strip() if isinstance(given, str) else competitor_name(competitor)
     return Opponent(name, weight, competitor, driver_policies(competitor))
+
+
+def check_games(name: str, games: GameState, game: RaceGame, lengths: NDArray[np.float64]) -> None:
+    """Refuse games with a number out of its range; ``lengths`` are the lengths of their circuits, m."""
+    check_races(f"{name}.race", games.race, game.config.race, lengths)
+    check_within(f"{name}.step", games.step, 0, game.config.moves)
+    check_within(f"{name}.policy", games.policy, OUTSIDE, len(game.archive) - 1)
 
 
 def draw_opponent(edges: NDArray[np.float64], generator: np.random.Generator) -> int:
@@ -211,9 +221,14 @@ class MovingOpponents:
         """Return copies of all that changes."""
         return self._games.copy(), self._before.copy(), list(self._memories)
 
-    def set_state(self, state: tuple[GameState, RaceState, list[Any]] | None) -> None:
+    def check_state(self, state: tuple[GameState, RaceState, list[Any]], lengths: NDArray[np.float64]) -> None:
+        """Refuse what `get_state` can't have returned; ``lengths`` are those of the circuits, m."""
+        name = "the state's moves of the opponent"
+        check_part(name, state, (self._games, self._before, [FREE] * len(self._memories)))
+        check_games(name, state[0], self.game, lengths)
+        check_races(name, state[1], self.game.config.race, lengths)
+
+    def set_state(self, state: tuple[GameState, RaceState, list[Any]]) -> None:
         """Continue from what `get_state` returned."""
-        if state is None:
-            raise InputError("the state holds no moves of the opponent; use what get_state returned")
         games, before, memories = state
         self._games, self._before, self._memories = games.copy(), before.copy(), list(memories)

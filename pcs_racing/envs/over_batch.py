@@ -1,7 +1,8 @@
 """What all environments have in common: they are views of a batch, made from arguments that are declared once."""
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from inspect import Parameter, Signature, signature
@@ -213,6 +214,17 @@ class OverBatch:
     def _check_started(self) -> None:
         """Raise an :class:`InputError` before the first reset."""
         raise NotImplementedError
+
+    @contextmanager
+    def unless_refused(self) -> Iterator[None]:
+        """Leave the environment as it was if a reset within the context is refused, after its first random draws."""
+        batch, arguments, state = self.batch, self._arguments, self.get_state()
+        try:
+            yield
+        except Exception:
+            self._change_to(batch, arguments)
+            self.set_state(state)
+            raise
 
     # Copies are made anew from the arguments: they share the track, and neither compiled code nor a window.
 

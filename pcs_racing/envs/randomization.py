@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import ANYTHING, Settings, checked, load_settings, number_range, setting
 from pcs_racing.car.vehicle import COMMAND_PERIOD, F1TENTH, MOST_DELAYED, VehicleParams, load_vehicle, load_vehicles
-from pcs_racing.envs.batch import Generators, Rows
+from pcs_racing.envs.batch import FREE, Generators, Rows, check_part
 from pcs_racing.envs.circuits import Circuits
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.race.conditions import RaceConditions, vehicle_rows
@@ -240,14 +240,25 @@ class EpisodeRandomization:
         drawn = {name: one.copy() for name, one in self.drawn.items()}
         return self.circuits.get_state(), self.vehicles.copy(), drawn, list(self.boxes)
 
-    def set_state(self, state: tuple[Any, ...]) -> None:
-        """Continue from what `get_state` returned."""
+    def check_state(self, state: tuple[Any, ...]) -> list[Track]:
+        """Refuse what `get_state` can't have returned; returns the circuit of each episode, with its obstacles."""
+        check_part("the state's randomization", state, (*self.get_state()[:3], [FREE] * self.episodes))
+        circuits, _, _, boxes = state
+        self.circuits.check_state(circuits)
+        tracks = [self.circuits.track(int(number)) for number in circuits[0]]
+        for row, own in enumerate(boxes):
+            check_part(
+                f"the state's obstacles of episode {row}", own, np.empty((len(own) if np.ndim(own) else 0, len(BOX)))
+            )
+        return [with_obstacles(track, own) if len(own) else track for track, own in zip(tracks, boxes, strict=True)]
+
+    def set_state(self, state: tuple[Any, ...], tracks: Sequence[Track]) -> None:
+        """Continue from what `get_state` returned, on the circuits that `check_state` returned."""
         circuits, vehicles, drawn, boxes = state
-        if np.shape(vehicles) != self.vehicles.shape or set(drawn) != set(self.drawn):
-            raise InputError("the state's cars are not of this environment; use what get_state returned")
         self.circuits.set_state(circuits)
         self.vehicles[:] = vehicles
         for name, values in drawn.items():
             self.drawn[name][:] = values
-        for row, own in enumerate(boxes):
-            self._stand(row, own)
+        self.boxes = [np.array(own) for own in boxes]
+        self._tracks = [track if len(own) else None for track, own in zip(tracks, boxes, strict=True)]
+        self._blocked |= any(map(len, boxes))

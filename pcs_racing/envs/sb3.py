@@ -4,20 +4,24 @@ This module is the only one that imports Stable-Baselines3: ``pip install "pcs-r
 """
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.envs.batch import FREE, check_part
 from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.match import MatchVectorEnv, SelfPlayMatchVectorEnv
 from pcs_racing.envs.vector import BatchVectorEnv
+from pcs_racing.track.track import Track
 
 try:
     from stable_baselines3.common.monitor import Monitor
@@ -40,6 +44,9 @@ KINDS: dict[str, type[Any]] = {
     "pcs_racing/head_to_head_match-v0": SelfPlayMatchVectorEnv,
 }
 """What can be made, by name."""
+
+SHARED = ("elements", "game", "metadata", "opponents", "render_mode", "render_size", "spec", "view")
+"""Attributes that the environments of a batch share."""
 
 
 def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -> "SB3VecEnv":
@@ -71,7 +78,8 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
 class SB3VecEnv(VecEnv):
     """One or several compiled batches as a vector environment of Stable-Baselines3.
 
-    ``infos`` hold, where an episode ended, its last info, ``terminal_observation``, ``TimeLimit.truncated`` and
+    Each environment answers as the environment for one agent in a ``DummyVecEnv``, behind a ``Monitor``: ``infos`` hold
+    the info of the step and ``TimeLimit.truncated``, and where an episode ended ``terminal_observation`` and
     ``episode`` (return ``r``, length ``l``, time ``t``), so no Monitor is needed.
 
     Parameters
@@ -111,23 +119,35 @@ class SB3VecEnv(VecEnv):
         self._returns = np.zeros(int(self._edges[-1]))
         self._lengths = np.zeros(len(self._returns), np.int64)
         self._began = time.time()
+        self._each = [OneOfBatch(group, i) for group in self.groups for i in range(group.num_envs)]
         super().__init__(len(self._returns), first.single_observation_space, first.single_action_space)
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin new episodes everywhere, with the seeds that `seed` set if they are new."""
-        observations = []
-        self.reset_infos = []
-        for k, group in enumerate(self.groups):
-            # Stable-Baselines3 has a seed for each environment, self-play one for each pair.
-            own: Any = self._seeds[self._edges[k] : self._edges[k + 1] : group.players]
-            if self._group_seeds is not None:
-                own = self._group_seeds[k]
-            seen, info = group.reset(seed=own)
-            observations.append(seen)
-            self.reset_infos += _infos(info, range(group.num_envs))
-        # As its own vector environments: seeds and options hold for one reset.
+        """Begin new episodes everywhere, with the seeds and the options that `seed` and `set_options` were given since.
+
+        Both hold for one reset. The players of an episode share its options.
+        """
+        observations, infos = [], []
+        with ExitStack() as stack:  # if one batch refuses, no batch begins
+            for k, group in enumerate(self.groups):
+                stack.enter_context(group.unless_refused())
+                # Stable-Baselines3 has a seed for each environment, self-play one for each pair.
+                own: Any = self._seeds[self._edges[k] : self._edges[k + 1] : group.players]
+                if self._group_seeds is not None:
+                    own = self._group_seeds[k]
+                options = self._options[self._edges[k] : self._edges[k + 1]]
+                shared = options[:: group.players]
+                for i, one in enumerate(options):
+                    if one and one is not shared[i // group.players] and repr(one) != repr(shared[i // group.players]):
+                        raise InputError(
+                            f"options of environment {self._edges[k] + i} differ from the options of its race"
+                        )
+                seen, info = group.reset(seed=own, options=shared if any(shared) else None)
+                observations.append(seen)
+                infos += _infos(info)
         self._reset_seeds()
         self._reset_options()
+        self.reset_infos = infos
         self._returns[:] = 0.0
         self._lengths[:] = 0
         return np.concatenate(observations)
@@ -144,19 +164,25 @@ class SB3VecEnv(VecEnv):
         done = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos = [info for step in steps for info in _infos(step[4])]
+        for i in np.flatnonzero(~done).tolist():
+            infos[i]["TimeLimit.truncated"] = False
         for first, step in zip(self._edges, steps, strict=False):
-            rows = np.flatnonzero(step[2] | step[3])
-            if len(rows) == 0:
+            if "final_info" not in step[4]:
                 continue
-            for row, final in zip(rows, _infos(step[4]["final_info"], rows), strict=True):
+            finals, rows = _infos(step[4]["final_info"]), np.flatnonzero(step[4]["_final_info"])
+            for row in rows.tolist():
                 i = first + row
-                elapsed = round(time.time() - self._began, 6)
+                self.reset_infos[i] = infos[i]
                 infos[i] = {
-                    **final,
-                    "terminal_observation": step[4]["final_obs"][row],
+                    **finals[row],
                     "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
-                    "episode": {"r": float(self._returns[i]), "l": int(self._lengths[i]), "t": elapsed},
+                    "terminal_observation": step[4]["final_obs"][row],
+                    "episode": {
+                        "r": float(self._returns[i]),
+                        "l": int(self._lengths[i]),
+                        "t": round(time.time() - self._began, 6),
+                    },
                 }
         self._returns[done] = 0.0
         self._lengths[done] = 0
@@ -170,14 +196,19 @@ class SB3VecEnv(VecEnv):
         steps = {k: self._pool.submit(self.groups[k].step, actions[k]) for k in order}
         return [steps[k].result() for k in range(len(self.groups))]
 
-    def get_state(self) -> list[Any]:
-        """Return all that the rest of the episodes, and all later ones, depend on: the state of each batch."""
-        return [group.get_state() for group in self.groups]
+    def get_state(self) -> tuple[Any, ...]:
+        """Return all that the rest of the episodes, and all later ones, depend on, with their returns and lengths."""
+        return [group.get_state() for group in self.groups], self._returns.copy(), self._lengths.copy()
 
-    def set_state(self, state: Sequence[Any]) -> None:
+    def set_state(self, state: tuple[Any, ...]) -> None:
         """Continue from what `get_state` returned."""
-        for group, own in zip(self.groups, state, strict=True):
+        check_part("the state", state, ([FREE] * len(self.groups), self._returns, self._lengths))
+        for group, own in zip(self.groups, state[0], strict=True):
+            group.check_state(own)
+            group.batch.check_state(own.batch)
+        for group, own in zip(self.groups, state[0], strict=True):
             group.set_state(own)
+        self._returns[:], self._lengths[:] = state[1:]
 
     def close(self) -> None:
         """Free threads and windows."""
@@ -187,28 +218,23 @@ class SB3VecEnv(VecEnv):
             group.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of the batch of each environment asked for."""
-        if attr_name == "action_masks":  # for has_attr: what env_method serves
-            if not all(isinstance(group, DuelVectorEnv) for group in self.groups):
-                raise AttributeError("the control level has no action masks")
-            masks = np.concatenate([group.action_masks() for group in self.groups])
-            return [masks[i] for i in self._get_indices(indices)]
-        return [getattr(self._group(i), attr_name) for i in self._get_indices(indices)]
+        """Return an attribute of each environment asked for."""
+        return [getattr(self._each[i], attr_name) for i in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Refuse: environments of a batch share their attributes."""
-        raise InputError(f"{attr_name!r} can't be set for single environments of a batch; make another one")
+        """Set an attribute of a new name in each environment asked for, for `get_attr`; its own can't be changed."""
+        if attr_name in SHARED or attr_name.startswith("_") or hasattr(OneOfBatch, attr_name):
+            raise InputError(f"{attr_name!r} can't be set for single environments of a batch; make another one")
+        for i in self._get_indices(indices):
+            setattr(self._each[i], attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Call ``action_masks``, or a method of the batch of each environment asked for."""
-        if method_name == "action_masks":
-            return self.get_attr(method_name, indices)
-        methods = [getattr(self._group(i), method_name) for i in self._get_indices(indices)]
-        return [method(*method_args, **method_kwargs) for method in methods]
+        """Call a method of each environment asked for."""
+        return [method(*method_args, **method_kwargs) for method in self.get_attr(method_name, indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Whether each environment reports what this wrapper would: episodes are monitored, nothing else is wrapped."""
-        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
+        return [issubclass(Monitor, wrapper_class) for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """Return a frame of each environment, if they render."""
@@ -216,12 +242,62 @@ class SB3VecEnv(VecEnv):
             return [None for _ in range(self.num_envs)]
         return [frame for group in self.groups for frame in group.render()]
 
-    def _group(self, environment: int) -> BatchVectorEnv:
-        group: BatchVectorEnv = self.groups[int(np.searchsorted(self._edges, environment, "right")) - 1]
-        return group
+
+class OneOfBatch:
+    """One environment of a batch, with what an environment for one agent has that concerns this one alone.
+
+    ``reset``, ``step``, ``close``, ``get_state`` and ``set_state`` concern the whole batch, and are methods of
+    :class:`SB3VecEnv` alone.
+    """
+
+    def __init__(self, group: Any, row: int) -> None:
+        self._group, self._row, self._episode = group, row, row // group.players
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in SHARED:
+            raise AttributeError(
+                f"one environment of a batch has no attribute {name!r}; its batch is in SB3VecEnv.groups"
+            )
+        return getattr(self._group, name)
+
+    @property
+    def unwrapped(self) -> "OneOfBatch":
+        """The environment itself."""
+        return self
+
+    @property
+    def observation_space(self) -> spaces.Space[Any]:
+        """Observation space of one environment."""
+        return self._group.single_observation_space
+
+    @property
+    def action_space(self) -> spaces.Space[Any]:
+        """Action space of one environment."""
+        return self._group.single_action_space
+
+    @property
+    def track(self) -> Track:
+        """The circuit of its episode, with the obstacles."""
+        return self._group.batch.randomization.track(self._episode)
+
+    @property
+    def action_masks(self) -> Callable[[], NDArray[np.bool_]]:
+        """Method that returns the moves that may be made, shape (M,)."""
+        if not isinstance(self._group, DuelVectorEnv):
+            raise AttributeError("the control level has no action masks")
+        return lambda: self._group.action_masks()[self._row]
+
+    def outcome(self) -> dict[str, Any]:
+        """Return the info of this moment in words, for people."""
+        return self._group.outcome()[self._row]
+
+    def render(self) -> Any:
+        """Return a frame; in a window the first environment of a batch is shown."""
+        return None if self.render_mode == "human" and self._row else self._group.frame(self._row)
 
 
-def _infos(info: dict[str, Any], rows: Iterable[int]) -> list[dict[str, Any]]:
-    """Infos of some environments, each as a dictionary of its own."""
+def _infos(info: dict[str, Any]) -> list[dict[str, Any]]:
+    """Infos of all environments of a batch, each as a dictionary of its own: plain numbers, and rows of arrays."""
     names = [name for name in info if not name.startswith("_") and not name.startswith("final_")]
-    return [{name: info[name][i] for name in names} for i in rows]
+    columns = [info[name].tolist() if info[name].ndim == 1 else list(info[name]) for name in names]
+    return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]

@@ -11,8 +11,9 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from pcs_racing.base.checks import check_seed, check_whole
+from pcs_racing.base.checks import check_flag, check_seed, check_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.envs.batch import MAX_STEPS, generator_of
 from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import Batch, OverBatch
 
@@ -56,16 +57,18 @@ class SingleEnv(OverBatch):
             generator = self._np_random
             if number is not None or generator is None:
                 generator, self._np_random_seed = seeding.np_random(number)
-            if number is not None:
-                batch.randomization.circuits.forget(self._row)
-            batch.restart(self._row, [generator], given)
-            self._change_to(batch, arguments)
+            with self.unless_refused():
+                if number is not None:
+                    batch.randomization.circuits.forget(self._row)
+                batch.restart(self._row, [generator], given)
+                self._change_to(batch, arguments)
             self._np_random, self._steps, self._running = generator, 0, True
         elif given or number is not None:
             raise InputError("reset option 'state' was given with others or a seed; a state leaves nothing to choose")
         else:
-            self._change_to(batch, arguments)
-            self.set_state(state)
+            with self.unless_refused():
+                self._change_to(batch, arguments)
+                self.set_state(state)
         if self.render_mode == "human":
             self.render()
 
@@ -107,14 +110,13 @@ class SingleEnv(OverBatch):
         """Continue from what `get_state` returned, here or in an environment with equal arguments."""
         if not isinstance(state, EnvState):
             raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
+        check_flag("the state's running", state.running)
+        begun = state.steps is not None
+        if begun:
+            check_whole("the state's steps", state.steps, 0, MAX_STEPS)
         # A generator of its own: two environments restored from one state must not share a stream.
-        generator = None
-        if state.generator is not None:
-            generator = np.random.default_rng()
-            try:
-                generator.bit_generator.state = state.generator
-            except (TypeError, ValueError, KeyError) as error:
-                raise InputError(f"the state's random generator can't be restored: {error}") from None
+        unused = state.generator is None and not begun
+        generator = None if unused else generator_of("the state's generator", state.generator)
         self.batch.set_state(state.batch)
         self._np_random, self._steps, self._running = generator, state.steps, state.running
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import as_array, check_seed, check_whole, is_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.envs.batch import FREE, MAX_STEPS, check_part, check_within, generator_of
 from pcs_racing.envs.infos import words
-from pcs_racing.envs.over_batch import Batch, OverBatch
+from pcs_racing.envs.over_batch import REBUILDING, Batch, OverBatch
 
 Step = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
@@ -95,7 +96,10 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         self.metadata["autoreset_mode"] = self.autoreset_mode
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: Mapping[str, Any] | None = None
+        self,
+        *,
+        seed: int | list[int | None] | None = None,
+        options: Mapping[str, Any] | list[Mapping[str, Any]] | None = None,
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin new episodes.
 
@@ -104,24 +108,37 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         seed : int or list of int, optional
             The generator of episode ``i`` begins anew with ``seed + i``, or with its entry of the list; where that is
             None it goes on.
-        options : dict, optional
+        options : dict, or list of dict, optional
             "reset_mask" (bool, shape (num_envs,)) begins new episodes only where it is true; "track" and "opponent"
-            replace the environment's arguments from now on; the class lists the others.
+            replace the environment's arguments from now on; the class lists the others. A list has the options of each
+            episode, without a mask.
         """
-        given = self._options(options, "reset_mask")
-        rows = self._masked(given.pop("reset_mask", None))
-        batch, arguments = self._batch_for(given)
-        if batch is not self.batch and len(rows) < batch.episodes:
-            raise InputError("all environments share track and opponent; they can't be changed with a reset_mask")
+        if isinstance(options, list):
+            if len(options) != self.batch.episodes:
+                raise InputError(
+                    f"options list {len(options)} dicts; give one for each of {self.batch.episodes} episodes"
+                )
+            same = {id(one): one for one in options}  # the same for several: they begin in one call
+            parts = [(np.flatnonzero([each is one for each in options]), self._options(one)) for one in same.values()]
+        else:
+            given = self._options(options, "reset_mask")
+            parts = [(self._masked(given.pop("reset_mask", None)), given)]
+        changes = [{name: given.pop(name) for name in REBUILDING if name in given} for _, given in parts]
+        rows = np.concatenate([some for some, _ in parts])
+        if any(change != changes[0] for change in changes) or (changes[0] and len(rows) < self.batch.episodes):
+            raise InputError("all environments share track and opponent; they can't be changed for some of them")
+        batch, arguments = self._batch_for(changes[0])
         # Kept only when all episodes have begun: after a refused reset the former seeds are in force.
         seeds = _split_seeds(seed, batch.episodes)
         generators = [
             seeding.np_random(one)[0] if not self._generators or one is not None else self._generators[i]
             for i, one in enumerate(seeds)
         ]
-        batch.randomization.circuits.forget(np.flatnonzero([one is not None for one in seeds]))
-        batch.restart(rows, [generators[i] for i in rows], given)
-        self._change_to(batch, arguments)
+        with self.unless_refused():
+            batch.randomization.circuits.forget(np.flatnonzero([one is not None for one in seeds]))
+            for some, given in parts:
+                batch.restart(some, [generators[i] for i in some], given)
+            self._change_to(batch, arguments)
         self._generators = generators
         self._over[rows], self._steps[rows] = False, 0
         if self.render_mode == "human":
@@ -170,10 +187,13 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
 
     def render(self) -> Any:
         """Return a frame of each environment (``"rgb_array"``), or show that of the first one (``"human"``)."""
-        renderer = self._open_renderer()
         if self.render_mode == "human":
-            return self.batch.draw(renderer, 0)
-        return tuple(self.batch.draw(renderer, i) for i in range(self.num_envs))
+            return self.frame(0)
+        return tuple(self.frame(i) for i in range(self.num_envs))
+
+    def frame(self, environment: int) -> NDArray[np.uint8] | None:
+        """Return a frame of one environment, or show it in the window."""
+        return self.batch.draw(self._open_renderer(), environment)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free threads and close the window."""
@@ -187,14 +207,21 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         generators = [dict(generator.bit_generator.state) for generator in self._generators]
         return VectorState(self.batch.get_state(), generators, self._over.copy(), self._steps.copy())
 
-    def set_state(self, state: VectorState) -> NDArray[np.float32]:
-        """Continue from what `get_state` returned, and return the observations at that moment, shape (num_envs, D)."""
+    def check_state(self, state: VectorState) -> list[np.random.Generator]:
+        """Refuse what `get_state` can't have returned, its batch apart; returns the generators of the episodes."""
         if not isinstance(state, VectorState):
             raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
+        unused = isinstance(state.generators, list) and not state.generators
+        count = 0 if unused else self.batch.episodes
+        check_part("the state", state, VectorState(FREE, [FREE] * count, self._over, self._steps))
+        check_within("the state's steps", state.steps, 0, MAX_STEPS)
+        return [generator_of(f"the state's generator {i}", given) for i, given in enumerate(state.generators)]
+
+    def set_state(self, state: VectorState) -> NDArray[np.float32]:
+        """Continue from what `get_state` returned, and return the observations at that moment, shape (num_envs, D)."""
+        generators = self.check_state(state)
         self.batch.set_state(state.batch)
-        self._generators = [seeding.np_random(0)[0] for _ in state.generators]
-        for generator, given in zip(self._generators, state.generators, strict=True):
-            generator.bit_generator.state = given
+        self._generators = generators
         self._over, self._steps = state.over.copy(), state.steps.copy()
         return self._observations()
 

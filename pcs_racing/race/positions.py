@@ -10,45 +10,32 @@ from pcs_racing.race.config import CONTROL_EVERY, DT
 from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, foot, locate
 
 
-@inner_kernel
-def _cross_line(laps, race, car, time):  # type: ignore[no-untyped-def]
-    """Count a forward crossing of s = 0; a lap ends, unless the car has only come back after rolling backwards."""
-    laps[race, car, _state.CROSSINGS] += 1.0
-    if laps[race, car, _state.CROSSINGS] <= laps[race, car, _state.MOST_CROSSINGS]:
-        return
-    laps[race, car, _state.MOST_CROSSINGS] = laps[race, car, _state.CROSSINGS]
-    if laps[race, car, _state.MOST_CROSSINGS] > 1.0:
-        lap = time - laps[race, car, _state.CROSSED_AT]
-        best = laps[race, car, _state.BEST_LAP]
-        laps[race, car, _state.LAP_TIME] = lap
-        laps[race, car, _state.BEST_LAP] = lap if best == 0.0 else min(best, lap)
-    laps[race, car, _state.CROSSED_AT] = time
-
-
 @kernel
-def count_crossing(length, before, driven, tick, laps, race, car):  # type: ignore[no-untyped-def]
-    """Account for a control period in which a car crossed s = 0, forward or backward."""
-    if driven > 0.0:
-        share = (length - before) / driven
-        _cross_line(laps, race, car, (tick - CONTROL_EVERY * (1.0 - share)) * DT)
-    else:
-        laps[race, car, _state.CROSSINGS] -= 1.0
+def end_lap(laps, race, car, time):  # type: ignore[no-untyped-def]
+    """Count a lap that ended at a time, and keep how long it took."""
+    lap = time - laps[race, car, _state.ENDED_AT]
+    best = laps[race, car, _state.BEST_LAP]
+    laps[race, car, _state.LAPS] += 1.0
+    laps[race, car, _state.ENDED_AT] = time
+    laps[race, car, _state.LAP_TIME] = lap
+    laps[race, car, _state.BEST_LAP] = lap if best == 0.0 else min(best, lap)
 
 
 @kernel(forceinline=True)
 def move_along(length, frenet, progress, laps, tick, race, car, s, d):  # type: ignore[no-untyped-def]
-    """Account for a car that was at another place of the line before; crossing s = 0 only counts for the laps."""
-    # Nobody drives half a lap in a control period: a larger change of s is a crossing of the start line.
+    """Account for a car that was at another place of the line before."""
+    # No car drives half a lap in a control period: a larger change of s is a crossing of s = 0.
     half = 0.5 * length
-    before = frenet[race, car, 0]
-    driven = s - before
+    driven = s - frenet[race, car, 0]
     if driven > half:
         driven -= length
-        count_crossing(length, before, driven, tick, laps, race, car)
     elif driven < -half:
         driven += length
-        count_crossing(length, before, driven, tick, laps, race, car)
     progress[race, car] += driven
+    # A car that rolls back over the line and returns has ended that lap already.
+    beyond = progress[race, car] - (laps[race, car, _state.LAPS] + 1.0) * length
+    if beyond >= 0.0 and driven > 0.0:
+        end_lap(laps, race, car, (tick - CONTROL_EVERY * beyond / driven) * DT)
     frenet[race, car, 0] = s
     frenet[race, car, 1] = d
 

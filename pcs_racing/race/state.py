@@ -22,10 +22,9 @@ SUMS: dict[str, str] = {
 
 ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME, PROFILE, TIME_BEHIND, PROFILE_BEHIND = range(len(SUMS))
 
-# Columns of ``laps``: how often a car crossed s = 0, forward less backward; the most that this has been; when it became
-# that, s; the last lap from one such moment to the next, and the shortest, s.
-CROSSINGS, MOST_CROSSINGS, CROSSED_AT, LAP_TIME, BEST_LAP = range(5)
-LAP_COLUMNS = 5
+# Columns of ``laps``: complete laps; when the last one ended, s; how long it and the shortest one took, s.
+LAPS, ENDED_AT, LAP_TIME, BEST_LAP = range(4)
+LAP_COLUMNS = 4
 
 NO_LAP = -1.0
 """In place of a lap time that there is none of."""
@@ -64,7 +63,7 @@ class RaceState(NamedTuple):
     #: shape (B,): Car that last led every other one by more than a car's length (-1 none yet).
     leader: NDArray[np.int8]
     overtakes: NDArray[np.int64]  #: shape (B, N): How often each car passed another one.
-    #: shape (B, N, 5): What :attr:`lap_count`, :attr:`lap_time` and :attr:`best_lap` are read from.
+    #: shape (B, N, 4): Numbers that :attr:`lap_count`, :attr:`lap_time` and :attr:`best_lap` are read from.
     laps: NDArray[np.float64]
     #: shape (B, N): Bit k of a car is set if it was last more than a car's length ahead of car k, not behind it.
     ahead: NDArray[np.uint8]
@@ -95,14 +94,17 @@ class RaceState(NamedTuple):
 
     @property
     def lap_count(self) -> NDArray[np.int64]:
-        """Complete laps of each car, shape (B, N): from one forward crossing of s = 0 to the next."""
-        return np.maximum(self.laps[..., MOST_CROSSINGS] - 1.0, 0.0).astype(np.int64)
+        """Complete laps of each car, shape (B, N); a lap ends where progress passes a multiple of the track's length.
+
+        The start line is the line of all laps, and the first lap begins with the race.
+        """
+        return self.laps[..., LAPS].astype(np.int64)
 
     @property
     def lap_time(self) -> NDArray[np.float64]:
         """Time of each car's last complete lap, s, shape (B, N); -1 if there is none.
 
-        The moments of crossing are interpolated between two samples, which are 0.02 s apart.
+        The ends of laps are interpolated between two samples, which are 0.02 s apart.
         """
         return self._laps_or_none(LAP_TIME)
 
@@ -112,7 +114,7 @@ class RaceState(NamedTuple):
         return self._laps_or_none(BEST_LAP)
 
     def _laps_or_none(self, column: int) -> NDArray[np.float64]:
-        return np.where(self.laps[..., MOST_CROSSINGS] >= 2.0, self.laps[..., column], NO_LAP)
+        return np.where(self.laps[..., LAPS] > 0.0, self.laps[..., column], NO_LAP)
 
     def copy(self) -> "RaceState":
         """Return an independent copy."""

@@ -211,7 +211,8 @@ def _read_scale(file: Path, given: Any, size: int) -> ObservationScale:
 def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
     """Save a model of Stable-Baselines3, and beside the zip the arguments of its environment as ``.yaml``.
 
-    The scale of ``VecNormalize``, if it is around the environment, is kept with them.
+    The scale of ``VecNormalize``, if it is around the environment, is kept with them; other wrappers that change
+    observations or actions are refused.
 
     Parameters
     ----------
@@ -224,7 +225,7 @@ def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
     target = Path(path).with_suffix(".zip")
     env = model.get_env() if env is None else env
     scaler, scale = _scaler(env), _scale_of(env)
-    arguments = kept_arguments(env if scaler is None else scaler.venv)
+    arguments = kept_arguments(env, scaler)
     if scale is not None:
         arguments["scale"] = {key: np.asarray(values).tolist() for key, values in scale._asdict().items()}
     text = yaml.safe_dump(arguments, sort_keys=False).encode()

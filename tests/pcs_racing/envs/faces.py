@@ -48,6 +48,14 @@ USUAL = {
 }
 """Arguments of each environment."""
 
+VARIED = {
+    "track": ["Pipkin", "Tarnfjord"],
+    "vehicle": [{"mu": 0.9}, {}],
+    "randomize": {"friction": [0.6, 1.2], "mass": [3.0, 4.5], "steering_delay": [0.0, 0.1], "steering_noise": 0.01},
+    "obstacles": {"count": [0, 2], "passage": 0.8},
+}
+"""Arguments with which episodes differ in everything."""
+
 
 class Counting:
     """An opponent that remembers: its k-th move in a game is move k."""

@@ -23,6 +23,7 @@ from faces import (
     MIXTURE,
     PAIRS,
     SINGLE,
+    VARIED,
     Counting,
     Counts,
     act,
@@ -53,12 +54,6 @@ with warnings.catch_warnings():  # PettingZoo's own tests import its old classic
     from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
 
 EVERY = pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
-VARIED = {
-    "track": ["Pipkin", "Tarnfjord"],
-    "vehicle": [{"mu": 0.9}, {}],
-    "randomize": {"friction": [0.6, 1.2], "mass": [3.0, 4.5], "steering_delay": [0.0, 0.1], "steering_noise": 0.01},
-    "obstacles": {"count": [0, 2], "passage": 0.8},
-}
 VARIANTS = [
     *((kind, {}) for kind in ALL),
     *((kind, VARIED) for kind in ALL),

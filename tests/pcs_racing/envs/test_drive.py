@@ -48,6 +48,26 @@ def test_threads_share_a_step_that_is_long_enough():
         assert envs.batch.threads == 1
 
 
+@pytest.mark.parametrize("normalized", [True, False])
+def test_a_car_before_a_wall_gets_away_where_it_has_a_reverse_gear(oval, normalized):
+    rules, moved = load_race_config("paper", contact="stop"), []
+    for speed in (0.0, -2.0):
+        env = DriveEnv(oval, None, race=rules, min_speed=speed, top_speed=6.0, normalized=normalized)
+        _, info = env.reset(seed=1, options={"poses": poses(oval, (4.0, 0.0, 0.0))[:1]})
+        while not info["crash"]:
+            *_, info = env.step(env.action_space.high)
+        stood = info["progress"]
+        contacts = []
+        for _ in range(12):
+            seen, *_, info = env.step([0.0, -1.0 if normalized else speed])
+            contacts.append(info["crash"])
+        assert seen[5] == env.elements[5].low == speed  # the target speed
+        moved.append(stood - info["progress"])
+    assert moved[0] == pytest.approx(0.0, abs=0.05)
+    assert moved[1] > 1.0
+    assert Crash.NONE in contacts
+
+
 def test_python_drivers_and_policy_objects_may_be_the_opponent(oval):
     planner = Planner("crawler", (), drive=lambda track, theta, view, memory: (0.0, 0.5))
     env = DriveEnv(oval, planner.policy(), duration=1.0)

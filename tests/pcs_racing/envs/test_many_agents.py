@@ -5,12 +5,12 @@ import warnings
 
 import numpy as np
 import pytest
-from faces import begun, poses
+from faces import begun, follow_the_line, poses
 from gymnasium.utils.env_checker import check_env
 from refusal import refused
 
 from pcs_racing import ConfigError, InputError, Lidar, load_race_config
-from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, env
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv, env
 from pcs_racing.envs.infos import Crash, Result
 
 with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
@@ -188,12 +188,33 @@ def test_an_angle_is_the_same_angle_whatever_the_other_car_can_steer(oval):
     np.testing.assert_allclose(*(one.batch.state.cars[0, 0] for one in envs), atol=1e-9)
 
 
+@pytest.mark.parametrize("laps", [1, 2])
+def test_a_race_of_so_many_laps_has_as_many_and_their_times(oval, laps):
+    one, many = (kind(track=oval, opponent=None, laps=laps) for kind in (DriveEnv, DriveVectorEnv))
+    seen, _ = one.reset(seed=1)
+    many.reset(seed=1)
+    over, ends = False, []
+    while not over:
+        action = follow_the_line(seen)
+        seen, _, over, late, info = one.step(action)
+        assert not late
+        *_, batch = many.step(action[None])
+        assert all(batch[name][0] == info[name] for name in ("laps", "lap_time", "best_lap"))
+        if info["laps"] > len(ends):
+            ends.append(info["time"])
+    assert one.outcome()["laps"] == info["laps"] == laps
+    times = np.diff(ends, prepend=0.0)
+    assert info["progress"] == pytest.approx(laps * oval.length, abs=1.0)
+    assert info["lap_time"] == pytest.approx(times[-1], abs=0.1)
+    assert info["best_lap"] == pytest.approx(times.min(), abs=0.1)
+
+
 @pytest.mark.parametrize("opponent", [None, "lattice:pace=0.3"])
 def test_laps_from_the_start_end_a_race(oval, opponent):
     one = begun(DriveEnv(oval, opponent, laps=2, win_reward=3.0, progress_reward=0.0), seed=1)
     assert not one.step([0.0, -1.0])[2]
     one.batch.state.progress[0, 0] = 2.0 * oval.length
     _, reward, over, late, info = one.step([0.0, -1.0])
-    assert (over, late, info["result"]) == (True, False, Result.WIN)
+    assert (over, late, info["result"], info["laps"]) == (True, False, Result.WIN, 2)
     assert one.batch.infos()["result"][0] == Result.WIN
     assert reward == (3.0 if opponent else 0.0)

@@ -7,6 +7,7 @@ from refusal import refused
 
 from pcs_racing.envs.infos import Result
 from pcs_racing.envs.match import MatchEnv, MatchVectorEnv, parallel_env
+from pcs_racing.game.match import KEEP, MatchGame
 from pcs_racing.game.observation import decode_match
 
 
@@ -45,6 +46,46 @@ def test_a_match_remembers_its_races(short):
     assert rows[-1][3]["score"] == sum(row[1] for row in rows[1:])
     assert rows[-1][0][22] == 0.0
     assert rows[0][0][22] == (played.sides[0, 0] == 0)
+
+
+@pytest.mark.parametrize(("race", "crashed"), [("paper", [0.0, 0.0]), ("contest", [0.0, 1.0])])
+def test_what_is_kept_of_a_race_that_has_ended(short, race, crashed):
+    """By hand, for a win, a loss, a tie, a crash in the second step, and a race that goes on."""
+    game = MatchEnv(**{**short, "race": race}).game
+    match, ends = MatchGame(game, 2), game.config.end_ticks
+    state = match.begin(np.arange(5, dtype=np.uint64), sides=[0, 1, 0, 1, 0])
+    assert ends.tolist() == [50, 100]
+    assert state.sides.tolist() == [[0, 1], [1, 0]] * 2 + [[0, 1]]
+    front = [[1.0, 0.0], [0.0, 1.0]] * 2 + [[1.0, 0.0]]
+    assert match.memory(state)[:, :, -1].tolist() == front
+    state.game.race.tick[:] = [100, 100, 100, 60, 60]
+    state.game.step[:] = [1, 1, 1, 1, 0]
+    state.game.race.progress[:] = [[9.0, 4.0], [4.0, 6.0], [5.0, 5.0], [8.0, 2.0], [8.0, 2.0]]
+    state.game.race.crash[3], state.game.race.fault[3] = [1, 0], [1, 0]
+    draw = np.random.default_rng(0)
+    for array in (state.game.own, state.game.estimates):
+        array[:] = draw.random(array.shape)
+    state.racing[:] = True
+    assert not match.memory(state)[:, :, -1].any()
+    after = match.move(state, np.zeros((5, 2), np.int64), np.arange(4))
+    assert after.race.tolist() == [1, 1, 1, 1, 0]
+    assert after.racing.tolist() == [False, False, False, False, True]
+    assert after.scores[:, :, 0].tolist() == [[1.0, 0.0], [0.0, 1.0], [0.5, 0.5], crashed, [0.0, 0.0]]
+    np.testing.assert_array_equal(match.reward(state, after), after.scores[:, :, 0])
+    assert match.reward(after, after).tolist() == [[0.0, 0.0]] * 5
+    np.testing.assert_allclose(after.leads[:, 0], [5.0, -2.0, 0.0, 6.0, 0.0])
+    np.testing.assert_allclose(after.driven[:, 0], [1.0, 1.0, 1.0, 0.6, 0.0])
+    shares = np.array([[0.5, 0.5]] * 3 + [[50.0 / 60.0, 10.0 / 60.0], [0.0, 0.0]])
+    for kept, steps in ((after.own, state.game.own), (after.measured, state.game.estimates)):
+        np.testing.assert_allclose(kept[:, :, 0], np.einsum("mcsg,ms->mcg", steps, shares))
+        assert not kept[:, :, 1].any()
+    # The places on the grid have swapped for the second race; who races has none, nor has a match that is over.
+    assert match.memory(after)[:4, :, -1].tolist() == [pair[::-1] for pair in front[:4]]
+    assert not match.memory(after)[4, :, -1].any()
+    after.race[:2] = 2
+    assert match.done(after).tolist() == [True, True, False, False, False]
+    assert not match.memory(after)[:2, :, -1].any()
+    assert match.start(after, np.full((5, 2), KEEP), np.array([0, 4])).racing.tolist() == [False] * 4 + [True]
 
 
 def test_a_faster_policy_wins_and_the_result_is_that_of_the_match(short):

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from faces import ALL, PAIRS, SINGLE, act, begun, flat, make, make_many
+from faces import ALL, PAIRS, SINGLE, VARIED, act, begun, flat, make, make_many
 from refusal import refused
 
 from pcs_racing import InputError
@@ -206,17 +206,37 @@ def begin(kind, **arguments):
     [
         (ALL, lambda state: "yesterday", "state is a str; it must be what get_state returned"),
         (ALL, lambda state: state._replace(generator={"bit_generator": "dice"}), "random generator"),
-        (GAMES, changed(0, lambda part: "yesterday"), "the state is not one of 1 (games|matches)"),
-        ((DuelEnv,), lambda state: begin(DuelEnv, moves=3), "belongs to another archive, planner or number of moves"),
-        ((DuelEnv,), changed(0, lambda game: game._replace(policy=np.array([[0, 99]]))), r"policies \[0, 99\]"),
-        ((MatchEnv,), lambda state: begin(MatchEnv, races=2), "another number of races"),
-        ((DriveEnv,), changed(1, lambda drawn: np.array([2])), r"opponents array\(\[2\]\) are not among the 1"),
-        ((DriveEnv,), lambda state: begin(DriveEnv, opponent=None), "not one of 1 races with these planners"),
-        ((DriveEnv,), changed(4, lambda drawn: (drawn[0], np.zeros(3), *drawn[2:])), "cars are not of this"),
+        (
+            GAMES,
+            changed(0, lambda part: "yesterday"),
+            "the state of 1 (games|matches) is str; it must be (Game|Match)State",
+        ),
+        (
+            (DuelEnv,),
+            lambda state: begin(DuelEnv, moves=3),
+            r"own is float64 of shape \(1, 2, 4, 2\); it must be finite float64 of shape \(1, 2, 3, 2\)",
+        ),
+        (
+            (DuelEnv,),
+            changed(0, lambda game: game._replace(policy=np.array([[0, 99]]))),
+            r"games.policy holds 99; it must be from -1 to",
+        ),
+        (
+            (MatchEnv,),
+            lambda state: begin(MatchEnv, races=2),
+            r"starts is float64 of shape \(1, 2\); it must be finite float64 of shape \(1, 3\)",
+        ),
+        ((DriveEnv,), changed(1, lambda drawn: np.array([2])), "opponents holds 2; it must be from 0 to 0"),
+        ((DriveEnv,), lambda state: begin(DriveEnv, opponent=None), r"cars is float64 of shape \(1, 1, 7\)"),
+        (
+            (DriveEnv,),
+            changed(4, lambda drawn: (drawn[0], np.zeros(3), *drawn[2:])),
+            r"randomization.1 is float64 of shape \(3,\)",
+        ),
         (
             (DriveEnv,),
             changed(4, lambda drawn: ((np.array([9]), *drawn[0][1:]), *drawn[1:])),
-            "circuits .* are not those",
+            "circuits holds 9; it must be from 0 to 0",
         ),
     ],
 )
@@ -229,10 +249,67 @@ def test_an_impossible_state_is_one_error_and_changes_nothing(kinds, harm, messa
         assert flat(env.step(act(env))) == flat(twin.step(act(twin)))
 
 
+def leaves(part, path=()):
+    """Every leaf of a state, and the way to it."""
+    if isinstance(part, dict | list | tuple):
+        for key in part if isinstance(part, dict) else range(len(part)):
+            yield from leaves(part[key], (*path, key))
+    else:
+        yield path, part
+
+
+def replaced(part, path, value):
+    """A state with another leaf."""
+    if not path:
+        return value
+    parts = part if isinstance(part, dict) else dict(enumerate(part))
+    changed = {**parts, path[0]: replaced(parts[path[0]], path[1:], value)}
+    if isinstance(part, dict):
+        return changed
+    return part._make(changed.values()) if hasattr(part, "_make") else type(part)(changed.values())
+
+
+def broken(leaf):
+    """Values that are never right in place of a leaf."""
+    yield from ("yesterday", 1j, NAN, 10**40, np.zeros((2, 7, 1)), object())
+    if isinstance(leaf, np.ndarray):
+        yield from (None, leaf.tolist(), leaf.astype(complex), leaf[..., None], leaf[None])
+        if leaf.dtype.kind == "f" and leaf.size:
+            yield from (np.full_like(leaf, value) for value in (NAN, np.inf))
+        if leaf.dtype.kind == "i" and leaf.dtype != np.int8:
+            yield from (np.full_like(leaf, end) for end in (np.iinfo(leaf.dtype).max, -2))
+
+
+@pytest.mark.parametrize("many", [False, True], ids=["one", "many"])
+@pytest.mark.parametrize(
+    ("kind", "arguments"),
+    [
+        *((kind, VARIED) for kind in ALL),
+        (DriveEnv, {"opponent": "random-moves"}),
+        (MatchEnv, {"opponent": "random-moves", "race_moves": True}),
+    ],
+)
+def test_a_state_with_one_wrong_leaf_is_refused_and_changes_nothing(kind, arguments, many):
+    env = make_many(kind, 2, **arguments) if many else make(kind, **arguments)
+    env.reset(seed=3)
+    env.step(act(env))
+    other = env.get_state()
+    env.step(act(env))
+    before = flat(env.get_state())
+    remembered = ((3, 2), (3,))  # what opponents remember can be anything
+    for path, leaf in leaves(other):
+        if path[0] == 0 and leaf is None and any(path[1 : 1 + len(way)] == way for way in remembered):
+            continue
+        for value in broken(leaf):
+            refused("the state", env.set_state, replaced(other, path, value))
+        assert flat(env.get_state()) == before, path
+    env.set_state(other)
+
+
 def test_unknown_agents_and_states_of_another_number_are_refused():
     refused("agent 'car_2' is unknown; the agents are car_0, car_1", make(HeadToHeadEnv).action_space, "car_2")
     for kind in SINGLE:
         envs, more = make_many(kind, 2), make_many(kind, 3)
         more.reset(seed=0)
         for wrong in (more.get_state(), "yesterday"):
-            refused(r"it must be what get_state|not one of 2 (races|games|matches)", envs.set_state, wrong)
+            refused("use what get_state returned|it must be what get_state returned", envs.set_state, wrong)

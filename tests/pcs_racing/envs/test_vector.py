@@ -6,9 +6,11 @@ import pytest
 from gymnasium import wrappers
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import vector as vector_wrappers
+from refusal import refused
 
 import pcs_racing  # noqa: F401
 from pcs_racing import InputError
+from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.duel import SelfPlayVectorEnv
 
 DUEL = {"step_seconds": 0.2, "moves": 2}
@@ -67,6 +69,54 @@ def test_max_episode_steps_truncates():
     envs.reset(seed=0)
     late = [envs.step(action(envs))[3].tolist() for _ in range(7)]
     assert late == [[False] * 2, [False] * 2, [True] * 2, [False] * 2, [False] * 2, [False] * 2, [True] * 2]
+
+
+@pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP", "DISABLED"])
+def test_a_reset_in_mid_episode_restarts_the_count_of_steps_there_and_nowhere_else(mode):
+    envs = DriveVectorEnv(3, opponent=None, max_episode_steps=3, autoreset_mode=mode)
+    envs.reset(seed=0)
+    for _ in range(2):
+        envs.step(action(envs))
+    state = envs.get_state()
+    assert state.steps.tolist() == [2, 2, 2]
+    begun = envs.reset(options={"reset_mask": np.array([False, True, False])})[1]
+    np.testing.assert_allclose(begun["time"], [0.2, 0.0, 0.2])
+    assert envs.get_state().steps.tolist() == [2, 0, 2]
+    late = [True, False, True]
+    assert envs.step(action(envs))[3].tolist() == late
+    assert envs.get_state().over.tolist() == ([False] * 3 if mode == "SAME_STEP" else late)
+    if mode == "DISABLED":
+        with pytest.raises(InputError, match="environment 0 has ended"):
+            envs.step(action(envs))
+        envs.reset(options={"reset_mask": np.array(late)})
+        assert not envs.get_state().over.any()
+    late = [envs.step(action(envs))[3].tolist() for _ in range(2)]
+    assert late == [[False] * 3, [False, True, False]]
+    envs.set_state(state)
+    late = envs.step(action(envs))[3]
+    assert late.all()
+    envs.reset(seed=1)
+    assert envs.get_state().steps.tolist() == [0, 0, 0]
+
+
+def test_each_episode_may_have_options_of_its_own():
+    """As the environments for one agent, with the same seeds; the same dict for several begins them in one call."""
+    envs, single = DriveVectorEnv(3, opponent=None), DriveEnv(opponent=None)
+    here, there = {"start": (20.0, 0)}, {"obstacles": []}
+    for options in ([here, there, here], [{}, here, {}]):
+        seen, _ = envs.reset(seed=[4, 5, 6], options=options)
+        for i, own in enumerate(options):
+            np.testing.assert_array_equal(seen[i], single.reset(seed=4 + i, options=own)[0])
+    envs.reset(options=[{"track": "Pipkin"}] * 3)
+    assert envs.track.name == "Pipkin"
+    for wrong, message in (
+        ([here], "options list 1 dicts; give one for each of 3 episodes"),
+        ([{"track": "Pipkin"}, {}, {}], "share track and opponent"),
+        ([{"track": "Pipkin"}, {"track": "Tarnfjord"}, {}], "share track and opponent"),
+        ([here, {"reset_mask": np.ones(3, bool)}, here], "'reset_mask' is unknown"),
+    ):
+        refused(message, envs.reset, options=wrong)
+    refused("share track and opponent", envs.reset, options={"track": "Tarnfjord", "reset_mask": np.arange(3) > 0})
 
 
 WRAPPERS = {

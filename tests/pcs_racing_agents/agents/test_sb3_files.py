@@ -9,6 +9,7 @@ from refusal import refused
 
 from pcs_racing import load_race_config, load_track, parse_policy, run_races
 from pcs_racing.envs.drive import DriveEnv
+from pcs_racing.envs.duel import DuelEnv
 from pcs_racing_agents.agents import as_competitor, make
 from pcs_racing_agents.agents.sb3_files import (
     _read_scale,
@@ -22,6 +23,7 @@ from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import load_entrant
 
 sb3, torch, gym = (pytest.importorskip(name) for name in ("stable_baselines3", "torch", "gymnasium"))
+vec = sb3.common.vec_env
 RIVAL = "lattice:pace=0.3"
 ROWS = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 46)).astype(np.float32)
 
@@ -113,6 +115,111 @@ def test_a_scale_is_read_with_its_bounds(tmp_path):
         ("clip", 0.0), ("clip", [1.0]), ("mean", ["a", 0.0]),
     ]:  # fmt: skip
         refused("scale must hold mean and spread, 2 numbers", _read_scale, tmp_path, {**good, key: value}, 2)
+
+
+class Shaped(gym.RewardWrapper):
+    """A wrapper of rewards alone."""
+
+    def reward(self, reward):
+        return 2.0 * reward
+
+
+class Logs(gym.Wrapper):
+    """A wrapper that overrides nothing of a step."""
+
+    note = "kept"
+
+
+class Turned(gym.Wrapper):
+    """An unknown wrapper that changes actions."""
+
+    def step(self, action):
+        return self.env.step(-np.asarray(action))
+
+
+class Blind(DriveEnv):
+    """An environment that changes observations itself."""
+
+    def step(self, action):
+        seen, *rest = super().step(action)
+        return 0.0 * seen, *rest
+
+
+class Seen(vec.VecEnvWrapper):
+    """An unknown wrapper of Stable-Baselines3 that changes observations."""
+
+    def reset(self):
+        return -self.venv.reset()
+
+    def step_wait(self):
+        seen, *rest = self.venv.step_wait()
+        return -seen, *rest
+
+
+def wrapped(one=lambda env: env, many=lambda envs: envs, make_env=DriveEnv, others=0):
+    """A model that trained in environments of which the last one is wrapped, or all together."""
+
+    def plain():
+        return make_env("Pipkin", None, beams=5)
+
+    envs = vec.DummyVecEnv([*([plain] * others), lambda: one(plain())])
+    return sb3.PPO("MlpPolicy", many(envs), n_steps=4, batch_size=4, device="cpu", seed=0)
+
+
+W = gym.wrappers
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("TransformAction", {"one": lambda env: W.TransformAction(env, np.negative, env.action_space)}),
+        ("RescaleAction", {"one": lambda env: W.RescaleAction(env, np.float32(-2.0), np.float32(2.0))}),
+        ("StickyAction", {"one": lambda env: W.StickyAction(env, 0.5)}),
+        (
+            "TransformObservation",
+            {"one": lambda env: W.TransformObservation(env, np.negative, env.observation_space), "others": 1},
+        ),
+        ("NormalizeObservation", {"one": lambda env: W.TimeLimit(W.NormalizeObservation(env), 9)}),
+        ("Turned", {"one": Turned}),
+        ("Blind", {"make_env": Blind}),
+        ("Seen", {"many": Seen}),
+        ("VecFrameStack", {"many": lambda envs: vec.VecFrameStack(envs, 2)}),
+        ("VecFrameStack", {"many": lambda envs: vec.VecFrameStack(vec.VecNormalize(envs), 2)}),
+        ("VecFrameStack", {"many": lambda envs: vec.VecNormalize(vec.VecFrameStack(envs, 2))}),
+        ("VecNormalize", {"many": lambda envs: vec.VecNormalize(vec.VecNormalize(envs))}),
+    ],
+)
+def test_what_a_model_would_lose_is_refused_and_named(tmp_path, name, arguments):
+    model = wrapped(**arguments)
+    refused(f"was trained behind {name}; ", save_model, tmp_path / "model", model)
+    assert not list(tmp_path.iterdir())
+    for race in (as_competitor, lambda model: DriveEnv("Pipkin", model)):
+        refused(r"was trained behind \w+; ", race, model)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"one": lambda env: W.ClipAction(W.TimeLimit(W.OrderEnforcing(W.PassiveEnvChecker(env)), 9)), "others": 1},
+        {"one": lambda env: Shaped(Logs(W.NormalizeReward(W.TransformReward(W.RecordEpisodeStatistics(env), abs))))},
+        {"many": lambda envs: vec.VecNormalize(vec.VecCheckNan(vec.VecMonitor(envs)), norm_obs=False)},
+        {"many": lambda envs: vec.VecCheckNan(vec.VecNormalize(envs))},
+    ],
+)
+def test_what_changes_neither_observations_nor_actions_may_be_around(tmp_path, arguments):
+    model = wrapped(**arguments)
+    assert load_model(save_model(tmp_path / "model", model)).planner.drive.options.beams == 5
+
+
+def test_environments_that_differ_have_no_arguments_in_common(tmp_path):
+    envs = vec.DummyVecEnv([lambda step=step: DriveEnv("Pipkin", None, time_step=step) for step in (0.1, 0.2)])
+    model = sb3.PPO("MlpPolicy", envs, n_steps=4, batch_size=4, device="cpu")
+    refused("differ in time_step; give one of them as env= or like=", save_model, tmp_path / "model", model)
+    save_model(tmp_path / "model", model, env=DriveEnv("Pipkin", None, time_step=0.2))
+    assert load_model(tmp_path / "model.zip").planner.drive.hold == 20
+    turned = wrapped(Turned, make_env=lambda *_, **__: DuelEnv(step_seconds=0.5, moves=2))
+    for opponent in (turned, [(1.0, turned)]):
+        refused("was trained behind Turned", DuelEnv, opponent=opponent, step_seconds=0.5, moves=2)
 
 
 @pytest.mark.parametrize(("kind", "more"), [("PPO", {}), ("SAC", {"buffer_size": 9}), ("TD3", {"buffer_size": 9})])
