@@ -12,7 +12,7 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.car.ittc import minimum_ittc
 from pcs_racing.car.vehicle import F1TENTH, simulate
 from pcs_racing.planners.view import VIEW
-from pcs_racing.race.positions import count_crossing, update_progress
+from pcs_racing.race.positions import move_along, update_progress
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
 from pcs_racing.race.steering import delayed, steering_noise
 from pcs_racing.track.frenet import SPEED
@@ -321,18 +321,17 @@ def test_crossing_the_start_line_either_way_does_not_jump(coarse_oval):
 
 
 def test_a_lap_ends_at_the_line_within_a_control_period_and_who_rolls_back_drives_none():
-    """Crossings half and a quarter of the way through 0.02 s; laps of 50 s, 40 s and 45 s."""
-    state, length, times = empty_state(1, 0), 100.0, []
-    for tick, driven, rest in (
-        (0, 0.5, 0.25), (10, -0.5, 0.25), (20, 0.5, 0.25), (5000, 0.5, 0.25), (5010, -0.5, 0.25), (5020, 0.5, 0.25),
-        (9000, 0.4, 0.1), (13500, 0.4, 0.1),
-    ):  # fmt: skip
-        count_crossing(length, length - rest if driven > 0 else 0.25, driven, tick, state.laps, 0, 1)
-        times.append((state.lap_count[0, 1], state.lap_time[0, 1], state.best_lap[0, 1]))
-    assert times[2] == (0, -1.0, -1.0)
-    assert times[3] == times[5] == pytest.approx((1, 50.0, 50.0))
-    assert times[6:] == [pytest.approx((2, 39.995, 39.995)), pytest.approx((3, 45.0, 39.995))]
-    assert state.lap_count[0, 0] == 0
+    """The first crossing is half way through 0.02 s, the second 20/21 of the way."""
+    state, length = empty_state(1, 0), 100.0
+    moved = state.frenet, state.progress, state.laps
+    state.frenet[0, 1, 0] = state.progress[0, 1] = -1.0 % length  # a metre before the end of the first lap
+    for tick, s in ((3000, 1.0), (3010, 99.5), (3020, 0.5), (6000, 40.0), (6500, 80.0), (7002, 1.0), (7004, 99.0)):
+        move_along(length, *moved, tick, 0, 1, s, 0.0)
+    assert state.lap_count.tolist() == [[0, 2]]
+    assert state.progress[0, 1] == pytest.approx(199.0)
+    first, second = 29.99, 70.02 - 0.02 / 21.0
+    assert state.lap_time[0, 1] == pytest.approx(second - first)
+    assert state.best_lap[0, 1] == pytest.approx(first)
 
 
 def test_planners_are_asked_ten_and_fifty_times_a_second_before_the_cars_move(coarse_oval):
