@@ -25,7 +25,7 @@ help:
 	@echo "make coverage    the tests again with coverage, compiled files as plain Python (a quarter of an hour of processor time)"
 	@echo "make fuzz        20 minutes of broken inputs for every loader and environment; goes on where it was left"
 	@echo "make mutants     small faults put into the code, and which tests notice them (hours); goes on where it was left"
-	@echo "make benchmark-history  a few ratios of speed, compared with benchmarks/history.csv and added to it"
+	@echo "make benchmark-history  a few ratios of speed, compared with dev/benchmarks/history.csv and added to it"
 	@echo "make docs        the documentation's site, in out/docs; a warning is an error"
 	@echo "make release     sdist and wheel, in dist, built and checked"
 	@echo "make wheel-test  the wheel in a clean environment: base, extras, the quick study (some minutes)"
@@ -48,12 +48,12 @@ test: kernels
 FROM ?= HEAD
 quick: export OMP_NUM_THREADS = 1
 quick: lint types
-	$(RUN) tools/quick.py --against $(FROM)
+	$(RUN) dev/tools/quick.py --against $(FROM)
 
 research: export OMP_NUM_THREADS = 1
 research: export OPENBLAS_NUM_THREADS = 1
 research: kernels
-	$(RUN) -m pytest research/tests -n 2 --dist worksteal
+	$(RUN) -m pytest studies/tests -n 2 --dist worksteal
 
 kernels: $(VENV)/test.stamp
 	$(VENV)/bin/pcs-racing compile
@@ -63,11 +63,11 @@ compare: $(VENV)/compare.stamp
 	$(RUN) -m pytest -m compare -rs
 
 clients: | $(RUN)
-	$(RUN) tools/try_clients.py
+	$(RUN) dev/tools/try_clients.py
 
 PYTHONS ?=
 machines: $(VENV)/test.stamp
-	$(RUN) tools/try_machines.py --pythons $(PYTHONS)
+	$(RUN) dev/tools/try_machines.py --pythons $(PYTHONS)
 
 lint: $(VENV)/test.stamp
 	$(RUN) -m ruff check .
@@ -96,18 +96,18 @@ coverage: $(VENV)/test.stamp
 	$(RUN) -m coverage report --include "pcs_racing_agents/*"
 
 fuzz: $(VENV)/test.stamp
-	$(RUN) tools/fuzz.py run --minutes 20
+	$(RUN) dev/tools/fuzz.py run --minutes 20
 
 mutants: $(VENV)/test.stamp
-	$(RUN) tools/mutants.py run --suite
+	$(RUN) dev/tools/mutants.py run --suite
 
 benchmark-history: $(VENV)/test.stamp
-	$(RUN) benchmarks/record.py --check
-	$(RUN) benchmarks/record.py --add
+	$(RUN) dev/benchmarks/record.py --check
+	$(RUN) dev/benchmarks/record.py --add
 
 # What pools finished studies needs their folders, and is run by hand.
 benchmarks: $(VENV)/compare.stamp
-	@for script in $(filter-out benchmarks/pooled_studies.py,$(wildcard benchmarks/*.py)); do echo "== $$script"; $(RUN) "$$script" || exit 1; done
+	@for script in $(filter-out dev/benchmarks/pooled_studies.py,$(wildcard dev/benchmarks/*.py)); do echo "== $$script"; $(RUN) "$$script" || exit 1; done
 
 docs: export OMP_NUM_THREADS = 1
 docs: $(VENV)/docs.stamp
@@ -120,7 +120,7 @@ release: $(VENV)/release.stamp
 	$(RUN) -m twine check --strict dist/*
 
 wheel-test: release
-	$(RUN) tools/try_wheel.py dist --parts base demo
+	$(RUN) dev/tools/try_wheel.py dist --parts base demo
 
 clean:
 	rm -rf out build dist docs/generated .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -57,11 +57,11 @@ REFERENCE = {
     "pcs_racing.f1tenth": "Programs of the F1TENTH gym",
     "pcs_racing.testing": "Checks for your own parts",
     "pcs_racing_agents": "The package itself",
-    "pcs_racing_agents.jobs": "Long work",
-    "pcs_racing_agents.results": "Results",
-    "pcs_racing_agents.pictures": "Style of pictures",
-    "pcs_racing_agents.payoffs": "Payoffs of pools of policies",
-    "pcs_racing_agents.synthesis": "Synthesis",
+    "pcs_racing_agents.base": "Long work",
+    "pcs_racing_agents.tournament": "Results",
+    "pcs_racing_agents.base": "Style of pictures",
+    "pcs_racing_agents.policies": "Payoffs of pools of policies",
+    "pcs_racing_agents.policies": "Synthesis",
     "pcs_racing_agents.solvers": "Solvers",
     "pcs_racing_agents.trees": "Game trees",
     "pcs_racing_agents.networks": "Networks",
@@ -70,10 +70,10 @@ REFERENCE = {
     "pcs_racing_agents.learning": "Robust answers and self-play",
     "pcs_racing_agents.learning.ppo": "PPO baselines",
     "pcs_racing_agents.learning.responses": "Responses learned from branched games",
-    "pcs_racing_agents.explain": "Explanations",
+    "pcs_racing_agents.watch": "Explanations",
     "pcs_racing_agents.study": "The study",
     "pcs_racing_agents.benchmark": "The benchmark",
-    "pcs_racing_agents.view": "The race viewer",
+    "pcs_racing_agents.watch": "The race viewer",
 }
 """Packages with a page of the reference each: their own modules, not those of packages inside them."""
 
@@ -152,8 +152,8 @@ def _numpydoc_section(heading: str, body: str, defaults: dict[str, str]) -> str:
 
 def pages_of_data() -> dict[str, str]:
     """Return the pages of circuits, gallery and zoo, and the leaderboard as a table and as a page with bars."""
+    from pcs_racing_agents.base.tables import markdown
     from pcs_racing_agents.benchmark.card import board_page, board_rows, read_cards
-    from pcs_racing_agents.results.tables import markdown
 
     if str(REPOSITORY / "tools") not in sys.path:
         sys.path.append(str(REPOSITORY / "tools"))

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing import load_track
-from pcs_racing_agents.jobs.executors import make_executor
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.jobs.progress import show_progress
+from pcs_racing_agents.base.executors import make_executor
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from pcs_racing_agents.tournament import (
     payoff_matrix,

@@ -14,7 +14,7 @@ import numpy as np
 
 from pcs_racing import load_track
 from pcs_racing_agents.agents import Agent, Setting, make_setting, observing, register_agent
-from pcs_racing_agents.jobs.progress import show_progress
+from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.tournament import game_rules, play_tournament, tournament_text
 
 

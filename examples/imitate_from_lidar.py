@@ -41,7 +41,7 @@ from pcs_racing.base.dense import weight_count
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.planners import lidar_networks as _networks
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.lidar_networks import (
+from pcs_racing.planners.field.lidar_networks import (
     BEAMS,
     FAR,
     LAYERS,

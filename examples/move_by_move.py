@@ -17,8 +17,8 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents import make
 from pcs_racing_agents.agents import observing
-from pcs_racing_agents.explain.explain import mark_moves
 from pcs_racing_agents.tournament import record_game
+from pcs_racing_agents.watch.explain import mark_moves
 
 
 def main() -> None:

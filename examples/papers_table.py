@@ -13,12 +13,12 @@ from pathlib import Path
 
 from pcs_racing import make_game
 from pcs_racing_agents import make
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.jobs.progress import show_progress
-from pcs_racing_agents.results.races import concatenate_races
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.study.table_text import table_text, write_table
 from pcs_racing_agents.tournament.pairings import cross_pairing
+from pcs_racing_agents.tournament.races import concatenate_races
 from pcs_racing_agents.tournament.runner import play_pairings
 
 TRACKS = ["Tarnfjord", "Brackwater"]

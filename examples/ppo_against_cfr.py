@@ -19,7 +19,7 @@ from pcs_racing import load_track, make_game
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.race.replay import save_replay
 from pcs_racing_agents import make
-from pcs_racing_agents.jobs.progress import show_progress
+from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.learning.ppo.train import train_ppo
 from pcs_racing_agents.tournament import cross_pairing, play_pairing

@@ -24,8 +24,8 @@ from imitate_from_lidar import crashes_alone
 
 from pcs_racing import Parameter, Planner, RaceConfig, RaceSetup, Starts, Track, list_tracks, load_track
 from pcs_racing.base.compilation import compiled
-from pcs_racing.planners.lidar_networks import load_lidar_driver, save_lidar_driver
-from pcs_racing.planners.residual import SCRATCH, SEEN, lay_corrected, observe
+from pcs_racing.planners.field.lidar_networks import load_lidar_driver, save_lidar_driver
+from pcs_racing.planners.field.residual import SCRATCH, SEEN, lay_corrected, observe
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.conditions import vehicle_rows
 from pcs_racing.race.kernel import fill_view

@@ -12,7 +12,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 
 def load_tool(name: str, place: str = "tools") -> ModuleType:
-    """Return a module of ``tools/`` or of another folder, which is no part of the packages."""
+    """Return a module of ``dev/tools/`` or of another folder, which is no part of the packages."""
     folder = str(REPOSITORY / place)
     if folder not in sys.path:
         sys.path.append(folder)

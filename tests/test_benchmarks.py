@@ -1,4 +1,4 @@
-"""Every script of ``benchmarks/`` runs in a bare clone; the history of speed; the F1TENTH gym's half, by a stand-in."""
+"""Every script of ``dev/benchmarks/`` runs in a bare clone; the history of speed; the F1TENTH gym's half, by a stand-in."""
 
 import stat
 import sys
@@ -9,7 +9,7 @@ from warm_start import call_python
 
 record, beside = (load_tool(name, "benchmarks") for name in ("record", "beside_f1tenth_gym"))
 
-HELP = ("--help", "python benchmarks/")  # of those that compile for a minute, or race the whole zoo
+HELP = ("--help", "python dev/benchmarks/")  # of those that compile for a minute, or race the whole zoo
 SMALL = {
     "beside_f1tenth_gym": ("--seconds 2 --races 2 --cars 2", "| here"),
     "check_headlines": ("", "stands: "),

@@ -52,7 +52,7 @@ def test_every_page_with_code_is_run_by_some_test():
     files = [file for file in (REPOSITORY / "tests").rglob("test_*.py") if file != Path(__file__)]
     tests = "\n".join(file.read_text(encoding="utf-8") for file in files)
     for page, text in TEXTS.items():
-        if python_blocks(text) and page not in RUN_HERE and not page.startswith("docs/reports/"):  # research/tests
+        if python_blocks(text) and page not in RUN_HERE and not page.startswith("docs/reports/"):  # studies/tests
             assert Path(page).name in tests, f"no test runs the code of {page}"
 
 
@@ -230,7 +230,7 @@ def test_the_pages_of_circuits_and_the_gallery_are_complete(made):
     gallery = load_tool("gallery")
     pictures = sorted((DOCS / gallery.FOLDER).glob("*.gif"))
     wanted = {f"{kind}-{circuit.lower()}.gif" for kind in gallery.SCENES for circuit in gallery.CIRCUITS}
-    assert {picture.name for picture in pictures} == wanted, "run: python tools/gallery.py"
+    assert {picture.name for picture in pictures} == wanted, "run: python dev/tools/gallery.py"
     for picture in pictures:
         assert picture.stat().st_size <= gallery.LARGEST
         assert f"](../{gallery.FOLDER}/{picture.name})" in made["gallery.md"]

@@ -5,7 +5,7 @@
 
 python examples/clients/rl_zoo3_train.py
 python -m rl_zoo3.train --algo ppo --env pcs_racing/Drive-v1 --gym-packages pcs_racing \
-        --conf-file pcs_racing_agents/configs/sb3_ppo.yaml
+        --conf-file pcs_racing_agents/data/configurations/sb3_ppo.yaml
 """
 
 import subprocess

@@ -7,7 +7,7 @@ import numpy as np
 
 from pcs_racing import Lidar, load_track
 from pcs_racing.envs.drive import DriveHeadToHeadEnv
-from pcs_racing_agents.view.ros_messages import RosMessage, map_message, pose_messages, scan_message
+from pcs_racing_agents.watch.ros_messages import RosMessage, map_message, pose_messages, scan_message
 
 TIME_STEP = 0.02  # s: 50 scans and commands a second
 STILL = np.zeros(2, np.float32)

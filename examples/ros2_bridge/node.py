@@ -15,7 +15,7 @@ import numpy as np
 from logic import TIME_STEP, Bridge, fill
 
 from pcs_racing import InputError
-from pcs_racing_agents.view.ros_messages import RosMessage
+from pcs_racing_agents.watch.ros_messages import RosMessage
 
 
 def message_class(kind: str) -> type:

@@ -46,7 +46,7 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 
     Only for functions that neither allocate nor return arrays (allocating in one is an error when it is compiled).
     Numba offers no public option for that. Without this one (``_nrt=False``) a scan of 108 beams takes 21 us or more
-    instead of 4 us, and two threads count the references of the same arrays (benchmarks/scan_speed.py).
+    instead of 4 us, and two threads count the references of the same arrays (dev/benchmarks/scan_speed.py).
     """
     return compiled(function, _nrt=False, **options)
 

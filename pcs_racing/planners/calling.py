@@ -1,7 +1,7 @@
 """How the compiled race calls a planner's functions: by the address of their machine code.
 
 An address is a plain number. Numba's own function pointers do the same, but looking up the types of the four that a
-race needs took longer than the step of a single race (``benchmarks/environment_speed.py --against`` compares).
+race needs took longer than the step of a single race (``dev/benchmarks/environment_speed.py --against`` compares).
 """
 
 from collections.abc import Callable

@@ -17,9 +17,7 @@ wall instead of 0.3 m: race lines with 0.15 m of air leave little room for cutti
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line_following import sharpest_bend
-from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.pure_pursuit import (
+from pcs_racing.planners.field.pure_pursuit import (
     FOLLOW_GAIN,
     IN_THE_WAY,
     WALL_MARGIN,
@@ -29,6 +27,8 @@ from pcs_racing.planners.pure_pursuit import (
     side_air,
     within_walls,
 )
+from pcs_racing.planners.line_following import sharpest_bend
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pursuit import calm_speed, pursuit_arc
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet

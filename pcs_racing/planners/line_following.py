@@ -10,8 +10,8 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import view as _view
+from pcs_racing.planners.field.pure_pursuit import IN_THE_WAY, WALL_MARGIN, line_index, side_air, within_walls
 from pcs_racing.planners.planner import Parameter
-from pcs_racing.planners.pure_pursuit import IN_THE_WAY, WALL_MARGIN, line_index, side_air, within_walls
 from pcs_racing.planners.pursuit import BRAKING, steady_course
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet

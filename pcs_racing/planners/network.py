@@ -18,8 +18,8 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.dense import dense_forward, weight_count
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners import view as _view
+from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between

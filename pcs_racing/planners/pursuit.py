@@ -29,7 +29,7 @@ def steady_course(view, kappa):  # type: ignore[no-untyped-def]
     """Direction (rad) in which the car would move in a steady bend ``kappa`` (1/m): its heading plus the slip there.
 
     The slip of the moment says less: it lags the steering. A driver that steers by it weaves, above 6.5 m/s ever more:
-    the linearised car and its pursuit have eigenvalues outside the unit circle there (``benchmarks/driving.py``).
+    the linearised car and its pursuit have eigenvalues outside the unit circle there (``dev/benchmarks/driving.py``).
     """
     v = view[_view.OWN_V]
     return view[_view.OWN_PSI] + kappa * (view[_view.REAR_AXLE] - view[_view.REAR_SLIP] * v * v)

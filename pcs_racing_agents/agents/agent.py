@@ -24,7 +24,7 @@ from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.fingerprint import fingerprint
+from pcs_racing_agents.base.fingerprint import fingerprint
 
 
 @kernel

@@ -1,6 +1,6 @@
 """Descriptions of the zoo's agents as text: options, training, strength, cost and hash.
 
-Strength and cost were measured by ``benchmarks/zoo.py``, which wrote ``measured.csv``. A line is valid for an agent
+Strength and cost were measured by ``dev/benchmarks/zoo.py``, which wrote ``measured.csv``. A line is valid for an agent
 with the same hash (:func:`pcs_racing_agents.agents.agent.competitor_hash`).
 """
 
@@ -17,7 +17,7 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.agents.zoo import Entry, build, entries, options
-from pcs_racing_agents.results.tables import read_csv
+from pcs_racing_agents.base.tables import read_csv
 
 AGAINST = "against "
 TEXTS = ("archive", "race", "agent", "sha256", "tracks")
@@ -70,7 +70,7 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
             scores = {name: float(value) for name, value in against.items() if value}
             table[row["archive"], row["race"], row["agent"]] = Measured(**values, against=scores)
     except (KeyError, ValueError, TypeError) as error:
-        raise InputError(f"{path} is damaged ({error}); python benchmarks/zoo.py --write makes it again") from None
+        raise InputError(f"{path} is damaged ({error}); python dev/benchmarks/zoo.py --write makes it again") from None
     return table
 
 

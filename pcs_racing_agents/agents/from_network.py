@@ -17,7 +17,7 @@ from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.observing import ObservationBatch
 from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry, build_member
-from pcs_racing_agents.jobs.fingerprint import fingerprint
+from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, require
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.jobs.fingerprint import fingerprint
+from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.torch_layers import layers_from_torch
 

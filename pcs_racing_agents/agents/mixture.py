@@ -18,7 +18,7 @@ from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_made, own
 from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry
-from pcs_racing_agents.jobs.fingerprint import fingerprint
+from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network_files import NetworkSet, check_weights, list_network_sets, load_network_set
 
 Floats = NDArray[np.float64]

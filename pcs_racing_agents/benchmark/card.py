@@ -11,8 +11,8 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.files import parse_json, read_limited, write_atomically
 from pcs_racing.base.settings import Settings, checked, number, setting
 from pcs_racing.race.replay import Replay
+from pcs_racing_agents.base.tables import Column, markdown, table_rows, with_interval
 from pcs_racing_agents.benchmark.card_values import NAME, SHA256, CardScore, Gain, HiddenScore, ReplyLoss
-from pcs_racing_agents.results.tables import Column, markdown, table_rows, with_interval
 from pcs_racing_agents.study.report import page_environment
 
 FORMAT = "pcs-racing card 1"

@@ -20,9 +20,9 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
+from pcs_racing_agents.base.configurations import load_config
+from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.benchmark.card_values import SHA256
-from pcs_racing_agents.configs import load_config
-from pcs_racing_agents.jobs.fingerprint import fingerprint
 from pcs_racing_agents.tournament.play import game_rules
 
 KINDS = {

@@ -17,12 +17,12 @@ from pcs_racing.game.competitor import competitor_name
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
 from pcs_racing_agents.agents.describe import measurements
+from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.benchmark.card_values import CardScore, Gain, HiddenScore
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
-from pcs_racing_agents.jobs.jobs import Run
-from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
+from pcs_racing_agents.tournament.races import RaceTable
 from pcs_racing_agents.tournament.runner import play_pairings, record_game
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
 

@@ -6,9 +6,9 @@ from pcs_racing.base.errors import UnknownNameError, choices
 from pcs_racing.game.config import load_game_config
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner, planner_names
+from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import ArchiveName, Race, archive_for
-from pcs_racing_agents.results.tables import aligned
 
 _CONSTANT = "makes the same move again and again"
 

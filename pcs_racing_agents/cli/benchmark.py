@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Annotated
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import POLICY_HELP, TRACK_HELP, Workers, output_file, output_folder
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.jobs.progress import show_progress
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from pcs_racing_agents.agents.agent import Competitor
+    from pcs_racing_agents.base.jobs import Job
     from pcs_racing_agents.benchmark.card_values import HiddenScore, ReplyLoss
     from pcs_racing_agents.benchmark.protocol import Protocol
     from pcs_racing_agents.benchmark.scoring import CellRaces
-    from pcs_racing_agents.jobs.jobs import Job
 
 
 WATCHED = 3
@@ -106,9 +106,9 @@ def _write(
 ) -> None:
     """Print the card of one agent and write it."""
     from pcs_racing.game.competitor import competitor_name
+    from pcs_racing_agents.base.tables import aligned
     from pcs_racing_agents.benchmark.card import Card, fact_lines, summary_rows, write_card
     from pcs_racing_agents.benchmark.scoring import decision_cost, gain, rating, summarise, telling_races
-    from pcs_racing_agents.results.tables import aligned
 
     name, config = competitor_name(agent), protocol.config
     own = results[name]
@@ -169,8 +169,8 @@ def run_board(
     out: Annotated[Path | None, Option("folder for leaderboard.html and leaderboard.md", "DIR")] = None,
 ) -> None:
     """Rank score cards of one protocol, and write the page that shows them."""
+    from pcs_racing_agents.base.tables import aligned, markdown
     from pcs_racing_agents.benchmark.card import board_page, board_rows, read_cards
-    from pcs_racing_agents.results.tables import aligned, markdown
 
     ranked = read_cards(cards)
     rows = board_rows(ranked)

@@ -100,9 +100,9 @@ def run(
 
 def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, out: Path | None) -> None:
     from pcs_racing_agents.agents.agent import Driver
-    from pcs_racing_agents.explain.explain import explain_game
-    from pcs_racing_agents.explain.words import story
-    from pcs_racing_agents.view.results_folder import open_results
+    from pcs_racing_agents.watch.explain import explain_game
+    from pcs_racing_agents.watch.results_folder import open_results
+    from pcs_racing_agents.watch.words import story
 
     results = None
     if folder is not None:
@@ -136,8 +136,8 @@ def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, 
         write_atomically(out / "race.txt", lambda file: file.write(f"{text}\n".encode()))
         print(f"to watch: {save_replay(explanation.replay, out / 'race.html')}")
         if can_draw("the picture of the race"):
-            from pcs_racing_agents.explain.pictures import explanation_picture
-            from pcs_racing_agents.pictures.style import save_picture
+            from pcs_racing_agents.base.style import save_picture
+            from pcs_racing_agents.watch.pictures import explanation_picture
 
             print(f"picture: {save_picture(explanation_picture(explanation), out / 'race.png')}")
 
@@ -145,11 +145,11 @@ def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, 
 def _situations(folder: Path | None, planned: _Planned, agent: str, out: Path | None) -> None:
     import numpy as np
 
-    from pcs_racing_agents.explain.situations import situations_text, summarise, write_situations
-    from pcs_racing_agents.jobs.progress import show_progress
+    from pcs_racing_agents.base.progress import show_progress
     from pcs_racing_agents.tournament.games import game_between
     from pcs_racing_agents.tournament.runner import play_pairings
-    from pcs_racing_agents.view.results_folder import open_results
+    from pcs_racing_agents.watch.results_folder import open_results
+    from pcs_racing_agents.watch.situations import situations_text, summarise, write_situations
 
     if folder is not None:
         pairings = list(open_results(folder, planned.agents).pairings(agent))
@@ -173,7 +173,7 @@ def _situations(folder: Path | None, planned: _Planned, agent: str, out: Path | 
     if out is not None:
         print(f"table: {write_situations(situations, out / 'situations.csv')}")
         if can_draw("the picture of the situations"):
-            from pcs_racing_agents.explain.situations import situations_picture
-            from pcs_racing_agents.pictures.style import save_picture
+            from pcs_racing_agents.base.style import save_picture
+            from pcs_racing_agents.watch.situations import situations_picture
 
             print(f"picture: {save_picture(situations_picture(situations), out / 'situations.png')}")

@@ -10,15 +10,15 @@ import numpy as np
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.track.loading import as_track, load_track
 from pcs_racing_agents.agents.own_code import parse_driver
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.tables import aligned, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, ArchiveName, Circuits, Rules, Workers, archive_for
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.jobs.progress import show_progress
-from pcs_racing_agents.results.tables import aligned, write_csv
 
 if TYPE_CHECKING:
-    from pcs_racing_agents.payoffs.headroom import Headroom
-    from pcs_racing_agents.payoffs.policy_pool import PolicyPool
+    from pcs_racing_agents.policies.headroom import Headroom
+    from pcs_racing_agents.policies.policy_pool import PolicyPool
 
 MOST = 16
 """Policies of a pool whose size is not given: all pairs of them race in less than a minute a circuit."""
@@ -48,7 +48,7 @@ class PoolOptions:
 
     def pool(self) -> "tuple[list[str], PolicyPool]":
         """Return the pool that the options ask for, and the names of its policies."""
-        from pcs_racing_agents.payoffs.policy_pool import PolicyPool, spanning_policies
+        from pcs_racing_agents.policies.policy_pool import PolicyPool, spanning_policies
 
         if self.policies:
             names, policies = list(self.policies), tuple(parse_driver(text) for text in self.policies)
@@ -85,8 +85,8 @@ def run(
     workers: Workers,
 ) -> None:
     """Race all pairs of an archive's policies, and print the value of knowing the opponent."""
-    from pcs_racing_agents.payoffs.headroom import headroom, transitive_share
-    from pcs_racing_agents.payoffs.policy_pool import pool_payoffs
+    from pcs_racing_agents.policies.headroom import headroom, transitive_share
+    from pcs_racing_agents.policies.policy_pool import pool_payoffs
 
     names, pool = options.pool()
     tracks = [as_track(track).name for track in pool.tracks]
@@ -124,7 +124,7 @@ def headroom_row(track: str, estimate: "Headroom", share: float) -> tuple[str, .
 
 def mean_row(estimates: "Sequence[Headroom]") -> tuple[str, ...]:
     """Return the texts of the mean over circuits, whose errors are those of means over the same policies."""
-    from pcs_racing_agents.payoffs.headroom import jackknife_error
+    from pcs_racing_agents.policies.headroom import jackknife_error
 
     # The same policies race on all circuits, so errors are those of the mean of each policy over the circuits.
     gains = np.mean([estimate.gains for estimate in estimates], axis=0)

@@ -11,11 +11,11 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.make import make_game
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
+from pcs_racing_agents.base.configurations import shipped_configs
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import Option, SettingOptions, command
 from pcs_racing_agents.cli.options import AGENT_HELP, DEFAULT_TRACK, ArchiveName, Circuits, Rules, Workers, archive_for
-from pcs_racing_agents.configs import shipped_configs
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.jobs.progress import show_progress
 from pcs_racing_agents.learning.ppo.settings import PPOSettings
 
 if TYPE_CHECKING:
@@ -168,7 +168,7 @@ def run_best_reply(
     from pcs_racing_agents.learning.responses.best_reply import FEWEST, best_reply, reply_text, write_replies
     from pcs_racing_agents.learning.responses.learner import load_response_settings
     from pcs_racing_agents.networks.network_files import save_network
-    from pcs_racing_agents.results.race_files import write_results
+    from pcs_racing_agents.tournament.race_files import write_results
 
     budget = {} if starts is None else {"starts": starts}
     settings = load_response_settings(config, seed=games.rules.seed, **budget)
@@ -212,12 +212,12 @@ def run_ppo(
     workers: Workers,
 ) -> None:
     """Train a baseline by PPO at the strategy or control level, or resume such a training."""
-    from pcs_racing_agents.jobs.progress import show_progress
+    from pcs_racing_agents.base.curves import curves_picture, write_tensorboard
+    from pcs_racing_agents.base.progress import show_progress
+    from pcs_racing_agents.base.style import save_picture
     from pcs_racing_agents.learning.ppo.evaluation import evaluation_curves, mean_score, score_table
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
     from pcs_racing_agents.learning.ppo.train import train_ppo
-    from pcs_racing_agents.pictures.curves import curves_picture, write_tensorboard
-    from pcs_racing_agents.pictures.style import save_picture
 
     settings = load_ppo_settings(config, **changes)
     if tensorboard:

@@ -116,7 +116,7 @@ def run_parsed(parsed: argparse.Namespace) -> int:
         return _fail(InputError(f"code of your own ended the process: SystemExit: {stop.code}"))
     except Exception as error:
         # Here, since it takes as long to import as a race to drive.
-        from pcs_racing_agents.jobs.executors import is_lost
+        from pcs_racing_agents.base.executors import is_lost
 
         if not is_lost(error):
             raise

@@ -69,7 +69,7 @@ class Workers:
     def start(self) -> AbstractContextManager[Executor | None]:
         """Return the executor that the options ask for, as a context."""
         # Imported only now: the command `race`, which has no workers, reads this file, too.
-        from pcs_racing_agents.jobs.executors import make_executor
+        from pcs_racing_agents.base.executors import make_executor
 
         return make_executor(self.executor, self.workers, self.scheduler)
 

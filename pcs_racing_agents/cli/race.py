@@ -26,7 +26,7 @@ from pcs_racing_agents.agents.shipped import SHIPPED as AGENTS
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, Circuit, Rules, output_file
 
-# The default race. It lasts its full time and has an overtake; `python research/first_race.py` searched the drivers.
+# The default race. It lasts its full time and has an overtake; `python studies/first_race.py` searched the drivers.
 EGO = "lattice:pace=0.5"
 OPPONENT = "lattice:pace=0.6"
 
@@ -85,7 +85,7 @@ def run(
 
         print(f"video: {(write_gif if film.suffix == '.gif' else write_video)(recorded, film)}")
     if bag is not None:
-        from pcs_racing_agents.view.ros_messages import write_bag
+        from pcs_racing_agents.watch.ros_messages import write_bag
 
         print(f"mcap: {write_bag(recorded, circuit, bag)}")
 

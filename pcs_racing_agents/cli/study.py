@@ -5,9 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import TRACK_HELP, Workers
-from pcs_racing_agents.configs import shipped_configs
 
 
 @command(

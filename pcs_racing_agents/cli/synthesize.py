@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pcs_racing.base.errors import require
+from pcs_racing_agents.base.progress import duration_text, show_line
 from pcs_racing_agents.cli.commands import Option, SettingOptions, command
 from pcs_racing_agents.cli.options import TRACK_HELP, Workers
-from pcs_racing_agents.jobs.progress import duration_text, show_line
-from pcs_racing_agents.synthesis.archive_run import make_archive
-from pcs_racing_agents.synthesis.archive_search import ArchiveCallback, ArchiveProgress
-from pcs_racing_agents.synthesis.config import SHIPPED_TRACKS, ArchiveConfig, list_archive_configs, load_archive_config
+from pcs_racing_agents.policies.archive_run import make_archive
+from pcs_racing_agents.policies.archive_search import ArchiveCallback, ArchiveProgress
+from pcs_racing_agents.policies.config import SHIPPED_TRACKS, ArchiveConfig, list_archive_configs, load_archive_config
 
 
 @command(

@@ -7,6 +7,8 @@ from typing import Annotated
 from pcs_racing.base.errors import InputError
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.own_code import parse_driver
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import (
     AGENT_HELP,
@@ -19,8 +21,6 @@ from pcs_racing_agents.cli.options import (
     archive_for,
     can_draw,
 )
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.jobs.progress import show_progress
 
 
 @command(

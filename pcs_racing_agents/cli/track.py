@@ -14,9 +14,9 @@ from pcs_racing.track.loading import load_track
 from pcs_racing.track.map_files import parse_info
 from pcs_racing.track.maps import list_tracks, read_inside
 from pcs_racing.track.track import Calibration, Track, calibration_values
+from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Command, Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuit, Race, output_file
-from pcs_racing_agents.results.tables import aligned
 
 group = Command(
     "track",

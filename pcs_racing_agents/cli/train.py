@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, require
+from pcs_racing_agents.base.configurations import shipped_configs
+from pcs_racing_agents.base.folders import hold_folder
+from pcs_racing_agents.base.tables import write_csv
 from pcs_racing_agents.cli.commands import Option, SettingOptions, command
 from pcs_racing_agents.cli.options import Workers, output_folder
-from pcs_racing_agents.configs import shipped_configs
-from pcs_racing_agents.jobs.folders import hold_folder
 from pcs_racing_agents.networks.settings import TrainSettings
-from pcs_racing_agents.results.tables import write_csv
 
 
 @command(
@@ -35,14 +35,14 @@ def run(
     workers: Workers,
 ) -> None:
     """Train a network that predicts counterfactual regrets, or another value of each move, from observations."""
-    from pcs_racing_agents.jobs.progress import show_progress
+    from pcs_racing_agents.base.curves import curves_picture, write_tensorboard
+    from pcs_racing_agents.base.progress import show_progress
+    from pcs_racing_agents.base.style import save_picture
     from pcs_racing_agents.networks.from_trees import train_on_trees
     from pcs_racing_agents.networks.metrics import score_table
     from pcs_racing_agents.networks.network_files import save_network
     from pcs_racing_agents.networks.settings import load_train_settings
     from pcs_racing_agents.networks.training import epoch_curves, write_epochs
-    from pcs_racing_agents.pictures.curves import curves_picture, write_tensorboard
-    from pcs_racing_agents.pictures.style import save_picture
     from pcs_racing_agents.trees import load_trees
     from pcs_racing_agents.trees.storage import stored_identity
 

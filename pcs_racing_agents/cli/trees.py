@@ -9,10 +9,10 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.config import UTILITIES, load_game_config
 from pcs_racing.game.make import make_game
+from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.tables import aligned, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, ArchiveName, Circuit, Race, Workers, archive_for, output_file
-from pcs_racing_agents.jobs.progress import show_progress
-from pcs_racing_agents.results.tables import aligned, write_csv
 from pcs_racing_agents.solvers.compare import METHODS, MethodRow, compare_methods
 from pcs_racing_agents.solvers.efg import write_efg
 from pcs_racing_agents.trees import StoredTrees, build_trees, load_trees

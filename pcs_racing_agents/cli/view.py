@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pcs_racing.base.checks import check_seed
 from pcs_racing.base.errors import InputError
+from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import (
     AGENT_HELP,
@@ -23,13 +24,12 @@ from pcs_racing_agents.cli.options import (
     archive_for,
     output_file,
 )
-from pcs_racing_agents.jobs.progress import show_progress
 
 if TYPE_CHECKING:
-    from pcs_racing_agents.results.races import RaceTable
-    from pcs_racing_agents.view.race_choice import SelectedRace
-    from pcs_racing_agents.view.results_folder import ResultsFolder
-    from pcs_racing_agents.view.view_page import ViewContent
+    from pcs_racing_agents.tournament.races import RaceTable
+    from pcs_racing_agents.watch.race_choice import SelectedRace
+    from pcs_racing_agents.watch.results_folder import ResultsFolder
+    from pcs_racing_agents.watch.view_page import ViewContent
 
 
 REPLAYS = 60
@@ -68,10 +68,10 @@ def run(
     from dataclasses import replace
 
     from pcs_racing.base.files import write_atomically
-    from pcs_racing_agents.results.race_files import read_results
-    from pcs_racing_agents.view.race_replays import RaceRepeater
-    from pcs_racing_agents.view.view_page import view_page
-    from pcs_racing_agents.view.view_server import RaceService, make_server
+    from pcs_racing_agents.tournament.race_files import read_results
+    from pcs_racing_agents.watch.race_replays import RaceRepeater
+    from pcs_racing_agents.watch.view_page import view_page
+    from pcs_racing_agents.watch.view_server import RaceService, make_server
 
     if serve and out is not None:
         raise InputError("--out goes without --serve: a page that is served is not written")
@@ -117,7 +117,7 @@ def _page_file(path: Path, out: Path | None) -> Path:
 
 def _find(path: Path, agents: Sequence[str]) -> "tuple[ResultsFolder | None, Path]":
     """Return the folder of the races and their file; None for a file without a manifest."""
-    from pcs_racing_agents.view.results_folder import open_results
+    from pcs_racing_agents.watch.results_folder import open_results
 
     folder = path
     if path.is_file():
@@ -138,7 +138,7 @@ def _find(path: Path, agents: Sequence[str]) -> "tuple[ResultsFolder | None, Pat
 
 def _picks(table: "RaceTable", numbers: Sequence[int], count: int) -> "list[SelectedRace]":
     """Return the races with replays: those that were asked for, then as many that a rule selects."""
-    from pcs_racing_agents.view.race_choice import SelectedRace, choose_races
+    from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
 
     for number in numbers:
         if not 0 <= number < len(table):
@@ -153,8 +153,8 @@ def _content(
     path: Path, races: "RaceTable", results: "ResultsFolder | None", picks: "Sequence[SelectedRace]"
 ) -> "ViewContent":
     """Simulate the selected races, and return the content of the page."""
-    from pcs_racing_agents.view.race_replays import RaceRepeater
-    from pcs_racing_agents.view.view_page import ViewContent
+    from pcs_racing_agents.watch.race_replays import RaceRepeater
+    from pcs_racing_agents.watch.view_page import ViewContent
 
     title = path.resolve()
     name = title.parent.name if title.name == "results.csv" else title.name
@@ -213,15 +213,15 @@ def run_play(
     from pcs_racing.track.loading import load_track
     from pcs_racing_agents.agents.setting import make_setting
     from pcs_racing_agents.agents.zoo import parse_agent
-    from pcs_racing_agents.view.person_race import PersonRaces, play_page
-    from pcs_racing_agents.view.view_server import make_server
+    from pcs_racing_agents.watch.person_race import PersonRaces, play_page
+    from pcs_racing_agents.watch.view_server import make_server
 
     check_seed(rules.seed)
     config = rules.config()
     loaded = load_archive(archive_for(archive, config))
     rival = parse_agent(opponent, make_setting(loaded, config), seed=rules.seed, code=True)
     if drive:
-        from pcs_racing_agents.view.person_race import drive_page, make_person_drive
+        from pcs_racing_agents.watch.person_race import drive_page, make_person_drive
 
         wheel = make_person_drive(rival, rules.seed, track=load_track(track), race=config, archive=loaded)
         wheel.answer("/begin/0")  # what does not fit is told now

@@ -26,8 +26,8 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.configs import load_config
-from pcs_racing_agents.jobs.jobs import Job, Workers
+from pcs_racing_agents.base.configurations import load_config
+from pcs_racing_agents.base.jobs import Job, Workers
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response, load_response_settings
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork
 from pcs_racing_agents.tournament.fitting import MetaStrategy, TrainingRaces, fit_psro

@@ -28,9 +28,9 @@ from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import regret_matching
 from pcs_racing_agents.agents.observing import ObservationBatch
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.configs import load_config
-from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Workers
+from pcs_racing_agents.base.chunks import Arrays
+from pcs_racing_agents.base.configurations import load_config
+from pcs_racing_agents.base.jobs import Job, Workers
 from pcs_racing_agents.learning.responses.branches import (
     GameBlock,
     block_rows,

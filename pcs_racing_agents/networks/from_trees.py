@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.jobs.progress import Progress
-from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
+from pcs_racing_agents.base.progress import Progress
+from pcs_racing_agents.base.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
 from pcs_racing_agents.networks.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, draw_pairs, join_rows, pair_number

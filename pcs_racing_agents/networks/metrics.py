@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows
 from pcs_racing_agents.networks.targets import PlayedTree, best_moves
-from pcs_racing_agents.results.tables import aligned
 from pcs_racing_agents.solvers import (
     ExactResult,
     GameTree,

@@ -20,7 +20,7 @@ from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing.game.moves import check_epsilon
-from pcs_racing_agents.jobs.fingerprint import fingerprint
+from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 
 _SCALING = ("input.mean", "input.scale")

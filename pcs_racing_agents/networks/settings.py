@@ -6,7 +6,7 @@ from typing import Any
 
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import Settings, choice, flag, number, setting, whole, wholes
-from pcs_racing_agents.configs import load_config
+from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.networks.targets import ROW_WEIGHTS, TARGETS
 from pcs_racing_agents.solvers import VARIANTS
 

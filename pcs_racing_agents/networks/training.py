@@ -14,14 +14,14 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.base.curves import Curve
+from pcs_racing_agents.base.progress import Progress
+from pcs_racing_agents.base.tables import write_csv
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, split_by_pair
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.networks.targets import best_moves
 from pcs_racing_agents.networks.torch_layers import initial_layers, layers_from_torch, relu_forward, torch_alone
-from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.tables import write_csv
 
 Floats = NDArray[np.float32]
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.planners.registry import planner_names
-from pcs_racing_agents.results.races import RaceTable
-from pcs_racing_agents.results.tables import Column, csv_cell, interval_text, write_csv
+from pcs_racing_agents.base.tables import Column, csv_cell, interval_text, write_csv
 from pcs_racing_agents.study.table import matched_scores
+from pcs_racing_agents.tournament.races import RaceTable
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
 TRAINING, TEST = "training", "test"

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.pictures.style import COLOURS, INK, SOFT, new_figure, picture, place_labels, short, tidy
+from pcs_racing_agents.base.style import COLOURS, INK, SOFT, new_figure, picture, place_labels, short, tidy
 from pcs_racing_agents.study.report_inputs import ScoreAndLoss
 from pcs_racing_agents.study.table import StudyTable, TableRow
 

@@ -8,17 +8,17 @@ from typing import Any, NamedTuple
 
 from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.jobs.jobs import Job, open_job
+from pcs_racing_agents.base.jobs import Job, open_job
 from pcs_racing_agents.learning.responses.best_reply import BestReply, best_reply, write_replies
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.robust import learn_psro, learn_robust, load_psro_settings, load_robust_settings
 from pcs_racing_agents.learning.self_play import RaceSampler, learn_self_play, load_self_play_settings
 from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
-from pcs_racing_agents.results.race_files import write_results
-from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.play import plan_tournament, play_plan, tournament_settings
+from pcs_racing_agents.tournament.race_files import write_results
+from pcs_racing_agents.tournament.races import RaceTable
 from pcs_racing_agents.tournament.runner import play_pairings
 
 PLAYING_SEED = 4_000

@@ -12,14 +12,14 @@ from pcs_racing.base.artifacts import MANIFEST
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents.fits import save_fit
-from pcs_racing_agents.jobs.jobs import open_job, run_groups
-from pcs_racing_agents.jobs.progress import Progress
-from pcs_racing_agents.jobs.tasks import in_other_processes, numbered_tasks, run_tasks
+from pcs_racing_agents.base.jobs import open_job, run_groups
+from pcs_racing_agents.base.progress import Progress
+from pcs_racing_agents.base.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network, save_network
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
+from pcs_racing_agents.policies.diverse import select_diverse
 from pcs_racing_agents.study.study import Study
-from pcs_racing_agents.synthesis.diverse import select_diverse
 from pcs_racing_agents.trees.storage import StoredTrees, load_trees, open_trees, stored_identity
 from pcs_racing_agents.trees.tree import RaceTree
 
@@ -39,8 +39,8 @@ def make_the_archive(study: Study) -> None:
     """Make the archive by the configuration's synthesis; nothing to do if it names an existing one."""
     if study.config.synthesis is None:
         return
-    from pcs_racing_agents.synthesis.archive_run import make_archive
-    from pcs_racing_agents.synthesis.config import load_archive_config
+    from pcs_racing_agents.policies.archive_run import make_archive
+    from pcs_racing_agents.policies.config import load_archive_config
 
     config = load_archive_config(study.config.synthesis)
     make_archive(config, study.folder / "archive", executor=study.executor)

@@ -14,14 +14,14 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from pcs_racing.base.files import write_atomically
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.replay import replay_page
-from pcs_racing_agents.explain.situations import Situations, situations_text
-from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.tables import Column, is_number, table_rows
+from pcs_racing_agents.base.curves import Curve
+from pcs_racing_agents.base.tables import Column, is_number, table_rows
 from pcs_racing_agents.study.report_inputs import ExplainedRace, ReplyLoss, mean_scores, scores_and_losses, total_losses
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin
 from pcs_racing_agents.tournament.table import rating_interval
+from pcs_racing_agents.watch.situations import Situations, situations_text
 
 
 class TitledTable(NamedTuple):
@@ -104,11 +104,11 @@ def report_page(content: ReportContent) -> str:
 
 def _draw(name: str, *arguments: Any, **options: Any) -> bytes:
     """Draw one of the report's pictures."""
-    from pcs_racing_agents.explain import pcs_picture, situations
-    from pcs_racing_agents.pictures import curves
-    from pcs_racing_agents.pictures.style import picture_bytes
+    from pcs_racing_agents.base import curves
+    from pcs_racing_agents.base.style import picture_bytes
     from pcs_racing_agents.study import figures
     from pcs_racing_agents.tournament import table
+    from pcs_racing_agents.watch import pcs_picture, situations
 
     # The template names a picture; only modules that are imported here, for a report alone, can draw one.
     home = next(module for module in (figures, curves, table, pcs_picture, situations) if hasattr(module, name))

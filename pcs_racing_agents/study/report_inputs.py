@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import Replay
-from pcs_racing_agents.explain.explain import explain_game
-from pcs_racing_agents.explain.words import story
-from pcs_racing_agents.jobs.folders import package_version
-from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.races import RaceTable
-from pcs_racing_agents.results.tables import interval_text, read_csv
+from pcs_racing_agents.base.curves import Curve
+from pcs_racing_agents.base.folders import package_version
+from pcs_racing_agents.base.tables import interval_text, read_csv
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.tournament.pairings import Pairing
+from pcs_racing_agents.tournament.races import RaceTable
+from pcs_racing_agents.watch.explain import explain_game
+from pcs_racing_agents.watch.words import story
 
 Floats = NDArray[np.float64]
 
@@ -147,7 +147,7 @@ class ExplainedRace(NamedTuple):
     title: str
     text: str  #: The explanation; may be empty.
     replay: Replay
-    #: The moves, as :func:`pcs_racing_agents.explain.pictures.explanation_picture` draws them, SVG; may be empty.
+    #: The moves, as :func:`pcs_racing_agents.watch.pictures.explanation_picture` draws them, SVG; may be empty.
     picture: bytes = b""
 
 
@@ -204,8 +204,8 @@ def watch_race(pairing: Pairing, race: int, title: str) -> ExplainedRace:
     explanation = explain_game(pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race))
     picture = b""
     if find_spec("matplotlib") is not None:
-        from pcs_racing_agents.explain.pictures import explanation_picture
-        from pcs_racing_agents.pictures.style import picture_bytes
+        from pcs_racing_agents.base.style import picture_bytes
+        from pcs_racing_agents.watch.pictures import explanation_picture
 
         picture = picture_bytes(explanation_picture(explanation))
     return ExplainedRace(title, story(explanation), explanation.replay, picture)

@@ -10,14 +10,10 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import load_fit
-from pcs_racing_agents.explain.explain import is_open_loop
-from pcs_racing_agents.explain.situations import Situations, summarise, write_situations
-from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.base.curves import Curve
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.tables import table_rows
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
-from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.race_files import read_results, write_results
-from pcs_racing_agents.results.races import RaceTable, closeness_text, concatenate_races
-from pcs_racing_agents.results.tables import table_rows
 from pcs_racing_agents.study.family_gains import COLUMNS as FAMILY_COLUMNS
 from pcs_racing_agents.study.family_gains import family_gains, write_family_gains
 from pcs_racing_agents.study.playing import PLAYING_SEED, RATING_SEED, REPLY_SEED, TABLE_SEED, StudyRaces, table_races
@@ -44,8 +40,12 @@ from pcs_racing_agents.study.table_text import (
     write_table,
 )
 from pcs_racing_agents.tournament.pairings import Pairing
+from pcs_racing_agents.tournament.race_files import read_results, write_results
+from pcs_racing_agents.tournament.races import RaceTable, closeness_text, concatenate_races
 from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
 from pcs_racing_agents.tournament.runner import play_pairings
+from pcs_racing_agents.watch.explain import is_open_loop
+from pcs_racing_agents.watch.situations import Situations, summarise, write_situations
 
 SEED = 7_000_000
 GAME_THEORETIC = "cfr-argmax"  # the paper's agent

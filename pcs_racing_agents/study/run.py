@@ -20,11 +20,11 @@ from pcs_racing.base.errors import InputError, UnknownNameError, require
 from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.jobs.folders import claim_folder, clear_half_written
+from pcs_racing_agents.base.folders import claim_folder, clear_half_written
 from pcs_racing_agents.learning.ppo.learner import check_packages
+from pcs_racing_agents.policies.config import load_archive_config
 from pcs_racing_agents.study import playing, preparing, reporting
 from pcs_racing_agents.study.study import Study, StudyConfig
-from pcs_racing_agents.synthesis.config import load_archive_config
 
 DONE, SECONDS = "done.yaml", "seconds.txt"
 """Files in the folder of a finished stage, and of one that was stopped."""
@@ -158,7 +158,7 @@ def run_study(
     only : sequence of str, optional
         Names of stages to run; each needs the results of some earlier ones. All by default.
     executor : Executor, optional
-        Runs the jobs (:func:`pcs_racing_agents.jobs.executors.make_executor`). It does not change the results.
+        Runs the jobs (:func:`pcs_racing_agents.base.executors.make_executor`). It does not change the results.
     """
     # Before the folder is claimed: a misspelt stage or a missing library leaves nothing behind.
     remaining = stages_to_run(config, folder, only)

@@ -20,14 +20,14 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import build, parse_agent
-from pcs_racing_agents.configs import load_config
-from pcs_racing_agents.jobs.progress import Progress, show_progress
+from pcs_racing_agents.base.configurations import load_config
+from pcs_racing_agents.base.progress import Progress, show_progress
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.targets import get_target
-from pcs_racing_agents.synthesis.config import load_archive_config
+from pcs_racing_agents.policies.config import load_archive_config
 
 BEST_OPEN_LOOP = ("best-fixed", "best-schedule", "best-lead-plan")
 """Baselines, fitted on training races: the best fixed policy and sequence of moves, and the lead-conditioned plan."""

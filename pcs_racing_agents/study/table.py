@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.results.races import RaceTable
+from pcs_racing_agents.tournament.races import RaceTable
 from pcs_racing_agents.tournament.statistics import Comparison, clustered_mean, compare, holm, match_units
 
 Floats = NDArray[np.float64]

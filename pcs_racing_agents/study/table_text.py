@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing_agents.results.tables import aligned, interval_text, markdown, with_interval, write_csv
+from pcs_racing_agents.base.tables import aligned, interval_text, markdown, with_interval, write_csv
 from pcs_racing_agents.study.table import Difference, StudyTable, TableRow
 from pcs_racing_agents.tournament.statistics import Comparison
 

@@ -1,8 +1,6 @@
 """Competitors against each other: games, pairings, tournaments, ratings and their tables."""
 
-from pcs_racing_agents.jobs.progress import show_progress
-from pcs_racing_agents.results.race_files import write_results
-from pcs_racing_agents.results.races import RaceRow, RaceTable
+from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.play import (
     Tournament,
@@ -14,5 +12,7 @@ from pcs_racing_agents.tournament.play import (
     record_row,
     tournament_settings,
 )
+from pcs_racing_agents.tournament.race_files import write_results
+from pcs_racing_agents.tournament.races import RaceRow, RaceTable
 from pcs_racing_agents.tournament.runner import play_games, play_pairing, play_pairings, record_game
 from pcs_racing_agents.tournament.table import payoff_matrix, payoff_picture, standings, tournament_text

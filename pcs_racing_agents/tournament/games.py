@@ -22,8 +22,8 @@ from pcs_racing.game.state import GameState, take_games
 from pcs_racing.race.config import DT
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.agent import Competitor, Driver
-from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.results.races import narrow
+from pcs_racing_agents.base.chunks import Arrays
+from pcs_racing_agents.tournament.races import narrow
 
 Indices = NDArray[np.int64]
 
@@ -65,7 +65,7 @@ def race_columns(
     Returns
     -------
     list of K dict of ndarray
-        By name what a :class:`pcs_racing_agents.results.races.RaceTable` says of how the races went. ``moves`` are
+        By name what a :class:`pcs_racing_agents.tournament.races.RaceTable` says of how the races went. ``moves`` are
         indices of moves, and ``noise`` (which it lacks) the keys of the steering noise.
     """
     if not egos or (len(egos) > 1 and any(isinstance(ego, Driver) for ego in egos)):

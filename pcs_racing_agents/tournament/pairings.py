@@ -26,7 +26,7 @@ from pcs_racing.race.races import draw_starts, start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor
-from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.tournament.games import game_between, race_columns, variant_count
 
 MOST_RACES = 2000

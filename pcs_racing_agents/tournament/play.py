@@ -21,10 +21,10 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
 from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
-from pcs_racing_agents.jobs.jobs import Run
-from pcs_racing_agents.results.races import RaceRow, RaceTable, concatenate_races, series_of
+from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import Pairing, RaceSchedule, draw_schedule, schedule_pairing
+from pcs_racing_agents.tournament.races import RaceRow, RaceTable, concatenate_races, series_of
 from pcs_racing_agents.tournament.runner import Recording, play_pairings, record_game
 
 Entrant = str | Policy | Competitor
@@ -185,7 +185,7 @@ def play_plan(plan: TournamentPlan, **run: Unpack[Run]) -> Tournament:
 
 
 def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
-    """Return everything that a tournament depends on, for :func:`pcs_racing_agents.jobs.jobs.open_job`."""
+    """Return everything that a tournament depends on, for :func:`pcs_racing_agents.base.jobs.open_job`."""
     setting = plan.setting
     return {
         "seed": plan.seed,

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError, require
-from pcs_racing_agents.results.races import RaceTable
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
+from pcs_racing_agents.tournament.races import RaceTable
 from pcs_racing_agents.tournament.ratings import Ratings, rate
 
 Floats = NDArray[np.float64]

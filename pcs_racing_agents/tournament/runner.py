@@ -23,12 +23,12 @@ from pcs_racing.race.replay import Replay
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor, competitor_hash
-from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.jobs.jobs import Job, Run, run_with_or_without
-from pcs_racing_agents.jobs.progress import Progress
-from pcs_racing_agents.results.races import Categorical, RaceTable, narrow
+from pcs_racing_agents.base.fingerprint import fingerprint
+from pcs_racing_agents.base.jobs import Job, Run, run_with_or_without
+from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import Pairing, RaceBlock, race_block
+from pcs_racing_agents.tournament.races import Categorical, RaceTable, narrow
 
 BLOCK = 400  # races of one task: about a second of work
 

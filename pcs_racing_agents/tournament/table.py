@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.pictures.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
-from pcs_racing_agents.results.races import closeness_text
-from pcs_racing_agents.results.tables import Column, aligned, table_rows
+from pcs_racing_agents.base.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
+from pcs_racing_agents.base.tables import Column, aligned, table_rows
 from pcs_racing_agents.tournament.play import Tournament
+from pcs_racing_agents.tournament.races import closeness_text
 from pcs_racing_agents.tournament.ratings import Ratings
 from pcs_racing_agents.tournament.round_robin import RoundRobin, drivers, round_robin
 
@@ -163,7 +163,7 @@ def tournament_text(tournament: Tournament) -> str:
 
 def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
     """Draw the payoff matrix; the suffix of the path is the format."""
-    from pcs_racing_agents.pictures.style import save_picture
+    from pcs_racing_agents.base.style import save_picture
 
     names = [standing.name for standing in standings(tournament)]
     order = [tournament.plan.names.index(name) for name in names]

@@ -44,7 +44,7 @@ def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
     seed : int
         Of the choice.
     """
-    from pcs_racing_agents.synthesis.diverse import select_diverse
+    from pcs_racing_agents.policies.diverse import select_diverse
 
     check_whole("pairs", count, 1, 100_000)
     check_seed(seed, maximum=2**64)

@@ -16,10 +16,10 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.jobs.chunks import Arrays, chunk_file, read_chunk
-from pcs_racing_agents.jobs.folders import is_unchanged, read_job
-from pcs_racing_agents.jobs.jobs import TaskGroup, open_job, run_groups
-from pcs_racing_agents.jobs.progress import Progress
+from pcs_racing_agents.base.chunks import Arrays, chunk_file, read_chunk
+from pcs_racing_agents.base.folders import is_unchanged, read_job
+from pcs_racing_agents.base.jobs import TaskGroup, open_job, run_groups
+from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.trees.build import build_tree, check_game, choose_pairs, default_seeds, draw_root
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
 
@@ -92,7 +92,7 @@ def open_trees(
 ) -> Iterator[TaskGroup]:
     """Open the folder of :func:`build_trees` for as long as a ``with`` block lasts, and yield the trees as tasks.
 
-    Those of several folders can be played side by side (:func:`pcs_racing_agents.jobs.jobs.run_groups`), then each tree
+    Those of several folders can be played side by side (:func:`pcs_racing_agents.base.jobs.run_groups`), then each tree
     in ``one_thread``.
     """
     check_game(game)

@@ -15,7 +15,7 @@ HERE = Path(__file__).resolve().parent
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_results_are_those_of_the_version(name):
     file = HERE / file_name(name)
-    assert file.is_file(), f"{name} has no results: python tools/make_goldens.py keeps them"
+    assert file.is_file(), f"{name} has no results: python dev/tools/make_goldens.py keeps them"
     with np.load(file, allow_pickle=False) as stored:
         kept = dict(stored)
     assert str(kept["track"]) == track_hash(), "the circuit has changed: its name must change, or the results' version"

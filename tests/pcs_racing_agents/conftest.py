@@ -9,12 +9,12 @@ from zoo_games import CONFIG, toy_archive, untrained
 from pcs_racing import PolicyArchive, RaceGame, load_race_config, load_track, make_game, save_archive
 from pcs_racing_agents.agents import Agent, Setting, make_setting
 from pcs_racing_agents.agents.blind import always, never_switch
+from pcs_racing_agents.base.executors import make_executor
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.jobs.executors import make_executor
-from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
-from pcs_racing_agents.view.view_server import make_server
+from pcs_racing_agents.watch.view_server import make_server
 
 
 @pytest.fixture(scope="session")

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from pcs_racing_agents.jobs.chunks import read_chunk
-from pcs_racing_agents.jobs.fingerprint import fingerprint
+from pcs_racing_agents.base.chunks import read_chunk
+from pcs_racing_agents.base.fingerprint import fingerprint
 
 TREES = ["--archive", "default", "--track", "Pipkin", "--moves", "2", "--step", "2"]
 SETTINGS = Path(__file__).parent / "settings"

@@ -10,7 +10,7 @@ from warm_start import call_python
 
 from pcs_racing import Starts, load_race_config, load_track, run_races
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.planners.lidar_networks import read_lidar_driver
+from pcs_racing.planners.field.lidar_networks import read_lidar_driver
 from pcs_racing.race.races import start_lines
 from pcs_racing_agents.agents.observing import own
 from pcs_racing_agents.agents.setting import make_setting

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 from toy_races import toy_races
 
-from pcs_racing_agents.explain.situations import Situations
-from pcs_racing_agents.results.race_files import race_table
-from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study.report import ReportContent, TitledTable
 from pcs_racing_agents.study.report_inputs import ReplyLoss, software
 from pcs_racing_agents.study.table import make_table
+from pcs_racing_agents.tournament.race_files import race_table
+from pcs_racing_agents.tournament.races import RaceRow
 from pcs_racing_agents.tournament.round_robin import round_robin
+from pcs_racing_agents.watch.situations import Situations
 
 NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
 

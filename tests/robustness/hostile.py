@@ -27,11 +27,11 @@ from pcs_racing.game.archive_files import ARCHIVE_FORMAT
 from pcs_racing.track.map_files import parse_csv, parse_grid, parse_ros_yaml
 from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents.fits import load_fit
-from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
-from pcs_racing_agents.jobs.folders import claim_folder
+from pcs_racing_agents.base.chunks import read_chunk, write_chunk
+from pcs_racing_agents.base.folders import claim_folder
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network
-from pcs_racing_agents.results.race_files import read_results
+from pcs_racing_agents.tournament.race_files import read_results
 from pcs_racing_agents.trees import load_trees
 
 ROOM = 1_000_000_000  # bytes above what the process holds at the start

@@ -52,12 +52,12 @@ from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.settings import load_train_settings
+from pcs_racing_agents.policies.archive_run import stage_scenarios
+from pcs_racing_agents.policies.config import load_archive_config
 from pcs_racing_agents.study.run import stage_seconds
 from pcs_racing_agents.study.study import Study, StudyConfig, load_study_config
-from pcs_racing_agents.synthesis.archive_run import stage_scenarios
-from pcs_racing_agents.synthesis.config import load_archive_config
 from pcs_racing_agents.trees import load_trees
-from pcs_racing_agents.view.results_folder import open_results
+from pcs_racing_agents.watch.results_folder import open_results
 
 EVIL = """
 import pathlib
@@ -367,8 +367,8 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/agents/own_code.py": {"drivers_from", "own_code", "run_file"},
         "pcs_racing_agents/agents/zoo.py": {"own_code", "parse_agent True"},
         "pcs_racing_agents/tournament/play.py": {"parse_agent code"},
-        "pcs_racing_agents/view/results_folder.py": {"parse_agent name in self.code"},
-        "pcs_racing_agents/jobs/executors.py": {"run_file"},  # what the process has run already
+        "pcs_racing_agents/watch/results_folder.py": {"parse_agent name in self.code"},
+        "pcs_racing_agents/base/executors.py": {"run_file"},  # what the process has run already
         "pcs_racing_agents/cli/agents.py": {"drivers_from"},
         "pcs_racing_agents/cli/benchmark.py": {"load_entrant", "parse_driver"},
         "pcs_racing_agents/cli/explain.py": {"plan_tournament True"},
@@ -394,9 +394,9 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/agents/own_code.py:importlib.import_module",
         "pcs_racing_agents/agents/zoo.py:resolve_name",
         "pcs_racing_agents/cli/main.py:import_module",
-        "pcs_racing_agents/jobs/executors.py:loads",  # what this process has packed
+        "pcs_racing_agents/base/executors.py:loads",  # what this process has packed
         "pcs_racing_agents/learning/responses/kept_networks.py:json.loads",
-        "pcs_racing_agents/synthesis/optimisers.py:Evaluator().eval",  # of pymoo
+        "pcs_racing_agents/policies/optimisers.py:Evaluator().eval",  # of pymoo
     }
 
 

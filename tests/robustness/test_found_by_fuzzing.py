@@ -1,4 +1,4 @@
-"""Inputs that fuzzing found (`tools/fuzz.py`), which ended in another error than ours once, and hostile ones.
+"""Inputs that fuzzing found (`dev/tools/fuzz.py`), which ended in another error than ours once, and hostile ones.
 
 Nothing that is read runs code, leaves the map's folder, or takes memory or time out of proportion.
 """
@@ -43,20 +43,20 @@ from pcs_racing_agents.agents import parse_agent
 from pcs_racing_agents.agents.fits import Fit, load_fit
 from pcs_racing_agents.agents.sb3_files import load_model
 from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.benchmark.card import read_cards
 from pcs_racing_agents.benchmark.overtaking import read_lines
 from pcs_racing_agents.benchmark.protocol import load_protocol
 from pcs_racing_agents.cli.options import output_folder
-from pcs_racing_agents.jobs.jobs import open_job
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.networks.settings import load_train_settings
-from pcs_racing_agents.results.race_files import read_results, write_results
+from pcs_racing_agents.policies.config import ArchiveConfig
 from pcs_racing_agents.study.study import StudyConfig, load_study_config
-from pcs_racing_agents.synthesis.config import ArchiveConfig
+from pcs_racing_agents.tournament.race_files import read_results, write_results
 from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays
-from pcs_racing_agents.view.results_folder import open_results
+from pcs_racing_agents.watch.results_folder import open_results
 
 
 @pytest.mark.parametrize("load", [load_track, load_archive, load_network, load_race_config])

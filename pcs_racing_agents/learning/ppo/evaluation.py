@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.state import RaceState
-from pcs_racing_agents.pictures.curves import Curve
-from pcs_racing_agents.results.tables import aligned, read_csv, write_csv
+from pcs_racing_agents.base.curves import Curve
+from pcs_racing_agents.base.tables import aligned, read_csv, write_csv
 
 
 class Matchup(NamedTuple):

@@ -21,7 +21,7 @@ from pcs_racing.base.settings import (
     whole,
     wholes,
 )
-from pcs_racing_agents.configs import shipped_configs
+from pcs_racing_agents.base.configurations import shipped_configs
 
 TRAINING_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 

@@ -21,10 +21,11 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.race.driving import default_threads
-from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.jobs.progress import Progress
-from pcs_racing_agents.jobs.tasks import in_other_processes
+from pcs_racing_agents.base.chunks import Arrays
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.progress import Progress
+from pcs_racing_agents.base.tables import write_csv
+from pcs_racing_agents.base.tasks import in_other_processes
 from pcs_racing_agents.learning.ppo.drives import DriveTask, make_drive_task
 from pcs_racing_agents.learning.ppo.duels import DuelTask, make_duel_task
 from pcs_racing_agents.learning.ppo.evaluation import (
@@ -43,7 +44,6 @@ from pcs_racing_agents.learning.ppo.learner import (
     own_randomness,
 )
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, PPOSettings, load_ppo_settings
-from pcs_racing_agents.results.tables import write_csv
 
 LearningTask = DuelTask | DriveTask
 

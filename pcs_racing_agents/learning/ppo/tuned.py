@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.base.settings import read_settings
-from pcs_racing_agents.configs import shipped_configs
+from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.learning.ppo.learner import check_packages
 
 if TYPE_CHECKING:

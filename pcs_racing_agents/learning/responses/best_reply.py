@@ -19,12 +19,12 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.jobs import Job, Workers
+from pcs_racing_agents.base.jobs import Job, Workers
+from pcs_racing_agents.base.tables import aligned, interval_text, write_csv
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
 from pcs_racing_agents.networks import RegretNetwork
-from pcs_racing_agents.results.races import RaceTable, concatenate_races
-from pcs_racing_agents.results.tables import aligned, interval_text, write_csv
 from pcs_racing_agents.tournament.pairings import cross_pairing
+from pcs_racing_agents.tournament.races import RaceTable, concatenate_races
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 

@@ -18,7 +18,7 @@ from pcs_racing.game.state import GameState, take_games
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
 from pcs_racing_agents.agents.blind import ConstantStrategy
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.jobs.chunks import Arrays
+from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.networks import Rows
 
 PAYOFFS = ("win", "utility")

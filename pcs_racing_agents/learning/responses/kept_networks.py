@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.fingerprint import fingerprint
-from pcs_racing_agents.jobs.jobs import Job
-from pcs_racing_agents.jobs.tasks import in_other_processes
+from pcs_racing_agents.base.chunks import Arrays
+from pcs_racing_agents.base.fingerprint import fingerprint
+from pcs_racing_agents.base.jobs import Job
+from pcs_racing_agents.base.tasks import in_other_processes
 from pcs_racing_agents.networks import RegretNetwork, Rows, train_network
 from pcs_racing_agents.networks.settings import TrainSettings
 

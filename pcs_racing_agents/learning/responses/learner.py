@@ -21,9 +21,9 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Competitor
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.setting import Setting
-from pcs_racing_agents.configs import load_config
-from pcs_racing_agents.jobs.chunks import Arrays
-from pcs_racing_agents.jobs.jobs import Job, Workers
+from pcs_racing_agents.base.chunks import Arrays
+from pcs_racing_agents.base.configurations import load_config
+from pcs_racing_agents.base.jobs import Job, Workers
 from pcs_racing_agents.learning.responses.branches import (
     PAYOFFS,
     GameBlock,

@@ -21,8 +21,8 @@ from pcs_racing.game.observation import (
 from pcs_racing.game.reward import reward
 from pcs_racing.game.starting import random_bits
 from pcs_racing.game.state import GameState, put_games, take_games
+from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import TIE_WITHIN, advance, start_lines, start_races
 from pcs_racing.race.state import empty_state

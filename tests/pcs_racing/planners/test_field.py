@@ -9,16 +9,16 @@ from scipy.interpolate import CubicSpline
 
 from pcs_racing import InputError, RaceConfig, Starts, get_planner, load_track, parse_policy, run_races
 from pcs_racing.planners import line_following as line
-from pcs_racing.planners.alpha_racer import ALPHA_RACER, KEPT, SAMPLES, best_of_potential
-from pcs_racing.planners.bimatrix import MOVES, solve
-from pcs_racing.planners.disparity_extender import extend_disparities
-from pcs_racing.planners.follow_the_gap import longest_gap, smooth
-from pcs_racing.planners.frenet_sampling import quintic
-from pcs_racing.planners.mppi import NOISE
-from pcs_racing.planners.potential_field import POTENTIAL_FIELD, field_command
-from pcs_racing.planners.predictive_spliner import _D, _SEEN, AHEAD, BINS, MEMORY, remember, smooth_ahead
+from pcs_racing.planners.field.alpha_racer import ALPHA_RACER, KEPT, SAMPLES, best_of_potential
+from pcs_racing.planners.field.bimatrix import MOVES, solve
+from pcs_racing.planners.field.disparity_extender import extend_disparities
+from pcs_racing.planners.field.follow_the_gap import longest_gap, smooth
+from pcs_racing.planners.field.frenet_sampling import quintic
+from pcs_racing.planners.field.mppi import NOISE
+from pcs_racing.planners.field.potential_field import POTENTIAL_FIELD, field_command
+from pcs_racing.planners.field.predictive_spliner import _D, _SEEN, AHEAD, BINS, MEMORY, remember, smooth_ahead
+from pcs_racing.planners.field.spliner import SCRATCH, SPLINER, lay_spline, spline_at
 from pcs_racing.planners.scanning import ANGLES, BEAMS, STEP
-from pcs_racing.planners.spliner import SCRATCH, SPLINER, lay_spline, spline_at
 from pcs_racing.planners.view import OWN_D, OWN_S, PATH_POINTS, STEER_MAX, VIEW_SIZE, WHEELBASE
 from pcs_racing.testing import check_planner
 

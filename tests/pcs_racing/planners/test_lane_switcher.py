@@ -4,8 +4,8 @@ from refusal import refused
 
 from pcs_racing import PAPER, RaceConfig, Starts, UnknownNameError, list_tracks, load_track, run_races
 from pcs_racing.planners import lane_switcher as switcher
+from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT, WALL_MARGIN
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.pure_pursuit import PURE_PURSUIT, WALL_MARGIN
 from pcs_racing.planners.view import PATH_POINTS, SPEED_HIGH
 from pcs_racing.track.frenet import LEFT, RIGHT
 

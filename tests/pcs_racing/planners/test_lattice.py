@@ -6,9 +6,9 @@ from scipy.interpolate import CubicSpline
 
 from pcs_racing import RaceConfig, Starts, list_tracks, load_race_config, load_track
 from pcs_racing.car.vehicle import DELTA
+from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import GRIP, LATTICE
 from pcs_racing.planners.planner import Planner
-from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, hold_command
 from pcs_racing.planners.view import GAP, OPP_V, OWN_D, OWN_X, OWN_Y, PATH_POINTS, SPEED_HIGH, SPEED_LOW
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, run_races, start_races

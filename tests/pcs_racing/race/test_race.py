@@ -13,8 +13,8 @@ from pcs_racing import CONTEST, PAPER, InputError, Parameter, Planner, RaceState
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import VehicleParams
+from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.config import DT
 from pcs_racing.race.driving import _pieces, pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, run_races, start_lines, start_races, starts_of

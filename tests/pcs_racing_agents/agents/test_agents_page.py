@@ -37,7 +37,7 @@ def test_every_agent_was_measured_as_it_is_now(archive, race):
         except LookupError:  # nothing is shipped for it
             continue
     changed = sorted(name for name in {*known, *shipped} if known.get(name) != shipped.get(name))
-    assert not changed, f"{', '.join(changed)} not measured as they are: run: python benchmarks/zoo.py --write"
+    assert not changed, f"{', '.join(changed)} not measured as they are: run: python dev/benchmarks/zoo.py --write"
 
 
 def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, tmp_path):

@@ -13,7 +13,7 @@ from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.blind import random_moves
 from pcs_racing_agents.agents.from_network import DECISIONS, adaptive, from_network, get_decision
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.fingerprint import fingerprint
+from pcs_racing_agents.base.fingerprint import fingerprint
 
 
 def test_the_papers_agent_makes_the_move_of_highest_regret_and_matching_draws_in_proportion(setting, network, seen):

@@ -4,12 +4,12 @@ import pytest
 
 from pcs_racing import load_track
 from pcs_racing.base.settings import plain_settings
-from pcs_racing_agents.jobs.folders import claim_folder
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.results.races import concatenate_races
+from pcs_racing_agents.base.folders import claim_folder
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.study.study import Study, StudyConfig
 from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
 from pcs_racing_agents.tournament.pairings import cross_pairing
+from pcs_racing_agents.tournament.races import concatenate_races
 from pcs_racing_agents.tournament.runner import play_pairing
 
 

@@ -27,12 +27,12 @@ from pcs_racing.track.maps import find_shipped
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.agents import make_setting, parse_agent
 from pcs_racing_agents.agents.own_code import parse_driver
+from pcs_racing_agents.base.progress import duration_text
 from pcs_racing_agents.cli import synthesize
 from pcs_racing_agents.cli.commands import Option, SettingOptions, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
 from pcs_racing_agents.cli.options import output_file, output_folder
-from pcs_racing_agents.jobs.progress import duration_text
-from pcs_racing_agents.synthesis.archive_search import ArchiveProgress
+from pcs_racing_agents.policies.archive_search import ArchiveProgress
 
 SHORT = ["--duration", "4"]
 PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]

@@ -11,7 +11,7 @@ from pcs_racing import InputError, load_archive, make_game
 from pcs_racing_agents.cli.headroom import PoolOptions, headroom_row, mean_row, pool_settings, write_payoffs
 from pcs_racing_agents.cli.options import Rules
 from pcs_racing_agents.cli.trees import _csv_rows, _SolvedTree, solve_table, tree_table
-from pcs_racing_agents.payoffs.headroom import Headroom
+from pcs_racing_agents.policies.headroom import Headroom
 from pcs_racing_agents.solvers import METHODS
 from pcs_racing_agents.solvers.compare import MethodRow
 from pcs_racing_agents.trees import build_trees, load_trees

@@ -6,7 +6,7 @@ import pytest
 
 from pcs_racing.race.replay import read_replay
 from pcs_racing_agents.tournament.play import record_row
-from pcs_racing_agents.view.results_folder import open_results
+from pcs_racing_agents.watch.results_folder import open_results
 
 
 def test_every_race_of_a_tournament_is_found_again(tournament_folder):

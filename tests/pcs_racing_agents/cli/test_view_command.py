@@ -14,10 +14,10 @@ from refusal import refused
 
 from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.view.race_choice import SelectedRace, choose_races
-from pcs_racing_agents.view.race_replays import RaceRepeater, RepeatedRace
-from pcs_racing_agents.view.results_folder import open_results
-from pcs_racing_agents.view.view_server import MOST_KEPT, Answer, RaceService, make_server
+from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
+from pcs_racing_agents.watch.race_replays import RaceRepeater, RepeatedRace
+from pcs_racing_agents.watch.results_folder import open_results
+from pcs_racing_agents.watch.view_server import MOST_KEPT, Answer, RaceService, make_server
 
 
 @pytest.fixture

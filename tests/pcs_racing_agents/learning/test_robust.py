@@ -6,7 +6,7 @@ from long_jobs import files
 from refusal import refused
 
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning.responses import learn_response, load_response_settings
 from pcs_racing_agents.learning.robust import learn_psro, learn_robust, load_psro_settings, load_robust_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings

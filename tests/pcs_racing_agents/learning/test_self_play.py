@@ -10,7 +10,7 @@ from zoo_games import untrained
 from pcs_racing import load_race_config, make_game
 from pcs_racing_agents.agents import Agent, make_setting
 from pcs_racing_agents.agents.from_network import regret_matching
-from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning import self_play
 from pcs_racing_agents.learning.responses.branches import branch_games, random_player
 from pcs_racing_agents.learning.self_play import RaceSampler, learn_self_play, load_self_play_settings

@@ -6,9 +6,9 @@ import pytest
 from toy_races import toy_races
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.results.races import concatenate_races
-from pcs_racing_agents.results.tables import table_rows
+from pcs_racing_agents.base.tables import table_rows
 from pcs_racing_agents.study.family_gains import COLUMNS, families, family_gains, write_family_gains
+from pcs_racing_agents.tournament.races import concatenate_races
 
 
 @pytest.fixture(scope="module")

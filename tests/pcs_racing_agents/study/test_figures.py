@@ -6,8 +6,8 @@ import pytest
 from refusal import refused
 from toy_races import toy_difference, toy_races, toy_table
 
-from pcs_racing_agents.pictures.curves import Curve, curves_picture
-from pcs_racing_agents.pictures.style import COLOURS, picture_bytes
+from pcs_racing_agents.base.curves import Curve, curves_picture
+from pcs_racing_agents.base.style import COLOURS, picture_bytes
 from pcs_racing_agents.study import figures
 from pcs_racing_agents.study.report_inputs import ScoreAndLoss
 from pcs_racing_agents.study.table import make_table

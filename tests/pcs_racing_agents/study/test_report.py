@@ -16,8 +16,6 @@ from toy_report import NASTY, toy_report
 from pcs_racing import make_game, read_replay
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.results.race_files import race_table
-from pcs_racing_agents.results.races import RaceRow, concatenate_races
 from pcs_racing_agents.study import report, reporting
 from pcs_racing_agents.study import report_inputs as inputs
 from pcs_racing_agents.study.playing import StudyRaces
@@ -26,6 +24,8 @@ from pcs_racing_agents.study.study import Study, StudyConfig
 from pcs_racing_agents.study.table import by_progress, make_table
 from pcs_racing_agents.study.table_text import overview_rows, paper_rows, write_table
 from pcs_racing_agents.tournament import cross_pairing, play_pairings
+from pcs_racing_agents.tournament.race_files import race_table
+from pcs_racing_agents.tournament.races import RaceRow, concatenate_races
 from pcs_racing_agents.tournament.ratings import Ratings
 from pcs_racing_agents.tournament.round_robin import RoundRobin
 

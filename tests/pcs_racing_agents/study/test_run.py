@@ -17,11 +17,11 @@ from repository import load_tool
 from pcs_racing import ConfigError, InputError, UnknownNameError, load_archive, save_archive
 from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit, save_fit
-from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.base.executors import make_executor
+from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.networks import load_network, load_network_set
-from pcs_racing_agents.results.tables import read_csv
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
 from pcs_racing_agents.study.playing import RATING_SEED
 from pcs_racing_agents.study.reporting import best_open_loop

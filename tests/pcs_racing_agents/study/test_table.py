@@ -9,10 +9,10 @@ from repository import python_blocks, read_page, run_block
 from scipy import stats
 from toy_races import STRENGTHS, of, toy_difference, toy_races, toy_table
 
-from pcs_racing_agents.results.race_files import race_table, read_results, write_results
-from pcs_racing_agents.results.races import RaceRow
 from pcs_racing_agents.study import table_text as texts
 from pcs_racing_agents.study.table import PAPER_TABLE, ArmResult, Difference, TableRow, by_progress, make_table
+from pcs_racing_agents.tournament.race_files import race_table, read_results, write_results
+from pcs_racing_agents.tournament.races import RaceRow
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare, holm
 
 

@@ -9,7 +9,7 @@ from refusal import refused
 from pcs_racing import CONTEST, load_track, parse_policy
 from pcs_racing_agents.agents import Driver, make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.tournament import fitting as fits
 from pcs_racing_agents.tournament.pairings import draw_schedule
 from pcs_racing_agents.tournament.play import game_rules

@@ -7,8 +7,8 @@ from pcs_racing import make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.executors import make_executor
-from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.base.executors import make_executor
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.tournament import cross_pairing, play_pairing, play_pairings, runner
 from pcs_racing_agents.tournament.statistics import match_units
 

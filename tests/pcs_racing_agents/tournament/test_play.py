@@ -5,8 +5,8 @@ from same_move import Model
 from pcs_racing import GameConfig, load_archive, load_race_config, parse_policy, save_archive
 from pcs_racing_agents.agents import make_setting
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.jobs.executors import make_executor
-from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.base.executors import make_executor
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.tournament import game_rules, plan_tournament, play_plan, play_tournament, tournament_settings
 from pcs_racing_agents.tournament.pairings import draw_schedule
 from pcs_racing_agents.tournament.play import record_row

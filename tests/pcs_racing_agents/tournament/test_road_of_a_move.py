@@ -12,9 +12,9 @@ from zoo_games import untrained
 
 from pcs_racing import load_race_config
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.jobs.jobs import open_job
-from pcs_racing_agents.results.race_files import write_results
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings
+from pcs_racing_agents.tournament.race_files import write_results
 
 RACES = 20
 PACKAGES = (REPOSITORY / "pcs_racing", REPOSITORY / "pcs_racing_agents")

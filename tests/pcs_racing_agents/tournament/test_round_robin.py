@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing_agents.results.race_files import race_table
-from pcs_racing_agents.results.races import RaceRow
+from pcs_racing_agents.tournament.race_files import race_table
+from pcs_racing_agents.tournament.races import RaceRow
 from pcs_racing_agents.tournament.ratings import rate
 from pcs_racing_agents.tournament.round_robin import alpha_rank, excess, round_robin
 

@@ -7,11 +7,11 @@ from refusal import refused
 
 from pcs_racing import load_race_config, parse_policy
 from pcs_racing_agents.agents import Driver, make_setting
-from pcs_racing_agents.results.race_files import race_table
-from pcs_racing_agents.results.races import concatenate_races
 from pcs_racing_agents.tournament import RaceRow, Tournament, game_rules
 from pcs_racing_agents.tournament import table as tables
 from pcs_racing_agents.tournament.play import TournamentPlan
+from pcs_racing_agents.tournament.race_files import race_table
+from pcs_racing_agents.tournament.races import concatenate_races
 from pcs_racing_agents.tournament.ratings import rate
 from pcs_racing_agents.tournament.table import (
     payoff_matrix,

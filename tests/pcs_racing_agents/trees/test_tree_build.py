@@ -9,7 +9,7 @@ from refusal import refused
 from same_arrays import assert_same
 
 from pcs_racing import CONTEST, InputError, PolicyArchive, RaceGame, Starts, make_game
-from pcs_racing.planners.pure_pursuit import PURE_PURSUIT
+from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing_agents.solvers import solve_exact
 from pcs_racing_agents.trees import build_tree
 from pcs_racing_agents.trees import driving as _driving

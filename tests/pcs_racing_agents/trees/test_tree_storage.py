@@ -7,7 +7,7 @@ from refusal import refused
 from same_arrays import assert_same
 
 from pcs_racing import InputError, make_game
-from pcs_racing_agents.jobs.chunks import read_chunk, write_chunk
+from pcs_racing_agents.base.chunks import read_chunk, write_chunk
 from pcs_racing_agents.trees import build_tree, build_trees, choose_pairs, load_trees
 from pcs_racing_agents.trees.build import default_seeds, draw_root
 

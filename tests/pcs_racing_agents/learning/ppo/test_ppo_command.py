@@ -7,7 +7,7 @@ from repository import read_page
 
 from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.base.settings import plain_settings
-from pcs_racing_agents.configs import shipped_configs
+from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, load_ppo_settings
 from pcs_racing_agents.learning.ppo.train import make_task
 

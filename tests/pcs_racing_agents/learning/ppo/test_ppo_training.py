@@ -13,8 +13,8 @@ from pcs_racing import InputError, load_archive, load_track, make_game, save_arc
 from pcs_racing.planners.network import INPUTS
 from pcs_racing.planners.trained import read_driver
 from pcs_racing_agents.agents import make
-from pcs_racing_agents.jobs.chunks import read_chunk
-from pcs_racing_agents.jobs.executors import make_executor
+from pcs_racing_agents.base.chunks import read_chunk
+from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.learning.ppo.evaluation import (
     Matchup,
     MatchupScore,
@@ -102,7 +102,7 @@ def test_two_trainings_in_one_process_do_not_disturb_each_other(settings, traine
 
 
 def test_seeds_differ_the_best_is_kept_and_an_executor_changes_no_weight(settings, trained, tmp_path):
-    """Two seeds in turn; other processes are in tests/pcs_racing_agents/jobs/test_cluster.py."""
+    """Two seeds in turn; other processes are in tests/pcs_racing_agents/base/test_cluster.py."""
     reports = []
     with make_executor("threads", 2) as executor:
         both = train_ppo(

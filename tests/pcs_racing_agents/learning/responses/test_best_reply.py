@@ -11,8 +11,9 @@ from pcs_racing import load_game_config, make_game
 from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.setting import make_setting
-from pcs_racing_agents.jobs.executors import make_executor
-from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.base.executors import make_executor
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.tables import interval_text
 from pcs_racing_agents.learning.responses import best_reply, kept_networks, load_response_settings
 from pcs_racing_agents.learning.responses.best_reply import (
     BestReply,
@@ -21,9 +22,8 @@ from pcs_racing_agents.learning.responses.best_reply import (
     reply_text,
     write_replies,
 )
-from pcs_racing_agents.results.race_files import race_table
-from pcs_racing_agents.results.races import RaceRow
-from pcs_racing_agents.results.tables import interval_text
+from pcs_racing_agents.tournament.race_files import race_table
+from pcs_racing_agents.tournament.races import RaceRow
 from pcs_racing_agents.tournament.statistics import clustered_mean
 
 SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epochs=30, patience=8)

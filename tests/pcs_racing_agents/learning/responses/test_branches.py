@@ -9,7 +9,7 @@ from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.setting import make_setting
-from pcs_racing_agents.jobs.jobs import open_job
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning.responses import ResponseSettings, branch_games, learn_response, learner, merge_networks
 from pcs_racing_agents.learning.responses.branches import block_rows, game_blocks, outcome
 from pcs_racing_agents.networks import RegretNetwork

@@ -1,0 +1,149 @@
+"""How strong every agent of the zoo is, and what a decision costs.
+
+    python dev/benchmarks/zoo.py                     # measures and prints
+    python dev/benchmarks/zoo.py --write             # and writes agents/measured.csv and the pages
+
+Every agent that there is with its defaults, and two lattices, race six others, on a circuit that some agents learned
+on and on one that none learned on (but for the driver ppo-drive, which learned on Kestrelheim), once with the archive
+"default" in the paper's race and once with the archive "contest" in the contest. All drive the same races. What is left
+in --out of an earlier call is not driven again, unless an agent has changed.
+"""
+
+import argparse
+import re
+import sys
+import time
+from collections.abc import Callable
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pcs_racing import load_track, make_game, run_races
+from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.game.state import take_games
+from pcs_racing_agents.agents import Agent, Driver, make_setting, names
+from pcs_racing_agents.agents.agent import competitor_hash
+from pcs_racing_agents.agents.describe import Measured
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.tournament.pairings import draw_schedule, schedule_pairing
+from pcs_racing_agents.tournament.races import concatenate_races
+from pcs_racing_agents.tournament.round_robin import round_robin
+from pcs_racing_agents.tournament.runner import play_pairings
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
+import zoo_page
+
+TRACKS = {"paper": ("Tarnfjord", "Saltmere"), "contest": ("Pipkin", "Kestrelheim")}
+TUNED = ("lattice", "lattice:pace=0.7,pace_behind=0.2")  # the planner of the archives: its defaults, and set by hand
+FIELD = ("never-switch", "random-moves", "best-fixed", "cfr-argmax", "lane-switcher", "random-policy")
+SEED = 8_000_000  # other races than those of any study
+
+
+def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
+    """Everything about the agents of one game."""
+    setting = make_setting(archive, race)
+    agents = {}
+    for name in (*names(archive, race), *TUNED):
+        try:
+            agents[name] = build(name, setting)
+        except UnknownNameError as error:
+            print(f"not measured: {error}")
+    games = [make_game(load_track(track), setting.archive, setting.config) for track in TRACKS[race]]
+    # The same starts and seeds for every agent, so that differences of scores are differences of agents.
+    schedules = [draw_schedule(game.track, setting.config.race_rules, races, SEED) for game in games]
+    settings = {"archive": setting.archive.content_hash, "race": race, "races": races, "seed": SEED}
+    tables = []
+    with open_job(out / f"{archive}-{race}", "zoo", settings) as job:
+        for name, agent in agents.items():
+            pairings = [
+                schedule_pairing(game, agent, agents[rival], schedule, SEED)
+                for (game, schedule), rival in product(zip(games, schedules, strict=True), FIELD)
+                if rival != name
+            ]
+            told = show_progress(f"races: {name}, {race}")
+            # Kept by name: a new agent leaves the races of the others as they are.
+            kept = name.replace("+", "-plus") if name.endswith("+") else f"{name}minus" if name.endswith("-") else name
+            kept = re.sub("[^a-z0-9-]+", "-", kept)
+            tables += play_pairings(pairings, name=kept, job=job, progress=told)
+    races_driven = concatenate_races(tables)
+    together = round_robin(list(agents), races_driven)
+    found = []
+    for name, agent in agents.items():
+        own = concatenate_races(table for table in tables if table[0].ego == name)
+        scores = {
+            rival: float(own.score[own.agents.codes[:, 1] == own.agents.words.index(rival)].mean())
+            for rival in FIELD
+            if rival != name
+        }
+        found.append(
+            Measured(
+                archive,
+                race,
+                name,
+                competitor_hash(agent),
+                ", ".join(TRACKS[race]),
+                len(own),
+                float(np.mean(list(scores.values()))),
+                *together.rating(name),
+                float(own.fault[:, 0].mean()),
+                *cost(games[0], agent),
+                scores,
+            )
+        )
+    return sorted(found, key=lambda one: -one.score)
+
+
+def cost(game: Any, agent: Any) -> tuple[float, float]:
+    """Microseconds of processor time of a decision: for one observation, and for each of 1,000 at once."""
+    if isinstance(agent, Driver):
+        # A driver plans within the race: its cost is that of whole races, divided by their plans.
+        policies = [agent.policies[i % len(agent.policies)] for i in range(16)]
+        rules = game.setup.config
+        spent = _seconds(lambda: run_races(game.track, policies, policies[::-1], rules, threads=1))
+        return 1e6 * spent / (2 * len(policies) * rules.duration / 0.1), np.nan
+    state = game.reset(games=500, seed=0)
+    state = game.step(state, np.tile([0, 2], (500, 1)))
+    rows = game.observation(state).reshape(1000, -1)
+    if isinstance(agent, Agent):
+        one, many = (_seconds(lambda seen=seen: agent.predict(seen)) / len(seen) for seen in (rows[:1], rows))
+        return 1e6 * one, 1e6 * many
+    # Agents that simulate take milliseconds for a decision: a thousand games would take minutes.
+    few = take_games(state, np.arange(10))
+    return 1e6 * _seconds(lambda: agent.decide(game, few, 0)) / len(few.step), np.nan
+
+
+def _seconds(work: Callable[[], Any], enough: float = 0.05) -> float:
+    """Processor seconds of a call, the mean of so many seconds of calls after a first one."""
+    work()
+    begin, calls = time.process_time(), 0
+    while time.process_time() - begin < enough:
+        work()
+        calls += 1
+    return (time.process_time() - begin) / calls
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--races", type=int, default=30, help="races against each of six opponents on each circuit")
+    parser.add_argument("--out", type=Path, default=Path("out/zoo"), help="folder in which the races are kept")
+    parser.add_argument(
+        "--write", action="store_true", help="write measured.csv of this checkout, of which the page of the zoo is made"
+    )
+    arguments = parser.parse_args()
+    found = []
+    for archive, race in zoo_page.SETTINGS:
+        found += measure(archive, race, arguments.races, arguments.out)
+    for one in found:
+        print(
+            f"{one.race:8s} {one.agent:24s} {one.score:.3f} {one.rating:+5.0f} {one.one_us:8.1f} us {one.sha256[:12]}"
+        )
+    if arguments.write:
+        print(zoo_page.write_measurements(found))
+
+
+if __name__ == "__main__":
+    main()

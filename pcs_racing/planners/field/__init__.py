@@ -1,0 +1,1 @@
+"""Planners of the literature and of courses, each after its paper."""

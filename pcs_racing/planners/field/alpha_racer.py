@@ -1,0 +1,254 @@
+"""Alpha-RACER [1]_: five numbers say how a car races, and both cars' numbers maximise a potential of their game.
+
+The numbers of a car are a factor of its speed, a look-ahead (how soon it is where it wants to be across the track),
+the distance at which it passes the other car, how far away it begins to, and how much it moves in front of a car
+behind. Ten times a second both cars get a few samples of them, and every pair of samples is driven on in thought. What
+a pair pays a car is its progress less that of the other car and the costs of collisions, of walls and of
+leaving the race line. A game in which what one car gains by another choice is what one function of both choices gains,
+the potential, has its equilibria where the potential is greatest. So the car drives its part of the best pair.
+
+What differs: the potential is not a network learned offline, but that of the potential game nearest to the sampled
+one, which a least-squares projection gives in closed form [2]_. Cars are driven on for 3 s along the race line instead
+of being valued over a whole race, each closing in on its place across the track like a damped spring. The opponent is
+taken to keep its own share of the profile, and not to make way for a car behind. There are two cars instead of three.
+
+References
+----------
+.. [1] D. Kalaria, C. Maheshwari and S. Sastry, "alpha-RACER: Real-time algorithm for game-theoretic motion planning and
+   control in autonomous racing using near-potential function", L4DC, 2025, arXiv:2412.08855.
+.. [2] O. Candogan, I. Menache, A. Ozdaglar and P. Parrilo, "Flows and decompositions of games: harmonic and potential
+   games", Mathematics of Operations Research 36(3), 2011.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.elementary import exponential, tangent
+from pcs_racing.planners import line_following as _line
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.track import frenet as _frenet
+
+_PACE, _GAP, _P, _D = range(len(_line.TRAILING))
+PARAMETERS = (
+    _line.PACE,
+    replace(_line.TRAILING[_GAP], default=1.1),
+    replace(_line.TRAILING[_P], default=1.0),
+    _line.TRAILING[_D],
+    Parameter("speed_factor", 0.7, 1.0, 0.95, "smallest factor of the speed among the samples"),
+    Parameter("look_ahead", 1.0, 4.0, 2.2, "longest time among the samples to reach a place across the track, s"),
+    Parameter("shift", 0.1, 1.0, 0.25, "most air beside the opponent among the samples, m"),
+    Parameter("shift_range", 3.0, 12.0, 6.0, "longest distance among the samples at which a pass begins, m"),
+    Parameter("blocking", 0.0, 1.0, 0.5, "largest share among the samples of the way in front of a car behind"),
+    Parameter("rivalry", 0.0, 1.0, 0.8, "what a metre of the opponent's progress costs, m"),
+    Parameter("side_weight", 0.1, 5.0, 0.8, "metres of progress that a metre of mean distance from the line costs"),
+    Parameter("wall_air", 0.05, 0.5, 0.15, "air beside walls to keep away from the race line, m"),
+    Parameter("opponent_air", 0.05, 0.6, 0.25, "air beside the opponent to keep, m"),
+)
+SPEED, LOOK, SHIFT, RANGE, BLOCKING, RIVALRY, SIDE, WALL_AIR, OPPONENT_AIR = range(_D + 1, len(PARAMETERS))
+
+SAMPLES = 12  # of each car: a third of them pass to the right, a third stay, a third pass to the left
+NUMBERS = 5
+_ROOT = 1.1347241384015194  # of x^6 = x + 1: its powers give a sequence of low discrepancy in five dimensions
+_POINTS = (0.5 + np.arange(SAMPLES)[:, None] / np.cumprod(np.full(NUMBERS, _ROOT))) % 1.0
+_F, _T, _SHIFT, _RANGE, _BLOCK = range(NUMBERS)
+
+STEPS, STEP, FINE = 12, 0.25, 0.08  # the last two in s: of the game, and of the plan that is driven
+MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2
+COLLISION, WALL, KEPT = 15.0, 4.0, 0.3  # m: what they cost, and what the last choice gains
+BEHIND = 6.0  # m within which a car behind may be blocked
+SIGHT = 12.0  # m within which the game is played
+PLACES, SPACE, BACK = 120, 0.5, 14.0  # of the table; the last two in m
+EASE = 0.1  # m per m by which the ways to the sides change at most
+_SPEED, _KAPPA, _RIGHT, _LEFT = range(4)
+
+# Memory: the lane, and the sample that was chosen last, counted from 1.
+_CHOSEN = _line.KEPT_LANE
+MEMORY = _line.KEPT_LANE + 1
+# Scratch: the samples of both cars; arc lengths and distances from the line of the own plan; both cars' values of every
+# pair; their means over each car's own samples; the table of the track; the lane.
+_PAIRS = SAMPLES * SAMPLES
+_PLAN = 2 * SAMPLES * NUMBERS
+_VALUES = _PLAN + 2 * STEPS
+_MEANS = _VALUES + 2 * _PAIRS
+_TABLE = _MEANS + 4 * SAMPLES
+_LANE = _TABLE + 4 * PLACES
+SCRATCH = _LANE + _line.LANE_SIZE
+
+
+@inner_kernel
+def _draw(theta, clear, passes, samples):  # type: ignore[no-untyped-def]
+    """Write the five numbers of all samples of a car; ``clear`` is the least distance at which it passes, m.
+
+    A car that is passed does not make way: it goes on, faster or slower, and may block.
+    """
+    for k in range(SAMPLES):
+        own, point = samples[k * NUMBERS :], _POINTS[k]
+        own[_F] = 1.0 - (1.0 - theta[SPEED]) * (point[_F] if k > 2 else 0.0)
+        own[_T] = 0.125 * theta[LOOK] * (1.0 + point[_T])  # a fourth of it: then it is there but for a tenth
+        own[_SHIFT] = (k % 3 - 1.0) * (clear + theta[SHIFT] * point[_SHIFT]) if passes else 0.0
+        own[_RANGE] = 0.5 * theta[RANGE] * (1.0 + point[_RANGE])
+        own[_BLOCK] = theta[BLOCKING] * point[_BLOCK]
+
+
+@inner_kernel(forceinline=True)
+def _near(distance, reach):  # type: ignore[no-untyped-def]
+    """1 at no distance, falling smoothly to 0 at the reach."""
+    q = max(1.0 - (distance / reach) ** 2, 0.0)
+    return q * q
+
+
+@inner_kernel
+def _lay_table(track, view, keep, table):  # type: ignore[no-untyped-def]
+    """Write speed, curvature and the eased ways to both sides (m) for places from `BACK` m behind the car on."""
+    for k in range(PLACES):
+        sample, row = track.line[line_index(track, view[_view.OWN_S] + k * SPACE - BACK)], table[4 * k :]
+        row[_SPEED], row[_KAPPA] = sample[_frenet.SPEED], sample[_frenet.KAPPA]
+        row[_RIGHT], row[_LEFT] = min(keep - sample[_frenet.RIGHT], 0.0), max(sample[_frenet.LEFT] - keep, 0.0)
+    for k in range(PLACES - 1):
+        for here, there in ((PLACES - 2 - k, PLACES - 1 - k), (k + 1, k)):
+            for side, sign in ((_RIGHT, -1.0), (_LEFT, 1.0)):
+                eased = sign * table[4 * there + side] + EASE * SPACE
+                table[4 * here + side] = sign * min(sign * table[4 * here + side], eased)
+
+
+@inner_kernel(forceinline=True)
+def _row(table, s):  # type: ignore[no-untyped-def]
+    """Where the row of the table for an arc length from the car on begins."""
+    return 4 * min(max(int((s + BACK) / SPACE), 0), PLACES - 1)
+
+
+@inner_kernel(forceinline=True)
+def _step(theta, table, dt, five, decay, home, top, grip, long, wide, s, v, d, rate, other_s, other_v, other_d):  # type: ignore[no-untyped-def]
+    """Drive a car on by ``dt``: its arc length, speed, distance from the line, how fast that grows, and costs."""
+    here, time, gap = table[_row(table, s) :], five[_T], other_s - s
+    soon = table[_row(table, s + 2.0 * v * time) :]  # a spring comes late
+    place = home
+    if gap < -long:
+        place += five[_BLOCK] * _near(gap, BEHIND) * (other_d - home)
+    elif five[_SHIFT] != 0.0:
+        place += _near(gap, five[_RANGE]) * (other_d + five[_SHIFT] - home)
+    place = min(max(place, here[_RIGHT], soon[_RIGHT]), here[_LEFT], soon[_LEFT])
+    # The exact step of a critically damped spring.
+    stray = d - place
+    pull = rate + stray / time
+    d = place + (stray + pull * dt) * decay
+    rate = (rate - pull * dt / time) * decay
+    stretch = max(1.0 - here[_KAPPA] * d, 0.25)
+    wanted = min(five[_F] * top * here[_SPEED], np.sqrt(grip * stretch / max(abs(here[_KAPPA]), 1e-6)))
+    if gap > 0.0 and abs(other_d - d) < wide:
+        wanted = min(wanted, max(other_v + theta[_P] * (gap - theta[_GAP]), 0.0))
+    v = max(min(wanted, v + dt * MOST_ACCELERATION), v - dt * MOST_BRAKING, 0.0)
+    off = d < here[_RIGHT] - 0.05 or d > here[_LEFT] + 0.05
+    cost = theta[SIDE] * abs(d - home) / STEPS + (WALL / STEPS if off else 0.0)
+    return s + dt * v / stretch, v, d, rate, cost
+
+
+@inner_kernel
+def _play(theta, view, dt, at, d, rate, opp_d, scale, opp_scale, i, j, scratch):  # type: ignore[no-untyped-def]
+    """Drive both cars on with a sample each, write the own plan, and return the payoff of either, m."""
+    table, grip = scratch[_TABLE:_LANE], 1.3 * _line.GRIP * max(scale * scale, 1.0)
+    long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.1
+    wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
+    near = wide + 0.1
+    own, opp = scratch[i * NUMBERS :], scratch[(SAMPLES + j) * NUMBERS :]
+    own_decay, opp_decay = exponential(-dt / own[_T]), exponential(-dt / opp[_T])
+    s, v, home = 0.0, view[_view.OWN_V], opp_d
+    opp_s, opp_v, opp_rate = at, view[_view.OPP_V], view[_view.OPP_D_DOT]
+    value, opp_value = 0.0, 0.0
+    for k in range(STEPS):
+        was_s, was_v, was_d = s, v, d
+        s, v, d, rate, cost = _step(
+            theta, table, dt, own, own_decay, 0.0, scale, grip, long, near, s, v, d, rate, opp_s, opp_v, opp_d
+        )
+        opp_s, opp_v, opp_d, opp_rate, opp_cost = _step(
+            theta, table, dt, opp, opp_decay, home, opp_scale, grip, long, near, opp_s, opp_v, opp_d, opp_rate,
+            was_s, was_v, was_d,
+        )  # fmt: skip
+        value, opp_value = value - cost, opp_value - opp_cost
+        scratch[_PLAN + k], scratch[_PLAN + STEPS + k] = s, d
+        # What is missing beside the other car counts while they are level; the first half second can't be helped.
+        if abs(opp_s - s) < long:
+            lack = max(wide + (theta[OPPONENT_AIR] if k > 1 else 0.0) - abs(opp_d - d), 0.0)
+            cost = COLLISION * lack / wide * (1.5 - k / STEPS)
+            value, opp_value = value - cost, opp_value - cost
+    gained, lost = s, opp_s - at
+    return value + gained - theta[RIVALRY] * lost, opp_value + lost - theta[RIVALRY] * gained
+
+
+@kernel
+def best_of_potential(own, opponent, means, last):  # type: ignore[no-untyped-def]
+    """The pair of samples at which the potential of the nearest potential game is greatest.
+
+    Parameters
+    ----------
+    own, opponent : ndarray, shape (SAMPLES * SAMPLES,)
+        Payoffs of the pairs for either car; own samples are rows.
+    means : ndarray, shape (4 * SAMPLES,)
+        Working memory.
+    last : int
+        The own sample that pays `KEPT` more.
+    """
+    n = SAMPLES
+    means[:] = 0.0
+    for i in range(n):
+        for j in range(n):
+            means[j] += own[i * n + j] / n
+            means[n + i] += opponent[i * n + j] / n
+            means[2 * n + i] += own[i * n + j] / n
+            means[3 * n + j] += opponent[i * n + j] / n
+    row, column, best = 0, 0, -np.inf
+    for i in range(n):
+        for j in range(n):
+            # A choice gains what it does on average over the other car's, and half of what it does beyond that.
+            gains = own[i * n + j] - means[j] + opponent[i * n + j] - means[n + i]
+            value = 0.5 * (gains + means[2 * n + i] + means[3 * n + j]) + (KEPT if i == last else 0.0)
+            if value > best:
+                row, column, best = i, j, value
+    return row, column
+
+
+@kernel
+def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Play the game where the opponent is near, and drive the own part of the best pair."""
+    gap, scale, lane = gap_ahead(track, view), _line.speed_scale(view, theta[_PACE]), scratch[_LANE:SCRATCH]
+    if abs(gap) > SIGHT:
+        memory[0] = memory[_CHOSEN] = 0.0
+        cap = _line.follow_line(track, theta, view, gap, SIGHT, lane)
+        _line.ease_onto(track, view, scale, cap, lane, path)
+        return
+    d, slope, goes_on = _line.last_lane(track, view, memory)
+    if not goes_on:
+        d, slope = view[_view.OWN_D], tangent(min(max(_line.course_off_line(track, view), -1.0), 1.0))
+    rate, opp_d = view[_view.OWN_V] * slope, view[_view.OPP_D]
+    opp_scale = view[_view.OPP_V] / track.line[line_index(track, view[_view.OWN_S] + gap), _frenet.SPEED]
+    clear = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
+    keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
+    _lay_table(track, view, keep, scratch[_TABLE:_LANE])
+    _draw(theta, clear, True, scratch)
+    _draw(theta, clear, gap < 0.0, scratch[SAMPLES * NUMBERS :])
+    own, opponent = scratch[_VALUES : _VALUES + _PAIRS], scratch[_VALUES + _PAIRS : _MEANS]
+    for i in range(SAMPLES):
+        for j in range(SAMPLES):
+            own[i * SAMPLES + j], opponent[i * SAMPLES + j] = _play(
+                theta, view, STEP, gap, d, rate, opp_d, scale, opp_scale, i, j, scratch
+            )
+    i, j = best_of_potential(own, opponent, scratch[_MEANS:_TABLE], int(memory[_CHOSEN]) - 1)
+    _play(theta, view, FINE, gap, d, rate, opp_d, scale, opp_scale, i, j, scratch)
+    memory[_CHOSEN] = i + 1.0
+    along, factor = scratch[_PLAN : _PLAN + STEPS], scratch[i * NUMBERS + _F]
+    _line.lay_lane(view, d, along, scratch[_PLAN + STEPS : _VALUES], lane)
+    _line.hold_off(track, view, keep, lane)
+    _line.keep_lane(view, lane, memory)
+    _line.ease_onto(track, view, factor * scale, np.inf, lane, path)
+    _line.hold_back(track, view, factor * scale, along, FINE, path)
+
+
+VARIANTS = {"blocks": {"blocking": 1.0, "rivalry": 1.0}, "lets-by": {"blocking": 0.0, "rivalry": 0.0}}
+ALPHA_RACER = Planner(
+    name="alpha-racer", parameters=PARAMETERS, plan=plan, memory_size=MEMORY, scratch_size=SCRATCH, variants=VARIANTS
+)
+"""The near-potential game of two cars."""

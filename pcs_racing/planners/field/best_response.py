@@ -1,0 +1,254 @@
+"""Iterated best response [1]_, [2]_: both cars improve their plans in turn, each keeping clear of the other's.
+
+A plan is a place on the track for each of the next `STEPS` steps. The best reply to the other car's plan goes as far
+along the track as the speed profile allows, and to one side of the other car where both would be level; between that
+and staying behind it the car takes what leaves it farther ahead. Across the track it is the minimum of a quadratic
+cost: acceleration, distance from the race line, and what is missing beside the other car and the walls. The opponent
+is taken to plan in the same way, with its own share of the profile. The own plan comes last.
+
+The sensitivity term of [1]_ adds how much the opponent's constraint pushes it: a step at which the opponent has to
+give way pulls the own plan in front of it, with the multiplier of that constraint. So a car defends.
+
+What differs: the quadratic cost has penalties in place of constraints, and the multipliers are those of the penalties;
+plans live along the race line, where the track is a corridor.
+
+References
+----------
+.. [1] R. Spica, E. Cristofalo, Z. Wang, E. Montijano and M. Schwager, "A real-time game theoretic planner for
+   autonomous two-player drone racing", IEEE Transactions on Robotics, 2020, arXiv:1801.02302.
+.. [2] M. Wang, Z. Wang, J. Talbot, J. C. Gerdes and M. Schwager, "Game-theoretic planning for self-driving cars in
+   multivehicle competitive scenarios", IEEE Transactions on Robotics, 2021.
+"""
+
+import numpy as np
+
+from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.elementary import tangent
+from pcs_racing.planners import line_following as _line
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.track import frenet as _frenet
+
+PARAMETERS = (
+    _line.PACE,
+    Parameter("rounds", 1.0, 8.0, 3.0, "times that both cars improve their plans"),
+    Parameter("sensitivity", 0.0, 2.0, 0.3, "weight of what the opponent's constraint pushes it by"),
+    Parameter("line_weight", 0.02, 5.0, 0.3, "cost of a squared distance from the race line, 1/m^2"),
+    Parameter("acceleration_weight", 0.0005, 0.1, 0.005, "cost of a squared acceleration across the track, s^4/m^2"),
+    Parameter("side_weight", 0.1, 5.0, 0.5, "metres of progress that a metre of mean distance from the line costs"),
+    Parameter("wall_air", 0.05, 0.5, 0.15, "air beside walls to keep, m"),
+    Parameter("opponent_air", 0.05, 0.6, 0.25, "air beside the opponent to keep, m"),
+    Parameter("follow_gap", 0.7, 3.0, 1.1, "distance between the cars' middles to keep behind the opponent, m"),
+)
+_PACE, ROUNDS, SENSITIVITY, LINE, ACCELERATION, SIDE, WALL_AIR, OPPONENT_AIR, FOLLOW = range(len(PARAMETERS))
+
+STEPS, STEP = 15, 0.2  # the last in s
+STEEP = 20.0  # cost of a squared metre that is missing beside the other car or a wall
+PASSES = 3  # over the penalties of one reply
+MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2 along the track
+SIGHT = 25.0  # m within which the opponent is considered
+IMPOSSIBLE = 1e3
+
+
+# Memory: the last plan as a lane, and the side on which it passes the opponent.
+_PASSED = _line.KEPT_LANE
+MEMORY = _line.KEPT_LANE + 1
+# Scratch: plans of both cars, each of arc length from the own car on, distance from the line and multiplier; a reply
+# under study; widths to either side, the band matrix and its right side; the lane.
+_PLAN = 3 * STEPS
+_TRIAL = 2 * _PLAN
+_RIGHT, _LEFT, _MAIN, _NEXT, _AFTER, _SIDE_OF = (_TRIAL + _PLAN + STEPS * k for k in range(6))
+_LANE = _SIDE_OF + STEPS
+SCRATCH = _LANE + _line.LANE_SIZE
+
+
+@inner_kernel
+def _go(track, s_from, at, v, scale, plan, other, blocked, keep_back):  # type: ignore[no-untyped-def]
+    """Write the arc lengths of a plan: as fast as the profile allows, and behind the other car where that blocks.
+
+    Returns how far it goes.
+    """
+    s = at
+    for k in range(STEPS):
+        profile = scale * track.line[line_index(track, s_from + s), _frenet.SPEED]
+        slowest = max(v - STEP * MOST_BRAKING, 0.0)
+        v = max(min(v + STEP * MOST_ACCELERATION, profile), slowest)
+        if blocked:
+            # Behind it at this step, and so that its braking can be followed.
+            v = max(min(v, (other[k] - keep_back - s) / STEP), slowest)
+        s += STEP * v
+        plan[k] = s
+    return s
+
+
+@inner_kernel
+def _solve(main, following, after, right):  # type: ignore[no-untyped-def]
+    """Solve a symmetric system with two bands beside the diagonal in place, by its LDL' factors."""
+    n = STEPS
+    for k in range(n):
+        if k > 0:
+            main[k] -= following[k - 1] * following[k - 1] * main[k - 1]
+        if k > 1:
+            main[k] -= after[k - 2] * after[k - 2] * main[k - 2]
+        if k < n - 1:
+            if k > 0:
+                following[k] -= following[k - 1] * after[k - 1] * main[k - 1]
+            following[k] /= main[k]
+        if k < n - 2:
+            after[k] /= main[k]
+        right[k] -= (following[k - 1] * right[k - 1] if k > 0 else 0.0) + (
+            after[k - 2] * right[k - 2] if k > 1 else 0.0
+        )
+    for k in range(n):
+        right[k] /= main[k]
+    for k in range(n - 2, -1, -1):
+        right[k] -= following[k] * right[k + 1] + (after[k] * right[k + 2] if k < n - 2 else 0.0)
+
+
+@inner_kernel
+def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):  # type: ignore[no-untyped-def]
+    """Write the distances from the line of a plan that passes the other car on a side (0: does not), and multipliers.
+
+    ``pull`` (1/m) are the opponent's multipliers that draw the plan towards it. Returns what is missing beside the
+    other car or a wall at most, m.
+    """
+    main, following, after = scratch[_MAIN:_NEXT], scratch[_NEXT:_AFTER], scratch[_AFTER:_SIDE_OF]
+    out = plan[STEPS : 2 * STEPS]
+    multiplier = plan[2 * STEPS : 3 * STEPS]
+    bend = theta[ACCELERATION] / (STEP * STEP * STEP * STEP)
+    out[:], multiplier[:] = d, 0.0
+    missing = 0.0
+    for turn in range(PASSES):
+        previous = d - STEP * rate
+        for k in range(STEPS):
+            was = out[k]
+            # Squares of d[k] - 2 d[k - 1] + d[k - 2], with the two places before the plan given.
+            main[k] = theta[LINE] + bend * (6.0 if k < STEPS - 2 else 5.0 if k == STEPS - 2 else 1.0)
+            following[k] = bend * (-4.0 if k < STEPS - 2 else -2.0)
+            after[k] = bend
+            right = 0.0
+            if k == 0:
+                right = bend * (4.0 * d - previous)
+            elif k == 1:
+                right = -bend * d
+            level = abs(plan[k] - other[k]) < reach
+            if level and side != 0.0:
+                wanted = other[STEPS + k] + side * clear
+                if turn == 0 or side * (wanted - was) > 0.0:
+                    main[k] += STEEP
+                    right += STEEP * wanted
+            inside = min(max(was, -scratch[_RIGHT + k]), scratch[_LEFT + k])
+            if turn > 0 and was != inside:
+                main[k] += 2.0 * STEEP
+                right += 2.0 * STEEP * inside
+            right += pull[k] * min(max(other[STEPS + k] - was, -0.5), 0.5)
+            multiplier[k] = right
+        for k in range(STEPS):
+            out[k] = multiplier[k]
+        _solve(main, following, after, out)
+    for k in range(STEPS):
+        lack = 0.0
+        if abs(plan[k] - other[k]) < reach:
+            lack = max(clear - abs(out[k] - other[STEPS + k]), 0.0)
+            missing = max(missing, max(clear - side * (out[k] - other[STEPS + k]), 0.0) if side != 0.0 else lack)
+        multiplier[k] = 2.0 * STEEP * lack
+        missing = max(missing, max(out[k] - scratch[_LEFT + k], -scratch[_RIGHT + k] - out[k], 0.0))
+    return missing
+
+
+@inner_kernel
+def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, other, scratch):  # type: ignore[no-untyped-def]
+    """Replace a plan by the best reply to the other car's; returns the side on which it passes."""
+    s0 = view[_view.OWN_S]
+    trial = scratch[_TRIAL : _TRIAL + _PLAN]
+    reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.3
+    keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
+    nothing = scratch[_SIDE_OF : _SIDE_OF + STEPS]
+    chosen, best = 0.0, -np.inf
+    for way in (1.0, -1.0, 0.0):
+        side, blocked = way, way == 0.0
+        end = _go(track, s0, at, v, scale, trial, other, blocked, theta[FOLLOW])
+        meets = False
+        for k in range(STEPS):
+            sample = track.line[line_index(track, s0 + trial[k])]
+            # On the line a wall is as near as it is.
+            scratch[_RIGHT + k] = max(sample[_frenet.RIGHT] - keep, 0.0)
+            scratch[_LEFT + k] = max(sample[_frenet.LEFT] - keep, 0.0)
+            meets = meets or abs(trial[k] - other[k]) < reach
+        if blocked and not meets:
+            pull = nothing
+        missing = _across(theta, d, rate, side, reach, clear, pull, trial, other, scratch)
+        aside = 0.0
+        for k in range(STEPS):
+            aside += abs(trial[STEPS + k]) / STEPS
+        value = end - theta[SIDE] * aside - (20.0 * missing if not blocked else 0.0) + (0.3 if side == last else 0.0)
+        if not blocked and (missing > 0.12 and meets):
+            value -= IMPOSSIBLE
+        if not meets and not blocked:
+            # Nobody is met: the line is free.
+            _across(theta, d, rate, 0.0, reach, clear, pull, trial, other, scratch)
+            side, value = 0.0, IMPOSSIBLE
+        if value > best:
+            best, chosen = value, side
+            for k in range(_PLAN):
+                plan[k] = trial[k]
+        if value == IMPOSSIBLE:
+            break
+    return chosen
+
+
+@kernel
+def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Improve both plans in turn, and drive the own one."""
+    s0 = view[_view.OWN_S]
+    scale = _line.speed_scale(view, theta[_PACE])
+    gap = gap_ahead(track, view)
+    own, opponent = scratch[:_PLAN], scratch[_PLAN:_TRIAL]
+    lane = scratch[_LANE:SCRATCH]
+    d0, slope, goes_on = _line.last_lane(track, view, memory)
+    if not goes_on:
+        d0, slope = view[_view.OWN_D], tangent(min(max(_line.course_off_line(track, view), -1.0), 1.0))
+    rate = view[_view.OWN_V] * slope
+    clear = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
+    far = not -SIGHT < gap < SIGHT
+    opp_scale = view[_view.OPP_V] / track.line[line_index(track, s0 + gap), _frenet.SPEED]
+    # The opponent's first plan keeps its place across the track.
+    _go(track, s0, gap, view[_view.OPP_V], opp_scale, opponent, own, False, 0.0)
+    for k in range(STEPS):
+        opponent[k] += 1e6 if far else 0.0
+        opponent[STEPS + k] = view[_view.OPP_D]
+        opponent[2 * STEPS + k] = own[2 * STEPS + k] = scratch[_SIDE_OF + k] = 0.0
+    pull = opponent[2 * STEPS :]
+    side = memory[_PASSED]
+    for turn in range(int(theta[ROUNDS])):
+        if turn > 0 and not far:
+            none = scratch[_SIDE_OF : _SIDE_OF + STEPS]
+            _reply(
+                track, theta, view, gap, view[_view.OPP_V], view[_view.OPP_D], view[_view.OPP_D_DOT], opp_scale, clear,
+                0.0, none, opponent, own, scratch,
+            )  # fmt: skip
+            for k in range(STEPS):
+                # Only a car behind is to be held up.
+                pull[k] = theta[SENSITIVITY] * pull[k] if gap < 0.0 else 0.0
+        side = _reply(
+            track, theta, view, 0.0, view[_view.OWN_V], d0, rate, scale, clear, memory[_PASSED], pull, own, opponent,
+            scratch,
+        )  # fmt: skip
+    memory[_PASSED] = side
+    _line.lay_lane(view, d0, own[:STEPS], own[STEPS : 2 * STEPS], lane)
+    _line.keep_lane(view, lane, memory)
+    _line.ease_onto(track, view, scale, np.inf, lane, path)
+    _line.hold_back(track, view, scale, own[:STEPS], STEP, path)
+
+
+VARIANTS = {"plain": {"sensitivity": 0.0}, "defends": {"sensitivity": 1.0}}
+BEST_RESPONSE = Planner(
+    name="iterated-best-response",
+    parameters=PARAMETERS,
+    plan=plan,
+    memory_size=MEMORY,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
+)
+"""Iterated best response of two cars."""

@@ -1,0 +1,164 @@
+"""The bimatrix game of racing [1]_: both cars choose among a few trajectories, and each knows that the other one does.
+
+Ten times a second each car has trajectories to places across the track at several speeds, one of them that of
+following. The payoff of a pair of trajectories is how far a car gets, less a cost of leaving the race line. A collision
+costs the car behind, whose duty it is to avoid it, and, as far as the game is cooperative, the car ahead too. In the
+blocking game the car ahead is paid for staying ahead. The game is solved for its Stackelberg equilibrium with the car
+ahead as the leader, and played again at the next plan.
+
+What differs: trajectories are cubics along the race line instead of those of a viability kernel; the opponent is taken
+to keep its own share of the profile, or to be slower, and to want to stay where it is across the track; Nash
+equilibria are left out, as the leader's favourite one drove the same races.
+
+References
+----------
+.. [1] A. Liniger and J. Lygeros, "A noncooperative game approach to autonomous racing", IEEE Transactions on Control
+   Systems Technology 28(3), 2020, arXiv:1712.03913.
+"""
+
+import numpy as np
+
+from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.planners import line_following as _line
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.track import frenet as _frenet
+
+PARAMETERS = (
+    *_line.TRAILING,
+    Parameter("cooperation", 0.0, 1.0, 0.3, "share of the cost of a collision that the car ahead bears"),
+    Parameter("blocking", 0.0, 10.0, 0.0, "payoff of staying ahead for the car ahead, m"),
+    Parameter("side_weight", 0.1, 5.0, 1.0, "metres of progress that a metre of mean distance from the line costs"),
+    Parameter("wall_air", 0.05, 0.5, 0.15, "air beside walls to keep away from the race line, m"),
+    Parameter("opponent_air", 0.05, 0.6, 0.25, "air beside the opponent to keep, m"),
+)
+COOPERATION, BLOCKING, SIDE, WALL_AIR, OPPONENT_AIR = range(len(_line.TRAILING), len(PARAMETERS))
+
+PLACES, PLACE_STEP = 5, 0.62  # ends across the track, m apart, the middle one where the car wants to be
+SPEEDS = 2  # of the profile, and that of following
+PART = 0.8  # of the speed, of a car that follows though it is ahead
+MOVES = PLACES * SPEEDS
+STEPS, STEP = 8, 0.25  # the last in s
+MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2
+GRIP = 1.3 * _line.GRIP  # m/s^2 across the track
+COLLISION, IMPOSSIBLE, KEPT = 20.0, 1e3, 0.3  # m: costs, and what the last choice gains
+SIGHT = 12.0  # m within which the game is played
+AIR_LATER = 2  # steps within which the air beside the opponent may still be missing
+
+_CHOSEN = _line.KEPT_LANE  # memory: the lane, and the place that was chosen last, counted from 1
+MEMORY = _line.KEPT_LANE + 1
+# Scratch: of each trajectory of both cars arc lengths and distances from the line at the steps, its value alone; the
+# payoffs of both cars; the lane.
+_S, _D, _VALUE = 0, 2 * MOVES * STEPS, 4 * MOVES * STEPS
+_OWN, _OPP = _VALUE + 2 * MOVES, _VALUE + 2 * MOVES + MOVES * MOVES
+_LANE = _OPP + MOVES * MOVES
+SCRATCH = _LANE + _line.LANE_SIZE
+
+
+@inner_kernel
+def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, follow, scratch):  # type: ignore[no-untyped-def]
+    """Write the trajectories of a car that is ``begin`` m ahead of the own one and wants to be at ``home`` (m)."""
+    s0, reach = view[_view.OWN_S], max(3.0, 1.2 * v)
+    keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
+    for move in range(MOVES):
+        first, speed, aside, fits = (car * MOVES + move) * STEPS, v, 0.0, True
+        end = home + (move % PLACES - PLACES // 2) * PLACE_STEP
+        along, sample = begin, track.line[line_index(track, s0 + begin)]
+        for k in range(STEPS):
+            wanted = min(scale * sample[_frenet.SPEED], follow if move >= PLACES else np.inf)
+            speed = max(min(wanted, speed + STEP * MOST_ACCELERATION), speed - STEP * MOST_BRAKING, 0.0)
+            along += STEP * speed
+            u = min((along - begin) / reach, 1.0)
+            across = end + (1.0 - u) * (1.0 - u) * ((1.0 + 2.0 * u) * (d - end) + u * reach * slope)
+            bend = (6.0 - 12.0 * u) * (end - d) / (reach * reach) if u < 1.0 else 0.0
+            sample = track.line[line_index(track, s0 + along)]
+            off = abs(across) > _line.ON_LINE
+            wall = across > sample[_frenet.LEFT] - keep or -across > sample[_frenet.RIGHT] - keep
+            slips = abs(sample[_frenet.KAPPA] + bend) * speed * speed > GRIP * max(scale * scale, 1.0)
+            fits = fits and not (off and (wall or (slips and k > 0)))
+            scratch[_S + first + k], scratch[_D + first + k] = along, across
+            aside += abs(across - home) / STEPS
+        value = along - begin - theta[SIDE] * aside - (0.0 if fits else IMPOSSIBLE)
+        scratch[_VALUE + car * MOVES + move] = value
+
+
+@inner_kernel
+def _collision(view, air, own, opponent, scratch):  # type: ignore[no-untyped-def]
+    """Cost in m of a trajectory of the own car that meets one of the opponent's: the sooner the more; 0 if not."""
+    long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.1
+    wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
+    a, b = own * STEPS, (MOVES + opponent) * STEPS
+    for k in range(STEPS):
+        room = wide + (air if k >= AIR_LATER else 0.0)
+        across = abs(scratch[_D + a + k] - scratch[_D + b + k])
+        if across < room and abs(scratch[_S + a + k] - scratch[_S + b + k]) < long:
+            return COLLISION * (1.5 - k / STEPS)
+    return 0.0
+
+
+@inner_kernel
+def _payoffs(theta, view, leads, last, scratch):  # type: ignore[no-untyped-def]
+    """Write the payoffs of both cars for every pair of trajectories."""
+    for i in range(MOVES):
+        for j in range(MOVES):
+            own = scratch[_VALUE + i] + (KEPT if i % PLACES + 1 == last else 0.0)
+            opponent = scratch[_VALUE + MOVES + j]
+            if own > -0.5 * IMPOSSIBLE and opponent > -0.5 * IMPOSSIBLE:
+                cost = _collision(view, theta[OPPONENT_AIR], i, j, scratch)
+                own -= cost * (theta[COOPERATION] if leads else 1.0)
+                opponent -= cost * (1.0 if leads else theta[COOPERATION])
+            ahead = scratch[_S + (i + 1) * STEPS - 1] > scratch[_S + (MOVES + j + 1) * STEPS - 1]
+            own += theta[BLOCKING] if leads and ahead else 0.0
+            opponent += theta[BLOCKING] if not leads and not ahead else 0.0
+            scratch[_OWN + i * MOVES + j], scratch[_OPP + i * MOVES + j] = own, opponent
+
+
+@kernel
+def solve(own, opponent, leads):  # type: ignore[no-untyped-def]
+    """The own move in the Stackelberg equilibrium of payoffs of shape (MOVES * MOVES,): own moves are rows."""
+    chosen, best = 0, -np.inf
+    for move in range(MOVES):
+        # The follower's best column against the leader's row, or its best row against the leader's column.
+        reply = int(np.argmax(opponent[move * MOVES :][:MOVES] if leads else own[move::MOVES]))
+        value = own[move * MOVES + reply] if leads else opponent[reply * MOVES + move]
+        if value > best:
+            best, chosen = value, move if leads else reply
+    return chosen
+
+
+@kernel
+def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Play the game where the opponent is near, and drive the own trajectory."""
+    gap, scale, lane = gap_ahead(track, view), _line.speed_scale(view, theta[0]), scratch[_LANE:SCRATCH]
+    if abs(gap) > SIGHT:
+        memory[0] = memory[_CHOSEN] = 0.0
+        cap = _line.follow_line(track, theta, view, gap, SIGHT, lane)
+        _line.ease_onto(track, view, scale, cap, lane, path)
+        return
+    d, slope, goes_on = _line.last_lane(track, view, memory)
+    if not goes_on:
+        d, slope = view[_view.OWN_D], 0.0
+    opp_v = view[_view.OPP_V]
+    follow = _line.trailing_speed(theta, view, gap) if gap > 0.0 else PART * view[_view.OWN_V]
+    opp_scale = opp_v / track.line[line_index(track, view[_view.OWN_S] + gap), _frenet.SPEED]
+    opp_slope = view[_view.OPP_D_DOT] / max(opp_v, 1.0)
+    _trajectories(track, theta, view, 0, 0.0, view[_view.OWN_V], d, 0.0, slope, scale, follow, scratch)
+    behind = view[_view.OWN_V] if gap < 0.0 else PART * opp_v
+    opp_d = view[_view.OPP_D]
+    _trajectories(track, theta, view, 1, gap, opp_v, opp_d, opp_d, opp_slope, opp_scale, behind, scratch)
+    leads = gap < 0.0
+    _payoffs(theta, view, leads, memory[_CHOSEN], scratch)
+    move = solve(scratch[_OWN:_OPP], scratch[_OPP:_LANE], leads)
+    memory[_CHOSEN] = move % PLACES + 1.0
+    along, across = scratch[_S + move * STEPS :][:STEPS], scratch[_D + move * STEPS :][:STEPS]
+    _line.lay_lane(view, d, along, across, lane)
+    _line.keep_lane(view, lane, memory)
+    _line.ease_onto(track, view, scale, follow if move >= PLACES else np.inf, lane, path)
+
+
+VARIANTS = {"blocks": {"blocking": 3.0}, "sequential": {"cooperation": 0.0}}
+BIMATRIX = Planner(
+    name="bimatrix-game", parameters=PARAMETERS, plan=plan, memory_size=MEMORY, scratch_size=SCRATCH, variants=VARIANTS
+)
+"""The bimatrix game of two cars."""

@@ -1,0 +1,102 @@
+"""Follow the gap as the F1TENTH course teaches it [2]_, a simplification of [1]_.
+
+The ranges are cut off at a longest one and smoothed. Around the nearest point a bubble as large as the car is set to
+zero; the longest run of beams that is left is the gap. The car steers for the farthest point of the gap, of ranges
+averaged once more, and chooses one of three speeds by the steering angle. `pcs_racing.planners.field.gap_follower` is a
+driver of our own after the same idea.
+
+What differs: only beams within a quarter turn of straight ahead count, and the speeds are higher than those of the
+course's exercise.
+
+References
+----------
+.. [1] V. Sezer and M. Gokasan, "A novel obstacle avoidance algorithm: Follow the Gap Method", Robotics and Autonomous
+   Systems 60(9), 2012.
+.. [2] University of Pennsylvania, F1TENTH course, laboratory "Follow the Gap", 2020.
+"""
+
+import numpy as np
+
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.elementary import arctangent
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, farthest, scan, steer_for
+
+PARAMETERS = (
+    Parameter("bubble", 0.15, 0.8, 0.3, "radius of the bubble around the nearest point, m"),
+    Parameter("longest", 2.0, 15.0, 10.0, "range at which longer ones are cut off, m"),
+    Parameter("smoothing", 0.0, 0.2, 0.03, "angle to either side over which ranges are averaged, rad"),
+    Parameter("best_smoothing", 0.0, 0.4, 0.17, "the same for the choice of the farthest point, rad"),
+    Parameter("steering_gain", 0.1, 1.0, 0.5, "steering angle per angle of the chosen direction"),
+    Parameter("straight_angle", 0.02, 0.2, 0.17, "steering angle up to which the car drives straight, rad"),
+    Parameter("corner_angle", 0.2, 0.4, 0.35, "steering angle up to which it drives a bend, rad"),
+    Parameter("straight_speed", 1.0, 10.0, 5.0, "speed up to the first angle, m/s"),
+    Parameter("bend_speed", 1.0, 8.0, 3.5, "speed up to the second angle, m/s"),
+    Parameter("corner_speed", 0.5, 6.0, 2.0, "speed beyond it, m/s"),
+)
+(BUBBLE, LONGEST, SMOOTHING, BEST, GAIN, STRAIGHT_ANGLE, CORNER_ANGLE, STRAIGHT, BEND, CORNER) = range(len(PARAMETERS))
+
+NO_LIMIT = 1e6  # m/s^2 of lateral acceleration: the speeds are those of the angles
+_SMOOTH = SCAN_SIZE
+_CHOICE = _SMOOTH + BEAMS
+SCRATCH = _CHOICE + BEAMS
+
+
+@compiled
+def smooth(ranges, longest, angle, out):  # type: ignore[no-untyped-def]
+    """Write the means of the ranges (m), cut off at ``longest``, over ``angle`` (rad) to either side into ``out``."""
+    reach = int(angle / STEP)
+    total = 0.0
+    first, last = 0, -1
+    for k in range(BEAMS):
+        while last < min(k + reach, BEAMS - 1):
+            last += 1
+            total += min(ranges[last], longest)
+        while first < k - reach:
+            total -= min(ranges[first], longest)
+            first += 1
+        out[k] = total / (last - first + 1)
+
+
+@compiled
+def longest_gap(ranges):  # type: ignore[no-untyped-def]
+    """First beam of the longest run of ranges above 0, and the one after its last."""
+    best, best_end, begin = 0, 0, 0
+    for k in range(BEAMS + 1):
+        if k == BEAMS or ranges[k] <= 0.0:
+            if k - begin > best_end - best:
+                best, best_end = begin, k
+            begin = k + 1
+    return best, best_end
+
+
+@compiled
+def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Scan, burst the bubble, steer for the farthest point of the longest gap."""
+    scan(track, view, scratch)
+    ranges, choice = scratch[_SMOOTH:_CHOICE], scratch[_CHOICE:SCRATCH]
+    smooth(scratch[SCAN_SIZE - BEAMS : SCAN_SIZE], theta[LONGEST], theta[SMOOTHING], ranges)
+    smooth(ranges, theta[LONGEST], theta[BEST], choice)
+    first, last = beam_at(-0.5 * np.pi), beam_at(0.5 * np.pi)
+    nearest = first
+    for k in range(first, last + 1):
+        nearest = k if ranges[k] < ranges[nearest] else nearest
+    spread = int(arctangent(theta[BUBBLE] / max(ranges[nearest], 1e-3)) / STEP)
+    for k in range(BEAMS):
+        if k < first or k > last or abs(k - nearest) <= spread:
+            ranges[k] = 0.0
+    begin, end = longest_gap(ranges)
+    steering = theta[GAIN] * ANGLES[farthest(choice, ANGLES, begin, end)]
+    speed = theta[CORNER]
+    if abs(steering) < theta[STRAIGHT_ANGLE]:
+        speed = theta[STRAIGHT]
+    elif abs(steering) < theta[CORNER_ANGLE]:
+        speed = theta[BEND]
+    steer_for(view, steering, speed, NO_LIMIT, path)
+
+
+VARIANTS = {"calm": {"straight_speed": 3.5, "bend_speed": 2.5, "corner_speed": 1.5}, "nearest": {"longest": 4.0}}
+FOLLOW_THE_GAP = Planner(
+    name="follow-the-gap", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH, variants=VARIANTS
+)
+"""The course's version of follow the gap."""

@@ -1,0 +1,267 @@
+"""Lidar drivers with a network, and their folders: a convolutional network [1]_ and a recurrent one [2]_.
+
+A third one (:mod:`pcs_racing.planners.field.residual`) corrects a driver without a map; these two imitate one that has a map.
+Ten times a second a network sees the ranges of its beams, and of the own car the speed, the yaw rate, the steering
+angle and the speed scale that the pace stands for. It puts out the slope and the bend of the path ahead, relative to
+the car's heading, and the speeds to drive nearby and farther on. It was trained on what the predictive spliner, which
+has a map and knows the opponent's state, does in the same places (``examples/imitate_from_lidar.py``).
+
+What differs: networks are smaller, for 135 beams, and see more of the own car; they put out a path ten times a second,
+which is followed fifty times a second, instead of steering angles; and they are taught where they drive themselves,
+too, not only where the teacher does.
+
+References
+----------
+.. [1] M. M. Zarrar, Q. Weng, B. Yerjan, A. Soyyigit and H. Yun, "TinyLidarNet: 2D LiDAR-based end-to-end deep learning
+   model for F1TENTH autonomous racing", 2024, arXiv:2410.07447.
+.. [2] Z. Qiao, H. Li, Z. Cao and H. X. Liu, "End2Race: Efficient end-to-end imitation learning for real-time F1Tenth
+   racing", 2025, arXiv:2509.16894.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat
+from pcs_racing.base.compilation import compiled, kernel
+from pcs_racing.base.dense import dense_forward, flat_layers
+from pcs_racing.base.elementary import hyperbolic_tangent, sine_cosine
+from pcs_racing.base.errors import InputError
+from pcs_racing.car.lidar import Beams
+from pcs_racing.planners import residual as _residual
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.line_following import lane_step, speed_scale
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.scanning import FIELD_OF_VIEW, MAX_RANGE, WORK, scan_beams, sine_tables
+from pcs_racing.planners.trained import DRIVER_FORMAT
+from pcs_racing.planners.view import PATH_POINTS
+
+# Dense layers on parts of what went in; both kernels take a layer's numbers as `DenseLayers.flat` orders them.
+
+
+@kernel
+def convolve(flat, sizes, step, x, y):  # type: ignore[no-untyped-def]
+    """Pass windows of ``x`` through a dense layer and a ReLU, one after the other into ``y``.
+
+    Parameters
+    ----------
+    flat : ndarray
+        The layer's numbers.
+    sizes : ndarray, shape (2,)
+        Numbers of a window, and that come out of it: positions times channels, and channels.
+    step : int
+        Numbers from one window to the next.
+    x : ndarray
+        Position after position, with all channels of one beside each other.
+    y : ndarray
+        As many positions as there are windows.
+    """
+    width = sizes[1]
+    for k in range(y.shape[0] // width):
+        out = y[k * width : (k + 1) * width]
+        dense_forward(flat, sizes, x[k * step :], out, False)
+        for j in range(width):
+            out[j] = max(out[j], 0.0)
+
+
+@kernel
+def recur(flat, inputs, units, x, state, work):  # type: ignore[no-untyped-def]
+    """Move the state of gated recurrent units (``units``,) on by the inputs ``x``.
+
+    ``flat`` holds the layer from the inputs to the reset, update and new gates, and that from the state to them;
+    ``work`` 6 times as many numbers as there are units.
+    """
+    gates = 3 * units
+    from_inputs, from_state = work[:gates], work[gates : 2 * gates]
+    dense_forward(flat, (inputs, gates), x, from_inputs, False)
+    dense_forward(flat[(inputs + 1) * gates :], (units, gates), state, from_state, False)
+    for k in range(units):
+        reset = 0.5 + 0.5 * hyperbolic_tangent(0.5 * (from_inputs[k] + from_state[k]))
+        keep = 0.5 + 0.5 * hyperbolic_tangent(0.5 * (from_inputs[units + k] + from_state[units + k]))
+        new = hyperbolic_tangent(from_inputs[2 * units + k] + reset * from_state[2 * units + k])
+        state[k] = new + keep * (state[k] - new)
+
+
+BEAMS = 135
+SEEN = BEAMS + 4  # what a network sees: the beams from right to left; then speed, yaw rate, steering, speed scale
+OUTPUTS = 4  # slope and bend of the path, speeds nearby and farther on
+NEAR, FAR = 3, 7  # points of the path that have these speeds
+SLOWEST = 0.5  # m/s
+KINDS, MOST = ("weight", "bias"), 100.0
+_STEP = FIELD_OF_VIEW / (BEAMS - 1)
+_ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
+_SIN, _COS = sine_tables(_ANGLES)
+
+UNITS = 48  # of the recurrent network
+LAYERS = {
+    # Three convolutions (positions times channels, channels), a hidden layer, the outputs.
+    "cnn": ((7, 8), (5 * 8, 12), (4 * 12, 16), (9 * 16 + 4, 32), (32, OUTPUTS)),
+    # To the gates from what is seen and from the state, the outputs.
+    "gru": ((SEEN, 3 * UNITS), (UNITS, 3 * UNITS), (UNITS, OUTPUTS)),
+    "residual": _residual.LAYERS,
+}
+"""Numbers that go into and come out of the layers of each network."""
+MEMORY = {"cnn": 0, "gru": UNITS, "residual": 0}
+SCANNED = {"cnn": BEAMS, "gru": BEAMS, "residual": _residual.BEAMS}
+SCRATCH = 800  # numbers of working memory of a network
+
+PARAMETERS = (
+    Parameter("pace", 0.0, 1.0, 0.0, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
+    Parameter("speed_share", 0.6, 1.1, 0.85, "factor of the speed that the network puts out"),
+)
+VARIANTS = {"calm": {"speed_share": 0.8}, "fast": {"speed_share": 0.95}}
+
+LIDAR_FORMAT = ArtifactFormat(
+    "lidar driver",
+    ("name", "network", "beams", "training", "weights_sha256"),
+    "save_lidar_driver",
+    data_file=DRIVER_FORMAT.data_file,
+    digest_key="weights_sha256",
+    max_bytes=DRIVER_FORMAT.max_bytes,
+    shipped=DRIVER_FORMAT.shipped,
+)
+
+
+@compiled
+def observe(track, view, pace, work, seen):  # type: ignore[no-untyped-def]
+    """Write what the network sees, all of order one, into ``seen``, shape (SEEN,)."""
+    beams = Beams(_ANGLES[0], _STEP, MAX_RANGE, _COS, _SIN)
+    scan_beams(track, beams, view, view[_view.OWN_PSI], work, seen[:BEAMS])
+    for k in range(BEAMS):
+        # The root keeps apart what is near without losing what is far.
+        seen[k] = 2.0 * np.sqrt(seen[k] / MAX_RANGE) - 1.0
+    seen[BEAMS] = view[_view.OWN_V] / 8.0
+    seen[BEAMS + 1] = view[_view.OWN_PSI_DOT] / 4.0
+    seen[BEAMS + 2] = view[_view.OWN_DELTA] / view[_view.STEER_MAX]
+    seen[BEAMS + 3] = 4.0 * (speed_scale(view, pace) - 1.0)
+
+
+@compiled
+def answer_cnn(flat, seen, state, work):  # type: ignore[no-untyped-def]
+    """Pass what is seen through the convolutional network; the outputs stand at the beginning of ``work``."""
+    features, first, second = work[:148], work[148:492], work[492:732]
+    convolve(flat, (7, 8), 3, seen, first)
+    convolve(flat[64:], (40, 12), 16, first, second)
+    convolve(flat[556:], (48, 16), 24, second, features[:144])
+    for k in range(SEEN - BEAMS):
+        features[144 + k] = seen[BEAMS + k]
+    dense_forward(flat[1340:], (148, 32, OUTPUTS), features, first, False)
+
+
+@compiled
+def answer_gru(flat, seen, state, work):  # type: ignore[no-untyped-def]
+    """Move the state of the recurrent network on; the outputs stand at the beginning of ``work``."""
+    recur(flat, SEEN, UNITS, seen, state, work)
+    last = 3 * UNITS * (SEEN + UNITS + 2)
+    dense_forward(flat[last:], (UNITS, OUTPUTS), state, work, False)
+
+
+ANSWERS = {"cnn": answer_cnn, "gru": answer_gru}
+
+
+@compiled
+def lay_path(view, outputs, share, path):  # type: ignore[no-untyped-def]
+    """Write the path and the speeds that the network's outputs stand for."""
+    sine, cosine = sine_cosine(view[_view.OWN_PSI])
+    slope, bend = 0.1 * outputs[0], 0.1 * outputs[1]
+    near, far = 6.0 + 2.0 * outputs[2], 6.0 + 2.0 * outputs[3]
+    for j in range(PATH_POINTS):
+        x = j * lane_step(view)
+        y = (slope + bend * x) * x
+        path[j, _view.PATH_X] = view[_view.OWN_X] + x * cosine - y * sine
+        path[j, _view.PATH_Y] = view[_view.OWN_Y] + x * sine + y * cosine
+        path[j, _view.PATH_SPEED] = max(share * (near + (far - near) * (j - NEAR) / (FAR - NEAR)), SLOWEST)
+        steep = 1.0 + (slope + 2.0 * bend * x) ** 2
+        path[j, _view.PATH_KAPPA] = 2.0 * bend / (steep * np.sqrt(steep))
+
+
+@cache
+def _plan(network: str, frozen: bytes) -> Any:
+    """Compile a network with its weights as constants of the code."""
+    answer, constant = ANSWERS[network], np.frombuffer(frozen, np.float64)
+
+    @compiled
+    def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+        seen, work = scratch[WORK : WORK + SEEN], scratch[WORK + SEEN :]
+        observe(track, view, theta[0], scratch[:WORK], seen)
+        answer(constant, seen, memory, work)
+        lay_path(view, work, theta[1], path)
+
+    return plan
+
+
+def save_lidar_driver(
+    folder: str | Path, network: str, layers: Sequence[Any], *, name: str, training: Mapping[str, Any]
+) -> Path:
+    """Write a driver into a folder, which is made if need be.
+
+    ``network`` is one of :data:`LAYERS`, ``layers`` are weight (out, in) and bias (out,) of each of its layers, and
+    ``training`` says how it was trained: texts and numbers by name.
+    """
+    pairs = enumerate(layers)
+    tensors = {f"layers.{i}.{kind}": a for i, pair in pairs for kind, a in zip(KINDS, pair, strict=True)}
+    content = save_tensors({key: np.ascontiguousarray(value, np.float32) for key, value in tensors.items()})
+    _flat(Path(folder), network, content)
+    fields = {"name": name, "network": network, "beams": SCANNED[network], "training": dict(training)}
+    return LIDAR_FORMAT.save(folder, fields, content)
+
+
+def flat_weights(layers: Iterable[Any]) -> NDArray[np.float64]:
+    """All numbers of layers (weight, bias) as one vector, as the compiled networks take them."""
+    return flat_layers(layers).astype(np.float64)
+
+
+def _flat(folder: Path, network: Any, content: bytes) -> NDArray[np.float64]:
+    if not isinstance(network, str) or network not in LAYERS:
+        raise InputError(f"{folder}: network is {network!r}; it must be one of {', '.join(LAYERS)}")
+    try:
+        tensors = load_tensors(content)
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{folder}: the weights are no safetensors file of numbers: {error}") from None
+    shapes: dict[str, tuple[int, ...]] = {}
+    for i, (below, above) in enumerate(LAYERS[network]):
+        shapes |= {f"layers.{i}.weight": (above, below), f"layers.{i}.bias": (above,)}
+    found = {key: tensor.shape for key, tensor in tensors.items()}
+    if found != shapes or not all(t.dtype == np.float32 and (np.abs(t) <= MOST).all() for t in tensors.values()):
+        raise InputError(f"{folder}: a network {network!r} has float32 weights within {MOST:g} of the shapes {shapes}")
+    return flat_weights([(tensors[f"layers.{i}.weight"], tensors[f"layers.{i}.bias"]) for i in range(len(shapes) // 2)])
+
+
+def read_lidar_driver(source: str | Path) -> tuple[str, str, NDArray[np.float64]]:
+    """Return name, network and weights of a lidar driver, from the name of a shipped one or from its folder."""
+    folder = LIDAR_FORMAT.find(source)
+    fields, content = LIDAR_FORMAT.load(folder)
+    flat, beams = _flat(folder, fields["network"], content), SCANNED[fields["network"]]
+    if not isinstance(fields["name"], str) or fields["beams"] != beams or not isinstance(fields["training"], dict):
+        raise InputError(f"{folder / MANIFEST}: name must be a text, beams {beams} and training a mapping")
+    return fields["name"], fields["network"], flat
+
+
+def load_lidar_driver(source: str | Path) -> Planner:
+    """Return a lidar driver's planner; source and errors as for :func:`read_lidar_driver`."""
+    name, network, flat = read_lidar_driver(source)
+    residual = network == "residual"
+    known = _residual.PARAMETERS if residual else PARAMETERS
+    return Planner(
+        name=name,
+        parameters=known,
+        plan=_residual.residual_plan(flat.tobytes()) if residual else _plan(network, flat.tobytes()),
+        memory_size=MEMORY[network],
+        scratch_size=_residual.SCRATCH if residual else WORK + SEEN + SCRATCH,
+        variants=_residual.VARIANTS if residual else VARIANTS,
+    )
+
+
+def __getattr__(name: str) -> Any:
+    """``LIDAR_CNN``, ``LIDAR_GRU`` and ``RESIDUAL``, the shipped planners, loaded at their first use."""
+    if name not in ("LIDAR_CNN", "LIDAR_GRU", "RESIDUAL"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = load_lidar_driver(name.lower().replace("_", "-"))
+    return globals()[name]

@@ -1,0 +1,218 @@
+"""The predictive spliner [1]_: learn where the opponent drives and how fast, and pass where both will meet.
+
+What the opponent does is remembered along the track: its distance from the race line, and its speed as a share of the
+profile. A Gaussian process over arc length smooths both and fills what was not seen. With it both cars are driven on
+in thought, until the car is level with the opponent (the beginning of the region of collision) and wholly past it (its
+end). If the track has room for an evasion all along that region, the lane is a spline around it; otherwise, or where
+the car does not get past in time, it trails like `pcs_racing.planners.field.spliner`.
+
+What differs: the process has an exponential kernel, on bins of the track, so that its mean follows exactly from a
+tridiagonal system, ten times a second; the spline is laid from cubics through the region's ends instead of being found
+by an optimiser; speeds are learned as shares of the profile.
+
+References
+----------
+.. [1] N. Baumann et al., "Predictive Spliner: Data-driven overtaking in autonomous racing using opponent trajectory
+   prediction", IEEE Robotics and Automation Letters, 2025, arXiv:2410.04868.
+"""
+
+import numpy as np
+
+from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.elementary import exponential
+from pcs_racing.planners import line_following as _line
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.pursuit import BRAKING
+from pcs_racing.track import frenet as _frenet
+from pcs_racing.track.frenet import wrap_s
+
+PARAMETERS = (
+    *_line.TRAILING,
+    Parameter("evasion_dist", 0.4, 1.25, 0.65, "distance across the track from the opponent to keep, m"),
+    Parameter("spline_bound_mindist", 0.05, 0.6, 0.2, "least distance from the side of the car to a wall, m"),
+    Parameter("ramp", 1.0, 10.0, 5.0, "distance in which the spline leaves the race line and returns to it, m"),
+    Parameter("horizon", 1.0, 8.0, 5.0, "time ahead in which a pass must be over, s"),
+    Parameter("begin", 0.6, 3.0, 1.2, "distance behind the opponent at which the region of collision begins, m"),
+    Parameter("end", 0.6, 3.0, 1.2, "distance before the opponent at which it ends, m"),
+    Parameter("length_scale", 1.0, 20.0, 5.0, "distance over which the opponent's driving is correlated, m"),
+    Parameter("observation_noise", 0.02, 1.0, 0.1, "variance of an observation, as a share of the process's"),
+)
+TRAILING_GAP = 1
+EVASION, BOUND, RAMP, HORIZON, BEGIN, END, LENGTH_SCALE, NOISE = range(len(_line.TRAILING), len(PARAMETERS))
+
+BINS = 160  # of the lap
+AHEAD = 48  # bins from the opponent on in which it is predicted
+KEPT = 0.5  # share of what was remembered of a bin that stays when the opponent comes by again
+STEP = 0.1  # s
+ACCELERATION = 4.0  # m/s^2 of the own car on its way to the profile
+NEVER = 1e3  # m ahead, where a region ends that does not
+SIGHT = 20.0  # m within which the opponent is predicted
+
+# Memory: the side of the pass (-1, 0, 1), the bin that was seen last (counted from 1), and for each bin the opponent's
+# distance from the race line, its speed as a share of the profile, and whether it was seen.
+_SIDE, _LAST, _D = 0, 1, 2
+_V = _D + BINS
+_SEEN = _V + BINS
+MEMORY = _SEEN + BINS
+# Scratch: means ahead of distance and speed, work, the lane.
+_MEAN_D, _MEAN_V, _WORK, _LANE = (AHEAD * k for k in range(4))
+SCRATCH = _LANE + _line.LANE_SIZE
+
+
+@inner_kernel
+def remember(memory, at, d, share):  # type: ignore[no-untyped-def]
+    """Keep what the opponent does in the bin ``at``: distance from the race line (m), share of the profile's speed."""
+    kept = KEPT if memory[_SEEN + at] > 0.0 else 0.0
+    # While it is in the bin the mean moves on slowly.
+    kept = 0.8 if memory[_LAST] == at + 1.0 else kept
+    memory[_D + at] = kept * memory[_D + at] + (1.0 - kept) * d
+    memory[_V + at] = kept * memory[_V + at] + (1.0 - kept) * share
+    memory[_SEEN + at] = 1.0
+    memory[_LAST] = at + 1.0
+
+
+@inner_kernel
+def smooth_ahead(memory, first, values, keep, noise, now, prior, mean, work):  # type: ignore[no-untyped-def]
+    """Write the posterior means of a process with exponential kernel, in `AHEAD` bins from the opponent's on.
+
+    Parameters
+    ----------
+    memory : ndarray
+        What was seen: observations from index ``values`` on.
+    first : int
+        The opponent's bin.
+    keep : float
+        Correlation of two neighbouring bins.
+    noise : float
+        Variance of an observation; that of the process is 1.
+    now, prior : float
+        What the opponent does now, known without noise, and the mean of the process.
+    """
+    inner = (1.0 + keep * keep) / (1.0 - keep * keep)
+    side = -keep / (1.0 - keep * keep)
+    # The first bin is given; the precision matrix of the others is tridiagonal.
+    mean[0] = now - prior
+    work[0] = 0.0
+    for k in range(1, AHEAD):
+        at = (first + k) % BINS
+        weight = memory[_SEEN + at] / noise
+        diagonal = (inner if k < AHEAD - 1 else 1.0 / (1.0 - keep * keep)) + weight
+        right = weight * (memory[values + at] - prior) - (side * mean[0] if k == 1 else 0.0)
+        before = side if k > 1 else 0.0
+        pivot = diagonal - before * work[k - 1]
+        work[k] = side / pivot
+        mean[k] = (right - before * (mean[k - 1] if k > 1 else 0.0)) / pivot
+    for k in range(AHEAD - 2, 0, -1):
+        mean[k] -= work[k] * mean[k + 1]
+    for k in range(AHEAD):
+        mean[k] += prior
+
+
+@inner_kernel(forceinline=True)
+def _ahead(means, per_bin, along):  # type: ignore[no-untyped-def]
+    """A mean at a distance (m) beyond the opponent, between the bins."""
+    u = min(max(along * per_bin, 0.0), AHEAD - 1.001)
+    k = int(u)
+    return means[k] + (u - k) * (means[k + 1] - means[k])
+
+
+@inner_kernel
+def _region(track, theta, view, scale, gap, per_bin, shares):  # type: ignore[no-untyped-def]
+    """Distances (m) from the car at which the region of collision begins and ends; no region if the end is 0."""
+    s0 = view[_view.OWN_S]
+    own, opponent, v, t = 0.0, gap, view[_view.OWN_V], 0.0
+    begins = -1.0
+    while t < theta[HORIZON]:
+        if opponent - own < theta[BEGIN] and begins < 0.0:
+            begins = own
+        if opponent - own < -theta[END]:
+            return max(begins, 0.0), own
+        v = min(v + ACCELERATION * STEP, scale * track.line[line_index(track, s0 + own), _frenet.SPEED])
+        profile = scale * track.line[line_index(track, s0 + opponent), _frenet.SPEED]
+        own += STEP * v
+        opponent += STEP * profile * _ahead(shares, per_bin, opponent - gap)
+        t += STEP
+    return max(begins, 0.0), 0.0
+
+
+@inner_kernel(forceinline=True)
+def _ramp(u):  # type: ignore[no-untyped-def]
+    """Cubic from 0 at u <= 0 to 1 at u >= 1."""
+    u = min(max(u, 0.0), 1.0)
+    return u * u * (3.0 - 2.0 * u)
+
+
+@inner_kernel(forceinline=True)
+def _evasion(theta, offsets, per_bin, gap, side, begins, ends, x):  # type: ignore[no-untyped-def]
+    """Distance from the race line of the evasion to one side, at a distance (m) ahead of the car."""
+    share = _ramp((x - begins) / theta[RAMP] + 1.0) * (1.0 - _ramp((x - ends) / theta[RAMP]))
+    return share * (_ahead(offsets, per_bin, x - gap) + side * theta[EVASION])
+
+
+@inner_kernel
+def _least_room(track, theta, view, gap, per_bin, offsets, side, begins, ends):  # type: ignore[no-untyped-def]
+    """Least room (m) that an evasion to one side leaves to the walls, all the way from the line and back."""
+    keep = theta[BOUND] + 0.5 * view[_view.OWN_WIDTH]
+    least = np.inf
+    x = max(begins - theta[RAMP], 0.0)
+    while x <= ends + theta[RAMP]:
+        sample = track.line[line_index(track, view[_view.OWN_S] + x)]
+        d = _evasion(theta, offsets, per_bin, gap, side, begins, ends, x)
+        if abs(d) > _line.ON_LINE:
+            least = min(least, (sample[_frenet.LEFT] - d if side > 0.0 else sample[_frenet.RIGHT] + d) - keep)
+        x += 0.8
+    return least
+
+
+@kernel
+def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Remember, predict, and pass or trail."""
+    gap = gap_ahead(track, view)
+    scale = _line.speed_scale(view, theta[0])
+    per_bin = BINS / track.length
+    opp_s = wrap_s(track, view[_view.OPP_S])
+    first = min(int(opp_s * per_bin), BINS - 1)
+    share = view[_view.OPP_V] / (scale * track.line[line_index(track, opp_s), _frenet.SPEED])
+    remember(memory, first, view[_view.OPP_D], share)
+    lane = scratch[_LANE:SCRATCH]
+    offsets, shares, work = scratch[:_MEAN_V], scratch[_MEAN_V:_WORK], scratch[_WORK:_LANE]
+    memory_side = memory[_SIDE]
+    memory[_SIDE] = 0.0
+    cap = np.inf
+    if -theta[END] < gap < SIGHT and (gap > 0.0 or memory_side != 0.0):
+        keep = exponential(-1.0 / (per_bin * theta[LENGTH_SCALE]))
+        smooth_ahead(memory, first, _D, keep, theta[NOISE], view[_view.OPP_D], 0.0, offsets, work)
+        smooth_ahead(memory, first, _V, keep, theta[NOISE], share, share, shares, work)
+        begins, ends = _region(track, theta, view, scale, gap, per_bin, shares)
+        left = _least_room(track, theta, view, gap, per_bin, offsets, 1.0, begins, ends)
+        right = _least_room(track, theta, view, gap, per_bin, offsets, -1.0, begins, ends)
+        side = memory_side if memory_side != 0.0 else (1.0 if left > right else -1.0)
+        passes = ends > 0.0 and (left if side > 0.0 else right) > 0.0
+        # Where it gets past only elsewhere it trails, but a pass is given up only where there is room to brake.
+        closing = max(view[_view.OWN_V] - view[_view.OPP_V], 0.0)
+        committed = memory_side != 0.0 and gap < theta[TRAILING_GAP] + closing * closing / (2.0 * BRAKING)
+        if passes or committed:
+            memory[_SIDE] = side
+            ends = ends if ends > 0.0 else NEVER
+            for j in range(_line.LANE_POINTS):
+                lane[j] = _evasion(theta, offsets, per_bin, gap, side, begins, ends, j * _line.lane_step(view))
+            if not passes and gap > 0.0:
+                cap = _line.trailing_speed(theta, view, gap)
+            _line.hold_off(track, view, theta[BOUND] + 0.5 * view[_view.OWN_WIDTH], lane)
+    if memory[_SIDE] == 0.0:
+        cap = _line.follow_line(track, theta, view, gap, SIGHT, lane)
+    _line.ease_onto(track, view, scale, cap, lane, path)
+
+
+VARIANTS = {"early": {"begin": 2.0, "ramp": 8.0}, "wide": {"evasion_dist": 0.8}}
+PREDICTIVE_SPLINER = Planner(
+    name="predictive-spliner",
+    parameters=PARAMETERS,
+    plan=plan,
+    memory_size=MEMORY,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
+)
+"""The predictive spliner: learns where the opponent drives, and passes where both will meet."""

@@ -1,0 +1,80 @@
+"""Residual learning on a potential field [1]_: a network corrects what a driver without a map would do.
+
+Ten times a second the potential field (:mod:`pcs_racing.planners.field.potential_field`) asks for a steering angle and a
+speed. A network sees the nearest range in each of 54 sectors, what the car measures of itself and this command, and
+adds at most `STEERING` and `SPEED` to it. It was trained by PPO in races of the driver against itself and alone
+(``examples/residual_ppo.py``), rewarded for progress and for gaining on the other car.
+
+What differs: the network is fully connected and sees one scan, where the paper's is convolutional and sees several.
+
+References
+----------
+.. [1] R. Trumpp, E. Javanmardi, J. Nakazato, M. Tsukada and M. Caccamo, "RaceMOP: Mapless Online Path Planning for
+   Multi-Agent Autonomous Racing using Residual Policy Learning", 2024, arXiv:2403.07129.
+"""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.dense import dense_forward
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.field.potential_field import NO_LIMIT, POTENTIAL_FIELD, SLOWEST, field_command
+from pcs_racing.planners.planner import Parameter
+from pcs_racing.planners.scanning import BEAMS, MAX_RANGE, SCAN_SIZE, scan, steer_for
+
+SECTOR = 5  # beams of a sector; the last beam of 271 is left out
+SECTORS = BEAMS // SECTOR
+SEEN = SECTORS + 5  # the sectors from right to left; speed, yaw rate, steering; the field's steering and speed
+WIDTH = 64
+LAYERS = ((SEEN, WIDTH), (WIDTH, WIDTH), (WIDTH, 2))  # a tanh behind each
+STEERING, SPEED = 0.2, 3.0  # the largest corrections, rad and m/s
+SCRATCH = SCAN_SIZE + 2 * WIDTH
+
+PARAMETERS = (
+    Parameter("correction", 0.0, 1.0, 1.0, "share of the network's correction that is added; 0 is the field alone"),
+    Parameter("speed_share", 0.6, 1.1, 1.0, "factor of the corrected speed"),
+)
+VARIANTS = {"calm": {"speed_share": 0.85}, "field": {"correction": 0.0}}
+_FIELD, _SIZES = POTENTIAL_FIELD.default, np.array((SEEN, WIDTH, WIDTH, 2))
+
+
+@compiled
+def observe(track, view, scratch, seen):  # type: ignore[no-untyped-def]
+    """Scan, write what the network sees, all of order one, into ``seen`` (SEEN,), and return the field's command."""
+    scan(track, view, scratch)
+    ranges = scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]
+    steering, speed = field_command(_FIELD, view, ranges)
+    for k in range(SECTORS):
+        # The root keeps apart what is near without losing what is far.
+        seen[k] = 2.0 * np.sqrt(ranges[SECTOR * k : SECTOR * (k + 1)].min() / MAX_RANGE) - 1.0
+    seen[SECTORS] = view[_view.OWN_V] / 8.0
+    seen[SECTORS + 1] = view[_view.OWN_PSI_DOT] / 4.0
+    seen[SECTORS + 2] = view[_view.OWN_DELTA] / view[_view.STEER_MAX]
+    seen[SECTORS + 3] = steering / view[_view.STEER_MAX]
+    seen[SECTORS + 4] = speed / 8.0
+    return steering, speed
+
+
+@compiled
+def lay_corrected(view, steering, speed, turn, faster, share, path):  # type: ignore[no-untyped-def]
+    """Write the path of a command and its corrections ``turn`` and ``faster``, both from -1 to 1."""
+    speed = share * max(speed + SPEED * faster, SLOWEST)
+    steer_for(view, steering + STEERING * turn, speed, NO_LIMIT, path)
+
+
+@cache
+def residual_plan(frozen: bytes) -> Any:
+    """Compile the driver with the weights of its network as constants of the code."""
+    constant = np.frombuffer(frozen, np.float64)
+
+    @compiled
+    def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+        x, y = scratch[SCAN_SIZE : SCAN_SIZE + WIDTH], scratch[SCAN_SIZE + WIDTH : SCRATCH]
+        steering, speed = observe(track, view, scratch, x)
+        dense_forward(constant, _SIZES, x, y, True)
+        lay_corrected(view, steering, speed, theta[0] * y[0], theta[0] * y[1], theta[1], path)
+
+    return plan

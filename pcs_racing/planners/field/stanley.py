@@ -1,0 +1,89 @@
+"""The Stanley controller [1]_: steer by the heading error and the distance of the front axle from the path.
+
+The steering angle is the heading error of the front axle and the arctangent of the gain times its distance from the
+path over the speed, with the terms of [2]_ for a car whose tyres slip: the steady yaw in a bend, and damping by the yaw
+rate and by the last change of the steering. It follows the race line, and trails a car ahead; it does not overtake.
+
+What differs: the gain for the steady yaw is not tuned, but that of the car's front tyres.
+
+References
+----------
+.. [1] S. Thrun et al., "Stanley: The robot that won the DARPA Grand Challenge", Journal of Field Robotics 23(9), 2006.
+.. [2] G. M. Hoffmann, C. J. Tomlin, M. Montemerlo and S. Thrun, "Autonomous automobile trajectory tracking for off-road
+   driving: Controller design, experimental validation and racing", ACC 2007.
+"""
+
+import numpy as np
+
+from pcs_racing.base.compilation import kernel
+from pcs_racing.base.elementary import arctangent
+from pcs_racing.planners import line_following as _line
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.pursuit import calm_speed
+from pcs_racing.planners.view import PATH_POINTS
+from pcs_racing.track import frenet as _frenet
+from pcs_racing.track.frenet import angle_between
+
+PARAMETERS = (
+    *_line.TRAILING,
+    Parameter("k", 0.5, 6.0, 4.0, "gain of the distance of the front axle from the path, 1/s"),
+    Parameter("k_soft", 0.1, 5.0, 1.0, "speed that is added to the car's, m/s"),
+    Parameter("k_d_yaw", 0.0, 0.3, 0.02, "damping by the yaw rate beyond that of the path, s"),
+    Parameter("k_d_steer", 0.0, 1.0, 0.1, "damping by the last change of the steering angle"),
+)
+K, K_SOFT, YAW_DAMPING, STEER_DAMPING = range(len(_line.TRAILING), len(PARAMETERS))
+
+SIGHT = 10.0  # m within which a car ahead is trailed
+PLAN_PERIOD = 0.1  # s from plan to plan
+PREVIEW = 0.1  # s at which the speed is read off the path
+# Memory: the lane, and the steering angle before.
+_BEFORE = _line.KEPT_LANE
+MEMORY = _line.KEPT_LANE + 1
+
+
+@kernel
+def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    """Lay the lane: the race line, or the own place beside another car."""
+    cap = _line.follow_line(track, theta, view, gap_ahead(track, view), SIGHT, scratch)
+    _line.ease_onto(track, view, _line.speed_scale(view, theta[0]), cap, scratch, path)
+    _line.keep_lane(view, scratch, memory)
+
+
+@kernel
+def control(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+    """Steer by the errors of the front axle."""
+    v = view[_view.OWN_V]
+    s = view[_view.OWN_S] + view[_view.WHEELBASE] - view[_view.REAR_AXLE]
+    lane, slope = _line.kept_lane(track, memory, s)
+    sample = track.line[line_index(track, s)]
+    kappa = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * lane, 0.25)
+    # Of the front axle: how far the path turns away from the car's heading, and how far it is off the path.
+    turns = angle_between(sample[_frenet.PSI] + slope, view[_view.OWN_PSI])
+    here = track.line[line_index(track, view[_view.OWN_S]), _frenet.PSI]
+    axle = (view[_view.WHEELBASE] - view[_view.REAR_AXLE]) * angle_between(view[_view.OWN_PSI], here)
+    error = view[_view.OWN_D] + axle - lane
+    since = view[_view.TIME] - PLAN_PERIOD * np.floor(view[_view.TIME] / PLAN_PERIOD + 0.01)
+    ahead = int(min(v * (since + PREVIEW) / memory[2], PATH_POINTS - 1.0))
+    speed, acceleration = calm_speed(v, path[ahead, _view.PATH_SPEED])
+    slip = view[_view.REAR_SLIP] + view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration
+    steer = turns + slip * v * v * kappa - arctangent(theta[K] * error / (theta[K_SOFT] + v))
+    steer -= theta[YAW_DAMPING] * (view[_view.OWN_PSI_DOT] - v * kappa)
+    steer += theta[STEER_DAMPING] * (memory[_BEFORE] - view[_view.OWN_DELTA])
+    memory[_BEFORE] = view[_view.OWN_DELTA]
+    command[0] = min(max(steer, -view[_view.STEER_MAX]), view[_view.STEER_MAX])
+    command[1] = speed
+
+
+VARIANTS = {"soft": {"k_soft": 3.0}, "damped": {"k_d_yaw": 0.05}}
+STANLEY = Planner(
+    name="stanley",
+    parameters=PARAMETERS,
+    plan=plan,
+    control=control,
+    memory_size=MEMORY,
+    scratch_size=_line.LANE_SIZE,
+    variants=VARIANTS,
+)
+"""The Stanley controller on the race line."""

@@ -1,0 +1,218 @@
+"""Jobs: tasks that run on any executor, results kept in chunk files, and stopped runs that resume.
+
+A job is a folder. ``job.yaml`` says what is being made there, ``chunks/`` holds the result of every task done so far,
+and a lock keeps a second process out. Whoever opens the folder again with the same settings takes the work up where it
+was left, be it after Ctrl-C, a crash or ``kill -9``; the results are the same to the byte, whoever computed them:
+
+    with open_job("out/trees", "trees", {"seed": 0}) as job, make_executor("threads") as executor:
+        results = job.run("tree", build, tasks, executor=executor, progress=show_progress("trees"))
+"""
+
+import logging
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, TypedDict, TypeVar, Unpack
+
+import numpy as np
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.base.chunks import Arrays, chunk_file, read_chunk, write_chunk
+from pcs_racing_agents.base.fingerprint import fingerprint
+from pcs_racing_agents.base.folders import GO_ON, JobError, claim_folder, package_version
+from pcs_racing_agents.base.progress import Progress
+from pcs_racing_agents.base.tasks import Task, numbered_tasks, run_tasks
+
+A = TypeVar("A")
+
+_log = logging.getLogger("pcs_racing_agents")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A folder in which long work is done; made by :func:`open_job`."""
+
+    folder: Path
+    kind: str  #: What is being made.
+    settings: Mapping[str, Any]  #: Everything that the results depend on, as plain values.
+
+    def file(self, name: str, index: int) -> Path:
+        """Return the path of a task's chunk."""
+        return chunk_file(self.folder, name, index)
+
+    def run(
+        self,
+        name: str,
+        function: Callable[[A], Mapping[str, Any]],
+        arguments: Sequence[A],
+        *,
+        executor: Executor | None = None,
+        progress: Progress | None = None,
+        keep: bool = True,
+    ) -> list[Arrays]:
+        """Return the results of all tasks in their order; those that an earlier run has done are read from its chunks.
+
+        Parameters
+        ----------
+        name : str
+            Of the group of tasks: small letters, digits, ``-`` and ``_``. Chunks are called ``NAME-00012.npz``.
+        function : callable
+            ``function(argument)`` returns arrays (or numbers) by name; other processes need one that a module defines.
+        arguments : sequence
+            One for each task. All that the result depends on must be in it: a chunk made for another one is not used.
+        executor : Executor, optional
+            Where the tasks run (:func:`make_executor`); in this thread by default. It has no influence on the results.
+        progress : callable, optional
+            Called as ``progress(done, len(arguments), name)`` when the chunks are counted and after every task.
+        keep : bool
+            Whether to return the results; without them (an empty list) memory does not grow with the tasks.
+        """
+        group = TaskGroup(self, name, function, arguments)
+        return run_groups([group], executor=executor, progress=progress, keep=keep)[0]
+
+    def read(self, name: str, index: int) -> Arrays:
+        """Read a task's result."""
+        return read_chunk(self.file(name, index))
+
+    def _marks(self, name: str, arguments: Sequence[Any]) -> list[str]:
+        """Digests of all that the results of tasks depend on."""
+        if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
+            raise InputError(f"the name of a group of tasks is {name!r}; use small letters, digits, - and _")
+        # Everything that a result depends on: a chunk of other settings or of another version is made again.
+        identity = fingerprint(self.kind, self.settings, package_version(), name)
+        return [fingerprint(identity, index, argument) for index, argument in enumerate(arguments)]
+
+    def _keep(self, name: str, index: int, value: Any, mark: str) -> Arrays:
+        """Write what a task returned to its chunk."""
+        arrays = _plain_arrays(value, f"task {index} of {name}")
+        path = self.file(name, index)
+        try:
+            path.parent.mkdir(exist_ok=True)
+            write_chunk(path, arrays, mark)
+        except OSError as error:
+            raise JobError(f"can't write {path}: {error.strerror}; {GO_ON}") from None
+        return arrays
+
+    def _stored(self, name: str, index: int, mark: str) -> Arrays | None:
+        path = self.file(name, index)
+        if not path.exists():
+            return None
+        try:
+            return read_chunk(path, mark)
+        except InputError as error:
+            _log.warning("%s; it is made again", error)
+            return None
+
+
+@dataclass(frozen=True, eq=False)
+class TaskGroup:
+    """Tasks of a job that do not depend on each other; the arguments of :meth:`Job.run` as a value."""
+
+    job: Job
+    name: str
+    function: Callable[[Any], Mapping[str, Any]]
+    arguments: Sequence[Any]
+
+
+def run_groups(
+    groups: Sequence[TaskGroup],
+    *,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+    keep: bool = True,
+) -> list[list[Arrays]]:
+    """Run the tasks of several groups, which may belong to several jobs, side by side: :meth:`Job.run` for each.
+
+    No worker waits at the end of a group for the others: the tasks of the next one follow at once. ``progress`` is
+    called with the name of a group, and counts the tasks of all groups.
+    """
+    results: list[list[Arrays]] = [[{}] * len(group.arguments) if keep else [] for group in groups]
+    marks = [group.job._marks(group.name, group.arguments) for group in groups]
+    missing = []
+    for i, group in enumerate(groups):
+        for index, mark in enumerate(marks[i]):
+            stored = group.job._stored(group.name, index, mark)
+            if stored is None:
+                missing.append(Task((i, index), group.function, group.arguments[index]))
+            elif keep:
+                results[i][index] = stored
+    total = sum(len(group.arguments) for group in groups)
+    done = total - len(missing)
+    names = list(dict.fromkeys(group.name for group in groups))
+    if progress is not None:
+        progress(done, total, names[0] if names else "")
+    for (i, index), value in run_tasks(missing, executor, " to ".join(dict.fromkeys(names[:1] + names[-1:]))):
+        arrays = groups[i].job._keep(groups[i].name, index, value, marks[i][index])
+        if keep:
+            results[i][index] = arrays
+        done += 1
+        if progress is not None:
+            progress(done, total, groups[i].name)
+    return results
+
+
+class Workers(TypedDict, total=False):
+    """Where the tasks of a job run and who is told, for functions that hand it on: ``**workers: Unpack[Workers]``."""
+
+    executor: Executor | None
+    progress: Progress | None
+
+
+class Run(Workers, total=False):
+    """How long work runs, with a job or without one: ``def work(..., **run: Unpack[Run])``."""
+
+    job: Job | None
+
+
+def run_with_or_without(
+    name: str, function: Callable[[A], Mapping[str, Any]], arguments: Sequence[A], **run: Unpack[Run]
+) -> list[Any]:
+    """Return the results of all tasks in their order, kept in a job if there is one; else as :meth:`Job.run` does."""
+    job, executor, progress = run.get("job"), run.get("executor"), run.get("progress")
+    if job is not None:
+        return job.run(name, function, arguments, executor=executor, progress=progress)
+    results: dict[int, Any] = {}
+    for index, result in run_tasks(numbered_tasks(function, arguments), executor, name):
+        results[index] = result
+        if progress is not None:
+            progress(len(results), len(arguments), name)
+    return [results[index] for index in range(len(arguments))]
+
+
+def run_races(
+    name: str, race: Callable[..., Mapping[str, Any]], arguments: Sequence[Any], **run: Unpack[Run]
+) -> list[Any]:
+    """Return what :func:`run_with_or_without` does, of a function that drives with a number of ``threads``."""
+    # Without an executor races are shared among all cores; with one its workers share the cores.
+    driven = race if run.get("executor") is None else partial(race, threads=1)
+    return run_with_or_without(name, driven, arguments, **run)
+
+
+def _plain_arrays(value: Any, where: str) -> Arrays:
+    arrays = {str(key): np.asarray(item) for key, item in value.items()} if isinstance(value, Mapping) else None
+    if arrays is None or any(array.dtype == object for array in arrays.values()):
+        raise InputError(f"{where} returned {type(value).__name__}; it must return arrays and numbers by name")
+    return arrays
+
+
+# Opening a folder
+
+
+@contextmanager
+def open_job(folder: str | Path, kind: str, settings: Mapping[str, Any]) -> Iterator[Job]:
+    """Open the folder of a job: a new one, or one in which a run of the same kind and settings was stopped.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A new or empty folder, or one that this function made.
+    settings : Mapping
+        Everything that the results depend on: texts, numbers, lists and mappings (arrays, tuples, paths and dataclasses
+        become these).
+    """
+    with claim_folder(Path(folder), kind, settings) as plain:
+        yield Job(Path(folder), kind, plain)

@@ -1,1 +1,0 @@
-"""Explanations of races: an agent's observations, values and moves as text and pictures, and counts over races."""

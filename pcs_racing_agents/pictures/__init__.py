@@ -1,1 +1,0 @@
-"""Style of pictures, and learning curves."""

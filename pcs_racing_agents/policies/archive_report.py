@@ -1,0 +1,188 @@
+"""The files of a synthesis: the archive with its manifest, the course of the search, and a picture."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import save_archive
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.moves import duplicate_share, no_op_share
+from pcs_racing_agents.base.chunks import Arrays
+from pcs_racing_agents.base.folders import package_version
+from pcs_racing_agents.base.style import new_figure, picture, save_picture, tidy
+from pcs_racing_agents.base.tables import write_csv
+from pcs_racing_agents.policies.archive_search import REFERENCE, ArchiveProgress
+from pcs_racing_agents.policies.config import HEADROOM_SETTINGS, ArchiveConfig
+from pcs_racing_agents.policies.evaluate import Evaluation, summarise
+from pcs_racing_agents.policies.indicators import hypervolume
+from pcs_racing_agents.policies.pareto_archive import Scale
+from pcs_racing_agents.policies.selection import front_layers
+
+Floats = NDArray[np.float64]
+
+RESAMPLES = 200
+_log = logging.getLogger("pcs_racing_agents")
+
+
+def write_archive(
+    folder: Path,
+    config: ArchiveConfig,
+    explored: tuple[Floats, Evaluation],
+    scale: Scale,
+    parameters: Floats,
+    raced: Arrays,
+    history: Sequence[ArchiveProgress],
+    notes: Mapping[str, str | float],
+) -> PolicyArchive:
+    """Write an archive's files into a folder and return it.
+
+    ``explored`` are parameters and results of everything raced in the search, ``parameters``, shape (K, P), those of
+    the archive's policies, and ``raced`` the races that measured them. Hypervolumes have the units of ``scale``;
+    ``notes`` is what else the manifest is to say.
+    """
+    measured = summarise(raced)
+    coordinates = measured.coordinates
+    front = front_layers(coordinates) == 0
+    winner = raced["winner"]
+    # Crashes are stated for parts of the first axis, too: the mean would hide that fast policies crash more.
+    low_half = np.argsort(coordinates[:, 0], kind="stable")[: len(coordinates) // 2]
+    facts = {
+        "policies": len(parameters),
+        "policies_not_beaten": int(front.sum()),
+        "enough_policies": bool(len(parameters) >= config.min_policies),
+        "hypervolume": hypervolume(scale(coordinates), REFERENCE),
+        "hypervolume_error": hypervolume_error(raced, scale, REFERENCE),
+        "own_crash_mean": measured.own_crash.mean(),
+        "own_crash_least": measured.own_crash.min(),
+        "own_crash_largest": measured.own_crash.max(),
+        "own_crash_lower_half": measured.own_crash[low_half].mean(),
+        "own_crash_most_aggressive_tenth": _top_tenth(measured.own_crash, coordinates[:, 0]),
+        "finished_against_random": (raced["crashed"] == 0).mean(),
+        "win_share_against_random": (winner == 0).mean(),
+        "loss_share_against_random": (winner == 1).mean(),
+    }
+    for axis, high, low in zip(config.axes, scale.ideal, scale.nadir, strict=True):
+        facts[f"hypervolume_unit_{axis}"] = f"0 at {low:.4f}, 1 at {high:.4f} (range of the initial sample)"
+    archive = PolicyArchive(
+        name=config.name,
+        planner=config.planner,
+        parameter_names=config.varied,
+        parameters=parameters,
+        characteristics=config.axes,
+        coordinates=coordinates,
+        explored_parameters=explored[0],
+        explored_coordinates=explored[1].coordinates,
+        preset=config.rules.name,
+        spread=measured.spread,
+        own_crash=measured.own_crash,
+        explored_own_crash=explored[1].own_crash,
+    )
+    for axis, high, low in zip(config.axes, archive.ideal, archive.nadir, strict=True):
+        facts[f"ideal_{axis}"], facts[f"nadir_{axis}"] = high, low
+    for (one, other), value in archive.correlations.items():
+        facts[f"correlation_{one}_{other}"] = value
+    facts["no_op_share"], facts["duplicate_share"] = no_op_share(archive), duplicate_share(archive)
+    if len(parameters) < config.min_policies:
+        _log.warning("the archive holds %d policies; %d were wanted", len(parameters), config.min_policies)
+    settings = {**stated_settings(config), **_versions(), **notes, **facts}
+    archive = replace(archive, settings={key: _rounded(value) for key, value in settings.items()})
+    course: list[tuple[object, ...]] = [("generation", "evaluations", "hypervolume", "front", "own_crash")]
+    course += [
+        (step.generation, step.evaluations, f"{step.hypervolume:.6f}", step.front, f"{step.own_crash:.4f}")
+        for step in history
+        if step.stage == "search"
+    ]
+    write_csv(course, folder / "hypervolume.csv")
+    if find_spec("matplotlib") is not None:
+        save_picture(front_picture(archive), folder / "front.png")
+    save_archive(archive, folder)
+    return archive
+
+
+def hypervolume_error(raced: Arrays, scale: Scale, reference: float, seed: int = 0) -> float:
+    """Standard error of a set's hypervolume, were its races drawn again (bootstrap).
+
+    Pairs of races that differ in the side only are drawn together.
+    """
+    totals, segments = raced["totals"], raced["segments"].astype(np.float64)
+    pairs = totals.shape[1] // 2
+    rng = np.random.default_rng(seed)
+    volumes = []
+    for _ in range(RESAMPLES):
+        # Both sides of a start line at once: their races have line and opponent in common, so they are not
+        # independent.
+        weights = np.repeat(np.bincount(rng.integers(pairs, size=pairs), minlength=pairs), 2)
+        sums = (totals * weights[:, None]).sum(axis=1)
+        volumes.append(hypervolume(scale(sums / (segments * weights).sum(axis=1)[:, None]), reference))
+    return float(np.std(volumes, ddof=1))
+
+
+def _top_tenth(values: Floats, by: Floats) -> float:
+    order = np.argsort(by, kind="stable")
+    return float(values[order[-max(1, len(order) // 10) :]].mean())
+
+
+def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
+    """Every setting of a synthesis that matters, as a text or a number."""
+    values = {**plain_settings(config), "characteristics": list(config.axes)}
+    if config.selection != "headroom":
+        values = {key: value for key, value in values.items() if key not in HEADROOM_SETTINGS}
+    texts = {key: ", ".join(map(str, value)) for key, value in values.items() if isinstance(value, list)}
+    return {key: "none" if value is None else texts.get(key, value) for key, value in values.items()}
+
+
+def _versions() -> dict[str, str]:
+    versions = {"package_version": package_version(), "numpy_version": np.__version__}
+    for library in ("numba", "cma", "moocore"):
+        try:
+            versions[f"{library}_version"] = version(library)
+        except PackageNotFoundError:
+            continue
+    return versions
+
+
+def _rounded(value: str | float) -> str | int | float | bool:
+    """A number as the manifest is to hold it: six significant digits."""
+    if isinstance(value, str | bool | int):
+        return value
+    return float(f"{float(value):.6g}")
+
+
+@picture
+def front_picture(archive: PolicyArchive) -> Any:
+    """Draw the first two axes of an archive: its policies with their standard errors above everything explored.
+
+    Colours show own crash rates where they are known.
+    """
+    axes = get_characteristics(archive.characteristics)
+    up, right = 0, min(1, len(axes) - 1)
+    figure = new_figure(7.0, 5.0)
+    plot = figure.subplots()
+    explored, front = archive.explored_coordinates, archive.coordinates
+    plot.plot(explored[:, right], explored[:, up], ".", color="0.8", ms=3, label=f"{len(explored)} explored")
+    if archive.spread is not None:
+        errors = archive.spread[:, up], archive.spread[:, right]
+        plot.errorbar(front[:, right], front[:, up], *errors, fmt="none", ecolor="0.45", lw=0.7)
+    colours = "C0" if archive.own_crash is None else 100.0 * archive.own_crash
+    label = f"{len(front)} policies"
+    dots = plot.scatter(front[:, right], front[:, up], 22, colours, cmap="viridis", zorder=3, label=label)
+    if archive.own_crash is not None:
+        figure.colorbar(dots, ax=plot, label="own crashes in % of the measuring races")
+    plot.set_xlabel(f"{axes[right].name} ({axes[right].unit})")
+    plot.set_ylabel(f"{axes[up].name} ({axes[up].unit})")
+    title = f"archive {archive.name}, preset {archive.preset}; bars: one standard error"
+    if up != right:
+        title += f"; correlation {archive.correlations[axes[up].name, axes[right].name]:+.2f}"
+    plot.set_title(title)
+    plot.legend(loc="lower left")
+    tidy(plot)
+    return figure

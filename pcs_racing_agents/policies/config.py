@@ -1,0 +1,252 @@
+"""Settings of the synthesis of an archive."""
+
+from dataclasses import dataclass
+from math import comb
+from pathlib import Path
+from typing import Any
+
+from pcs_racing.base.checks import is_number
+from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.settings import Settings, checked, choice, names, number, setting, text, whole
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.planners.registry import get_planner
+from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing_agents.base.configurations import load_config, shipped_configs
+from pcs_racing_agents.policies.mo_cma_es import LOSSES, MEANS
+from pcs_racing_agents.policies.optimisers import METHODS
+
+CHOICES = ("pareto", "headroom")
+"""How policies are chosen for an archive: those that none clearly beats, or a pool that holds a game."""
+
+KIND = "archive"
+HEADROOM_SETTINGS = ("groups", "payoff_races", "judging_races", "judging_tracks")
+"""Settings that only matter with ``selection: headroom``."""
+SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
+
+_SECONDS = number(0.1, 3600.0)
+
+
+def _numbers(value: Any) -> tuple[float, ...]:
+    """Return a list of numbers as a tuple."""
+    if not isinstance(value, list | tuple) or not all(map(is_number, value)):
+        raise InputError(f"min_coordinates is {value!r}; it must be a list of numbers")
+    return tuple(value)
+
+
+@dataclass(frozen=True)
+class ArchiveConfig(Settings):
+    """How an archive is made: 2,000 policies and 48 races each by default.
+
+    Durations are multiples of ``segment_seconds``. Every policy meets all pairs of opponents and start lines, from both
+    sides, on every track; the three stages (search, choice, measurement) draw different ones.
+    """
+
+    name: str = setting("archive", text(), "Name of the archive.")
+    preset: str = setting("paper", text(), "Rules of the races: a preset's name or a YAML file.")
+    duration: float = setting(16.0, _SECONDS, "Length of a race during search and selection, s.")
+    final_duration: float = setting(40.0, _SECONDS, "Length of a race in the final measurement, s.")
+    segment_seconds: float = setting(
+        8.0, _SECONDS, "Length of the segments whose mean is a coordinate, s: a step of the game."
+    )
+    tracks: tuple[str, ...] = setting(
+        SHIPPED_TRACKS, names(), "Names or folders of the circuits; all policies race on all of them."
+    )
+    planner: str = setting("lattice", text(), "Planner of the policies and of their opponents.")
+    fixed: tuple[str, ...] = setting(
+        (),
+        names(0),
+        "Parameters of the planner that keep their defaults: the search has a dimension less for each, and the archive "
+        "does not hold them.",
+    )
+    characteristics: tuple[str, ...] | None = setting(
+        None,
+        names(),
+        "Axes; None takes what the rules name as their aggressiveness, which is aggressiveness itself (the lead), pace "
+        "or speed, and then restraint, beside speed the reaction to the lead.",
+    )
+    method: str = setting("mo-cma-es", choice(METHODS), "Search method; the first is that of the paper.")
+    generations: int = setting(60, whole(0, 100_000), "Number of generations.")
+    population: int = setting(32, whole(4, 10_000), "Number of policies in a generation.")
+    elite_ratio: float = setting(0.5, number(0.01, 1.0), "Share of a generation that updates the distribution.")
+    loss: str = setting("uhvi", choice(LOSSES), "Loss of Algorithm 1, as in synthesize().")
+    mean: str = setting("generation", choice(MEANS), "Mean of Algorithm 1, as in synthesize().")
+    step_size: float = setting(
+        0.3, number(1e-6, 1.0), "Initial standard deviation of CMA-ES, as a share of the parameters' ranges."
+    )
+    initial_sample: int = setting(
+        80,
+        whole(8, 10_000),
+        "Policies of the initial sample, drawn at random; their range is the scale of the axes in the loss and in the "
+        "hypervolume, and the best of them are the first archive.",
+    )
+    opponents: int = setting(4, whole(1, 1000), "Opponents (random policies) in the search.")
+    rivals: tuple[str, ...] = setting(
+        (), names(0), "Drivers of other planners that are met in every stage beside the random policies, each as often."
+    )
+    min_score: float = setting(
+        0.0,
+        number(0.0, 1.0),
+        "Smallest score against the rivals, a win being 1 and a tie 1/2, of a policy that may be chosen.",
+    )
+    starts: int = setting(2, whole(1, 1000), "Start lines on each track in the search.")
+    crash_limit: float = setting(
+        0.15,
+        number(0.0, 1.0),
+        "Largest share of crashes by own fault, in races of final_duration, of a policy in the archive; 1 keeps all. "
+        "For the shorter races of the search it is converted with a constant crash rate.",
+    )
+    min_coordinates: tuple[float, ...] | None = setting(
+        None,
+        checked(_numbers),
+        "Smallest coordinate of a policy in the archive, one for each axis; None for no limit.",
+    )
+    selection: str = setting(
+        "pareto",
+        choice(CHOICES),
+        "Rule of the selection: policies that no other one clearly beats on the axes (the paper), or a pool with much "
+        "headroom, chosen from the payoffs of all pairs of candidates.",
+    )
+    candidates: int = setting(240, whole(2, 10_000), "Policies that race again in the selection.")
+    choice_opponents: int = setting(8, whole(1, 1000), "Opponents in the selection.")
+    choice_starts: int = setting(2, whole(1, 1000), "Start lines on each track in the selection.")
+    error_bars: float = setting(
+        1.0,
+        number(0.0, 10.0),
+        "A policy is dominated if another one is better on all axes by more than this number of standard errors of the "
+        "difference.",
+    )
+    groups: int = setting(
+        4,
+        whole(1, 1000),
+        "With selection: headroom, groups of candidates along the first axis that as many policies are taken from.",
+    )
+    payoff_races: int = setting(
+        16, whole(4, 100_000), "With selection: headroom, races of each pair of candidates on each track."
+    )
+    judging_races: int = setting(
+        64,
+        whole(4, 100_000),
+        "With selection: headroom, races of each pair of the chosen policies on each track, whose headroom the "
+        "manifest states.",
+    )
+    judging_tracks: tuple[str, ...] | None = setting(
+        None, names(), "With selection: headroom, circuits that no choice is made on, on which it is judged, too."
+    )
+    spacing: float = setting(
+        0.015,
+        number(0.0, 0.5),
+        "Smallest distance between two policies of the archive, in units of the archive's ranges; of two nearer "
+        "policies one is dropped.",
+    )
+    min_policies: int = setting(40, whole(1, 10_000), "Minimum number of policies in the archive, if possible.")
+    max_policies: int = setting(80, whole(2, 10_000), "Maximum number of policies; with more, the spacing is widened.")
+    final_opponents: int = setting(12, whole(1, 1000), "Opponents in the measurement, which gives the coordinates.")
+    final_starts: int = setting(3, whole(1, 1000), "Start lines on each track in the measurement.")
+    seed: int = setting(0, whole(0, 2**63 - 1), "Seed of all random draws.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for key in ("duration", "final_duration"):
+            length = getattr(self, key)
+            segments = round(length / self.segment_seconds)
+            if segments < 1 or abs(segments * self.segment_seconds - length) > 1e-9:
+                raise ConfigError(
+                    f"{key} is {length:g} s; it must be a multiple of segment_seconds, {self.segment_seconds:g} s"
+                )
+        if self.min_policies > self.max_policies:
+            raise ConfigError(f"min_policies is {self.min_policies}, above max_policies, {self.max_policies}")
+        if self.min_score > 0.0 and not self.rivals:
+            raise ConfigError(f"min_score is {self.min_score:g}, but there are no rivals to reach it against")
+        if self.selection == "headroom":
+            self._check_headroom()
+        if not self.varied:
+            raise ConfigError(f"fixed names all parameters of planner {self.planner!r}; at least one must vary")
+        get_characteristics(self.axes)
+        if self.min_coordinates is not None and len(self.min_coordinates) != len(self.axes):
+            raise ConfigError(
+                f"min_coordinates is {self.min_coordinates!r}; it must list a number for each of {', '.join(self.axes)}"
+            )
+
+    def _check_headroom(self) -> None:
+        """Check what only the choice for headroom needs."""
+        if not 3 <= self.max_policies <= self.candidates:
+            raise ConfigError(
+                f"max_policies is {self.max_policies}; a pool chosen for headroom holds 3 policies at least, and no "
+                f"more than there are candidates, {self.candidates}"
+            )
+        if self.groups > self.max_policies:
+            raise ConfigError(f"groups is {self.groups}, above max_policies, {self.max_policies}")
+        for key in ("payoff_races", "judging_races"):
+            if getattr(self, key) % 4:
+                raise ConfigError(f"{key} is {getattr(self, key)}; it must be a multiple of 4")
+        both = set(self.tracks) & set(self.judging_tracks or ())
+        if both:
+            raise ConfigError(f"judging_tracks names {sorted(both)[0]!r}, which has a say in the choice")
+
+    @property
+    def rules(self) -> RaceConfig:
+        """Rules of the races, with the duration of those of the search."""
+        return self.rules_of(self.duration)
+
+    def rules_of(self, duration: float) -> RaceConfig:
+        """Rules of the races, with another duration."""
+        return load_race_config(self.preset, duration=float(duration))
+
+    @property
+    def search_crash_limit(self) -> float:
+        """The crash limit for races of the search."""
+        # With a constant crash rate, the share that survives is exponential in the length of a race.
+        return float(1.0 - (1.0 - self.crash_limit) ** (self.duration / self.final_duration))
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the characteristics."""
+        if self.characteristics is not None:
+            return self.characteristics
+        first = self.rules.aggressiveness
+        return "aggressiveness" if first == "lead" else first, "reaction" if first == "speed" else "restraint"
+
+    @property
+    def varied(self) -> tuple[str, ...]:
+        """Names of the parameters that the search varies: those that the archive holds."""
+        return get_planner(self.planner).without(self.fixed)
+
+    @property
+    def evaluations(self) -> int:
+        """Policies that the search races at most, the initial sample included."""
+        return self.initial_sample + self.generations * self.population
+
+    @property
+    def races(self) -> int:
+        """Races of each policy during the search."""
+        return len(self.tracks) * (self.opponents + len(self.rivals)) * self.starts * 2
+
+    @property
+    def work(self) -> dict[str, float]:
+        """Seconds of racing in each stage, at most."""
+        races, more = 2 * len(self.tracks), len(self.rivals)
+        work = {
+            "search": self.evaluations * self.races * self.duration,
+            "choice": self.candidates * races * (self.choice_opponents + more) * self.choice_starts * self.duration,
+            "measurement": self.max_policies
+            * races
+            * (self.final_opponents + more)
+            * self.final_starts
+            * self.final_duration,
+        }
+        if self.selection == "headroom":
+            judging = len(self.tracks) + len(self.judging_tracks or ())
+            pairs, chosen = comb(self.candidates, 2), comb(self.max_policies, 2)
+            work["choice"] = pairs * len(self.tracks) * self.payoff_races * self.final_duration
+            work["judgement"] = chosen * judging * self.judging_races * self.final_duration
+        return work
+
+
+def list_archive_configs() -> list[str]:
+    """Names of the configurations that come with the package."""
+    return list(shipped_configs(KIND))
+
+
+def load_archive_config(source: str | Path | ArchiveConfig | None = None, **changes: Any) -> ArchiveConfig:
+    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed."""
+    return load_config(KIND, ArchiveConfig(), source, **changes)

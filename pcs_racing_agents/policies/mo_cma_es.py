@@ -1,0 +1,231 @@
+"""MO-CMA-ES, Algorithm 1 of the paper: a CMA-ES whose loss is the hypervolume that a point adds to an archive.
+
+The comments in :meth:`MOCMAES.ask` and :meth:`MOCMAES.tell` are the lines of the algorithm. Where it leaves room:
+
+- Line 8: a point's loss is minus the hypervolume that it would add to the archive or, where it would add none, its
+  distance to the nearest place where it would (``loss="uhvi"``). The literal reading, the hypervolume of archive and
+  point together (``loss="total_hypervolume"``), is the same for all dominated points.
+- Line 8: objectives are normalised by the front as it is then, this generation included, since no other range is known;
+  the reference point lies a tenth of that range below its nadir.
+- Line 13: the mean moves to the recombined elite of this generation, as in CMA-ES (``mean="generation"``). The literal
+  reading is the mean of the archive's Pareto set (``mean="archive"``): where that set is no straight line, it is the
+  mean of points far from each other.
+- Parameters have bounds, of which the paper says nothing. Samples outside are moved to the border, and CMA-ES learns
+  from where it drew them: so its mean can settle beyond a border and keep a parameter at its limit. The mean
+  stays within three standard deviations of the box, and the step size within twice its first value.
+- The paper never restarts. Here, once the step size has collapsed or the archive has stopped growing, the search starts
+  again at a point of the front, the likelier the more hypervolume it contributes: there the front is thin.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError, require
+from pcs_racing_agents.policies.indicators import contributions, hypervolume, total_hypervolume, uncrowded_improvement
+from pcs_racing_agents.policies.pareto_archive import ParetoArchive, Scale
+
+Floats = NDArray[np.float64]
+
+LOSSES = ("uhvi", "total_hypervolume")
+MEANS = ("generation", "archive")
+SMALLEST_STEP = 1e-4  # of the range of the parameters
+PATIENCE = 10  # generations
+LEAST_GAIN = 1e-5  # of the normalised hypervolume, in a generation
+
+
+@dataclass(frozen=True, eq=False)
+class OptimiserOptions:
+    """Options of an optimiser. Optimisers work in the unit cube and maximise."""
+
+    dimension: int  #: Parameters, P.
+    population: int  #: Points of a generation, n.
+    seed: np.random.SeedSequence
+    elite_ratio: float  #: Share of a generation that is recombined and added to the archive (lambda of Algorithm 1).
+    loss: str  #: ``loss``, ``mean``: Reading of Algorithm 1.
+    mean: str
+    #: shape (P,): First mean; without one the first generation is a sample of the whole cube (:func:`latin_hypercube`),
+    #: and the search starts in the middle of what is best there, with half the step size.
+    start: Floats | None
+    step_size: float  #: First standard deviation.
+    reference: float | Floats  #: shape (G,): Reference point in normalised objectives.
+    ideal: Floats | None  #: shape (G,): ``ideal``, ``nadir``: Fixed points for the normalisation.
+    nadir: Floats | None
+
+
+class CubeCMAES:
+    """CMA-ES of pycma in the unit cube, drawing from a given generator instead of numpy's global one.
+
+    Its step size stays below ``largest``; of ``population`` points of a generation ``elite`` are recombined.
+    """
+
+    def __init__(
+        self, mean: Floats, step_size: float, largest: float, population: int, elite: int, rng: np.random.Generator
+    ) -> None:
+        if len(mean) < 2:
+            raise InputError("CMA-ES needs at least 2 parameters; there is 1")
+        require("cma", extra="synthesis")
+        import cma
+
+        self._largest = largest
+        self._samples: list[Floats] = []
+        self._es = cma.CMAEvolutionStrategy(
+            mean, step_size, {**cma_options(rng), "popsize": population, "CMA_mu": elite, "maxstd": 1.0 / 3.0}
+        )
+
+    @property
+    def step_size(self) -> float:
+        """Largest standard deviation of a parameter."""
+        return float(np.max(self._es.stds))
+
+    @property
+    def degenerate(self) -> bool:
+        """Whether the distribution has collapsed or diverged."""
+        return not SMALLEST_STEP < self.step_size < np.inf or self._es.condition_number > 1e14
+
+    def ask(self) -> Floats:
+        """Return a generation of points, shape (n, P), of which some may lie outside the cube."""
+        self._samples = self._es.ask()
+        return np.stack(self._samples)
+
+    def tell(self, ranks: Floats) -> None:
+        """Update the distribution from the points' ranks, which are all that CMA-ES uses."""
+        self._es.tell(self._samples, ranks.tolist())
+        # Without a limit the step size may grow until all points lie on the border.
+        self._es.sigma = min(self._es.sigma, self._largest)
+        self.move(self._es.mean)
+
+    def move(self, mean: Floats) -> None:
+        """Set the mean."""
+        # Points are moved to the border before they are evaluated, so nothing else would keep the mean from running
+        # away.
+        room = 3.0 * self._es.stds
+        self._es.mean = np.clip(mean, -room, 1.0 + room)
+
+
+def cma_options(rng: np.random.Generator) -> dict[str, Any]:
+    """Options with which pycma draws from a generator, leaves numpy's global one alone, and prints nothing."""
+    return {
+        "seed": np.nan,
+        "randn": lambda *shape: rng.standard_normal(shape),
+        # With -10 pycma prints nothing and reads no file of signals.
+        "verbose": -10,
+        "verb_log": 0,
+    }
+
+
+class MOCMAES:
+    """Algorithm 1 of the paper, with the ask-and-tell protocol."""
+
+    def __init__(self, setting: OptimiserOptions) -> None:
+        # Line 2: initialise lambda, mu, sigma, C = I, p_sigma = p_c = 0. The archive is empty.
+        self.restarts = 0
+        self._setting = setting
+        self._elite = max(1, round(setting.elite_ratio * setting.population))
+        self._rng = np.random.default_rng(setting.seed)
+        self._stalled = 0
+        self._es = None if setting.start is None else self._started(setting.start, setting.step_size)
+
+    @property
+    def step_size(self) -> float:
+        """Largest standard deviation of a parameter, as a share of its range; NaN before the search has a mean."""
+        return np.nan if self._es is None else self._es.step_size
+
+    def ask(self) -> Floats:
+        """Return a generation of points, shape (n, P), in the unit cube."""
+        # Lines 4-5: sample theta_i from N(mu, sigma^2 C).
+        if self._es is None:
+            return latin_hypercube(self._setting.population, self._setting.dimension, self._rng)
+        return self._es.ask()
+
+    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
+        """Learn from the generation that was asked for, and return the archive with its best points in it."""
+        if self._es is None:
+            grown = archive.joined(points, objectives, violation)
+            self._es = self._started(middle_of_the_best(grown), 0.5 * self._setting.step_size)
+            return grown
+        # Line 8: the hypervolume loss against the archive.
+        scale = archive.joined(points, objectives, violation).scale(self._setting.ideal, self._setting.nadir)
+        loss = hypervolume_loss(self._setting.loss, archive, objectives, violation, scale, self._setting.reference)
+        # Line 9: sort. Infeasible points come last, by how much they violate.
+        # The last key counts first. All feasible points violate by 0, so among them the loss decides.
+        order = np.lexsort((loss, np.maximum(violation, 0.0)))
+        # Line 10: the best lambda join the archive.
+        elite = np.zeros(len(points), np.bool_)
+        elite[order[: self._elite]] = True
+        grown = archive.joined(points, objectives, violation, elite)
+        # Lines 11-12: evolution paths, step size and covariance.
+        ranks = np.empty(len(points))
+        ranks[order] = np.arange(len(points))
+        self._es.tell(ranks)
+        # Line 13: the mean.
+        if self._setting.mean == "archive" and len(grown.front):
+            self._es.move(grown.parameters[grown.front].mean(axis=0))
+        self._restart_if_done(archive, grown, scale)
+        return grown
+
+    def _restart_if_done(self, before: ParetoArchive, after: ParetoArchive, scale: Scale) -> None:
+        assert self._es is not None
+        # As long as nothing feasible is known, there is no hypervolume to stand still.
+        if len(after.front):
+            old, new = (
+                hypervolume(scale(archive.objectives[archive.front]), self._setting.reference)
+                if len(archive.front)
+                else 0.0
+                for archive in (before, after)
+            )
+            self._stalled = 0 if new - old > LEAST_GAIN else self._stalled + 1
+        if not self._es.degenerate and self._stalled < PATIENCE:
+            return
+        self.restarts += 1
+        self._stalled = 0
+        setting = self._setting
+        if len(after.front) == 0:
+            self._es = self._started(self._rng.random(setting.dimension), setting.step_size)
+            return
+        share = contributions(scale(after.objectives[after.front]), setting.reference)
+        # Points below the reference have a chance, too.
+        share = share + max(1e-9, 1e-3 * float(share.mean()))
+        row = self._rng.choice(after.front, p=share / share.sum())
+        self._es = self._started(after.parameters[row], 0.5 * setting.step_size)
+
+    def _started(self, mean: Floats, step_size: float) -> CubeCMAES:
+        largest = 2.0 * self._setting.step_size
+        return CubeCMAES(mean, step_size, largest, self._setting.population, self._elite, self._rng)
+
+
+def latin_hypercube(count: int, dimension: int, rng: np.random.Generator) -> Floats:
+    """Return points of the unit cube, shape (count, dimension), of which every axis has one in each of equal parts."""
+    intervals = np.stack([rng.permutation(count) for _ in range(dimension)], axis=1)
+    return np.asarray((intervals + rng.random((count, dimension))) / count, np.float64)
+
+
+def middle_of_the_best(explored: ParetoArchive) -> Floats:
+    """Return the mean of the front's parameters; if nothing is feasible, the point that violates least."""
+    if len(explored.front):
+        return np.asarray(explored.parameters[explored.front].mean(axis=0), np.float64)
+    return explored.parameters[int(np.argmin(explored.violation))]
+
+
+def hypervolume_loss(
+    kind: str,
+    archive: ParetoArchive,
+    objectives: Floats,
+    violation: Floats,
+    scale: Scale,
+    reference: float | Floats,
+) -> Floats:
+    """Loss of n points against the Pareto front of an archive (line 8 of Algorithm 1), shape (n,).
+
+    The loss of infeasible points is infinite. The reference point is in units of the scale; ``kind`` is one of
+    :data:`LOSSES`.
+    """
+    loss = np.full(len(objectives), np.inf)
+    feasible = violation <= 0.0
+    if feasible.any():
+        front = scale(archive.objectives[archive.front]) if len(archive.front) else np.zeros((0, objectives.shape[1]))
+        measure = uncrowded_improvement if kind == "uhvi" else total_hypervolume
+        loss[feasible] = -measure(scale(objectives[feasible]), front, reference)
+    return loss

@@ -1,1 +1,0 @@
-"""Results of races as tables."""

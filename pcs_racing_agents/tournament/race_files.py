@@ -1,0 +1,241 @@
+"""Results files: a race table as csv, one line for every race, and back.
+
+The columns of a large file repeat few texts. While it is read, each text of a column is stored once and parsed once.
+"""
+
+import csv
+import io
+import math
+import os
+from array import array
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.base.tables import read_csv
+from pcs_racing_agents.tournament.races import CRASHES, FAULTS, WINNERS, Categorical, RaceRow, RaceTable, narrow
+
+NEEDED = ("ego", "opponent", "track", "race", "start_s", "side", "seed", "lead", "winner", "crash", "fault")
+"""Columns that every results file has; the others tell details."""
+LONGEST_TEXT = 300
+MOST_RACES = 2_000_000
+MOST_STEPS = 100_000_000
+
+Floats = NDArray[np.float64]
+CARS = ("ego", "opponent")
+
+
+def write_results(races: Iterable[RaceRow], path: str | os.PathLike[str]) -> Path:
+    """Write one line for every race as CSV; the file appears whole or not at all, and is the same on every machine."""
+
+    def write(file: IO[bytes]) -> None:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(RaceRow._fields)
+        writer.writerows(map(_texts, races))
+        # Else the wrapper, once it is dropped, would close the file under the hands of write_atomically.
+        text.detach()
+
+    write_atomically(Path(path), write)
+    return Path(path)
+
+
+def read_results(path: str | os.PathLike[str], need: Sequence[str] = ()) -> RaceTable:
+    """Read a results file, which must have the columns in ``need`` besides :data:`NEEDED`.
+
+    Of details that are missing nothing is known: no moves, no overtakes, variant 0, duration NaN.
+    """
+    table = read_csv(path)
+    return _parsed(_in_columns(table.path, table.columns, table.values()), need)
+
+
+def race_table(rows: Iterable[RaceRow]) -> RaceTable:
+    """Return the table of races given as rows, checked like a file."""
+    return _parsed(_in_columns("the table", RaceRow._fields, enumerate(map(_texts, rows), start=2)))
+
+
+def _texts(row: RaceRow) -> list[str]:
+    """Return the cells of a race: lengths and times with 4 decimals, lists with semicolons."""
+    return [
+        f"{value:.4f}" if isinstance(value, float)
+        else "; ".join(map(str, value)) if isinstance(value, tuple)
+        else str(value)
+        for value in row
+    ]  # fmt: skip
+
+
+class _Lines(NamedTuple):
+    """The lines of a file, stored by column."""
+
+    where: str  #: How errors call the file.
+    columns: dict[str, Categorical]
+    at: NDArray[np.int32]  #: shape (N,): Where the lines stand in the file, whose first line is 1.
+
+    def damaged(self, column: str, word: str, problem: str) -> InputError:
+        """Return an error that names the first line with a word, by its number in the file and by its race."""
+        # The first of the lines that hold the word: later ones repeat the fault.
+        words, codes = self.columns[column]
+        number = int(np.argmax(codes == words.index(word)))
+        return InputError(f"{self.where}, line {self.at[number]} (race {number}), is damaged: {column} is {problem}")
+
+    def words(self, name: str) -> Categorical:
+        """Return a column of words; empty ones where it is missing."""
+        if name not in self.columns:
+            return Categorical.constant("", len(self.at))
+        for word in self.columns[name].words:
+            if len(word) > LONGEST_TEXT:
+                raise self.damaged(name, word, f"{len(word)} characters long")
+        return self.columns[name]
+
+    def numbers(self, name: str, low: float, high: float, missing: float | None = None) -> Floats:
+        """Return a column of numbers within bounds."""
+        if missing is not None and name not in self.columns:
+            return np.full(len(self.at), missing)
+        words, codes = self.columns[name]
+        values = np.array([_number(word) for word in words])
+        wrong = ~((values >= low) & (values <= high))  # NaN is wrong, too
+        if missing is not None and math.isnan(missing):
+            wrong &= np.array(words) != "nan"
+        if wrong.any():
+            word = words[int(np.argmax(wrong))]
+            raise self.damaged(name, word, f"{word!r:.60}; it must be a number from {low:g} to {high:g}")
+        return values[codes]
+
+    def wholes(self, name: str, high: int, missing: int | None = None) -> NDArray[Any]:
+        """Return a column of whole numbers from 0 on."""
+        values = self.numbers(name, 0, high, missing)
+        if (values != np.floor(values)).any():
+            words, codes = self.columns[name]
+            word = words[codes[int(np.argmax(values != np.floor(values)))]]
+            raise self.damaged(name, word, f"{word!r:.60}; it must be a whole number")
+        return narrow(values.astype(np.int64))
+
+    def choices(self, name: str, allowed_words: Sequence[str]) -> NDArray[np.int64]:
+        """Return the places of a column's words in a list of allowed words."""
+        words, codes = self.columns[name]
+        for word in words:
+            if word not in allowed_words:
+                allowed = ", ".join(allowed_words)
+                raise self.damaged(name, word, f"{word!r:.60}; it must be {allowed}")
+        return np.array([allowed_words.index(word) for word in words], np.int64)[codes]
+
+    def seeds(self) -> Categorical:
+        """Return the column of seeds, which are whole numbers of any size."""
+        # As text: a seed may have more digits than any number of the machine, and leading zeros mean nothing.
+        seeds = self.words("seed")
+        for word in seeds.words:
+            if not word.isascii() or not word.isdigit():
+                raise self.damaged("seed", word, f"{word!r:.60}; it must be a whole number")
+        words: dict[str, int] = {}
+        places = [words.setdefault(str(int(word)), len(words)) for word in seeds.words]
+        return Categorical(tuple(words), np.array(places, np.int64)[seeds.codes])
+
+    def steps(self, name: str) -> tuple[list[list[str]], NDArray[Any]]:
+        """Return the lists that the different texts of a column stand for, and the code of each line."""
+        column = self.words(name)
+        lists = [word.split("; ") if word else [] for word in column.words]
+        # Before anything is allocated: one long list would widen the table for all races.
+        if 2 * len(self.at) * max(map(len, lists), default=0) > MOST_STEPS:
+            raise InputError(f"{self.where} holds too much: {len(self.at)} races with lists as long as that in {name}")
+        return lists, column.codes
+
+    def paths(self, name: str) -> NDArray[Any]:
+        """Return a column of lists of policies, shape (N, longest); -1 fills up the shorter ones."""
+        lists, codes = self.steps(name)
+        values = np.full((len(lists), max(map(len, lists), default=0)), -1, np.int64)
+        for i, policies in enumerate(lists):
+            for k, policy in enumerate(policies):
+                if not policy.isascii() or not policy.isdigit() or len(policy) > 6:
+                    word = self.columns[name].words[i]
+                    raise self.damaged(name, word, f"{word!r:.60}; it must be a list of policies")
+                values[i, k] = int(policy)
+        return narrow(values)[codes]
+
+    def moves(self, name: str) -> Categorical:
+        """Return a column of lists of moves, shape (N, longest)."""
+        lists, codes = self.steps(name)
+        words: dict[str, int] = {}
+        values = np.full((len(lists), max(map(len, lists), default=0)), -1, np.int64)
+        for i, moves in enumerate(lists):
+            values[i, : len(moves)] = [words.setdefault(move, len(words)) for move in moves]
+        return Categorical(tuple(words), narrow(values)[codes])
+
+
+def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, list[str]]]) -> _Lines:
+    """Return lines by column, with every different text stored once."""
+    # Arrays of machine integers: a list of Python's takes several times the memory for millions of races.
+    codes, at = [array("i") for _ in names], array("i")
+    words: list[dict[str, int]] = [{} for _ in names]
+    work = [(column.append, codes_of.setdefault, codes_of) for column, codes_of in zip(codes, words, strict=True)]
+    for number, line in lines:
+        at.append(number)
+        for (append, place, codes_of), text in zip(work, line, strict=True):
+            append(place(text, len(codes_of)))
+    columns = {}
+    for name in names:
+        # Column by column, so that memory never holds two copies of all.
+        codes_of, column = words.pop(0), codes.pop(0)
+        columns[name] = Categorical(tuple(codes_of), np.array(column, np.min_scalar_type(len(codes_of))))
+    return _Lines(where, columns, np.array(at, np.int32))
+
+
+def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
+    """Return the table of a file's lines, every word checked and converted."""
+    if not len(lines.at):
+        raise InputError(f"{lines.where} holds no races")
+    missing = [name for name in (*NEEDED, *need) if name not in lines.columns]
+    if missing:
+        raise InputError(f"{lines.where} has no column {missing[0]!r}; it must be a results.csv of races")
+    if len(lines.at) > MOST_RACES:
+        raise InputError(f"{lines.where} holds {len(lines.at)} races; at most {MOST_RACES} can be read")
+
+    def both(name: str) -> NDArray[Any]:
+        return np.stack([lines.wholes(f"{car}_{name}", 1_000_000, missing=0) for car in CARS], axis=1)
+
+    # The place of the word is a pair of bits: 1 for the ego, 2 for the opponent.
+    fault = lines.choices("fault", FAULTS)
+    return RaceTable(
+        preset=lines.words("preset"),
+        agents=Categorical.concatenate([lines.words(car) for car in CARS], axis=1),
+        track=lines.words("track"),
+        race=lines.wholes("race", 2**31 - 1),
+        start_s=lines.numbers("start_s", -1e6, 1e6),
+        side=lines.wholes("side", 1),
+        seed=lines.seeds(),
+        lead=lines.numbers("lead", -1e6, 1e6),
+        winner=np.array([0, 1, -1], np.int8)[lines.choices("winner", WINNERS)],
+        crash=narrow(lines.choices("crash", CRASHES)),
+        fault=narrow(np.stack([fault & 1, fault >> 1], axis=1)),
+        overtakes=both("overtakes"),
+        duration=lines.numbers("duration", 0.0, 1e6, missing=math.nan),
+        variants=both("variant"),
+        path=_side_by_side([lines.paths(f"{car}_path") for car in CARS]),
+        moves=_moves_of_both([lines.moves(f"{car}_moves") for car in CARS]),
+    )
+
+
+def _side_by_side(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Two arrays (N, steps) as one (N, 2, most steps)."""
+    steps = max(column.shape[1] for column in columns)
+    return np.stack([np.pad(c, ((0, 0), (0, steps - c.shape[1])), constant_values=-1) for c in columns], axis=1)
+
+
+def _moves_of_both(columns: Sequence[Categorical]) -> Categorical:
+    steps = max(column.codes.shape[1] for column in columns)
+    wide = [
+        column._replace(codes=np.pad(column.codes, ((0, 0), (0, steps - column.codes.shape[1])), constant_values=-1))
+        for column in columns
+    ]
+    return Categorical.concatenate(wide, axis=1)
+
+
+def _number(word: str) -> float:
+    try:
+        return float(word)
+    except ValueError:
+        return math.nan

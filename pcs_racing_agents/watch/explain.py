@@ -1,0 +1,199 @@
+"""Explanation of one race: an agent's observation before each of its moves, its values of the moves, and its choice.
+
+The race is simulated again, to the last bit.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.observation import LEAD_SCALE
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.planners.planner import Policy
+from pcs_racing.race.replay import Replay, ReplayEvent
+from pcs_racing.race.start_grid import Starts
+from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor
+from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, WalkStrategy
+from pcs_racing_agents.agents.from_network import AdaptiveStrategy
+from pcs_racing_agents.agents.observing import earlier, opponent, own
+from pcs_racing_agents.networks.network import RegretNetwork
+from pcs_racing_agents.tournament.races import RaceTable
+from pcs_racing_agents.tournament.runner import record_game
+
+Floats = NDArray[np.float64]
+
+
+class Unit(NamedTuple):
+    """The unit of a network's values."""
+
+    scale: float  #: Factor from a difference of two values to the unit.
+    text: str  #: Name of the unit, such as ``"of a win"``; ``""`` if values can only be compared.
+
+
+class DefaultStrategy(NamedTuple):
+    """The strategy that an agent follows unless its network predicts a gain above a margin."""
+
+    name: str
+    margin: float  #: In units of the network's values.
+
+
+class ExplainedDecision(NamedTuple):
+    """A decision: the observation, values and move of the explained car."""
+
+    time: float  #: Since the start, s.
+    own: Floats  #: shape (G,): Normalised coordinates of the own policy, from the archive.
+    #: shape (G,): Normalised coordinates of the opponent as measured in the step before, which the agent observed.
+    opponent: Floats
+    lead: float  #: Own lead, m.
+    move: int  #: Index of the move made.
+    policy: int  #: ``policy``, ``next_policy``: Own policy before and after it.
+    next_policy: int
+    probabilities: Floats | None  #: shape (M,): Probabilities of the moves, if they are known.
+    values: Floats | None  #: shape (V,): Values of the first V moves, in units of the agent's network, if it has one.
+    default_move: int | None  #: The move of its default strategy, if it has one.
+    opponent_move: int  #: -1 for a driver.
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A race with the decisions of one of its agents."""
+
+    archive: PolicyArchive
+    moves: tuple[str, ...]  #: Names of the M moves.
+    names: tuple[str, str]  #: Names of the competitors in car 0 and car 1.
+    car: int  #: The car whose moves are explained.
+    race: str  #: Name of the rules.
+    ends: tuple[float, ...]  #: When each step ends, s: the moves are made at all of them but the last.
+    steps: tuple[ExplainedDecision, ...]  #: One for each move that was made; fewer after a crash.
+    replay: Replay  #: The race, with the moves as events.
+    played: RaceTable  #: Result of the race; of one game.
+    unit: Unit | None  #: Unit of the values.
+    default: DefaultStrategy | None
+    open_loop: bool  #: Whether the agent is known not to use its observations of the opponent.
+
+    @property
+    def middle(self) -> Floats:
+        """Median of the archive's normalised coordinates, shape (G,): the reference of words such as "restrained"."""
+        return np.median(self.archive.normalised, axis=0)
+
+    @property
+    def lead(self) -> Floats:
+        """Own lead at every frame of the replay, m."""
+        return self.replay.lead if self.car == 0 else -self.replay.lead
+
+
+def explain_game(
+    game: RaceGame,
+    ego: Competitor | Policy,
+    opponent: Competitor | Policy,
+    *,
+    policies: ArrayLike,
+    start: Starts,
+    seed: int,
+    car: int = 0,
+    candidates: bool = False,
+) -> Explanation:
+    """Simulate a game again and explain the moves of one car.
+
+    ``policies``, ``start``, ``seed``, ``candidates``: as for :func:`pcs_racing_agents.tournament.runner.record_game`.
+    ``car``: the car whose moves are explained, 0 or 1.
+    """
+    if car not in (0, 1):
+        raise InputError(f"car is {car!r}; it must be 0 or 1")
+    cars = (as_competitor(ego), as_competitor(opponent))
+    competitor = cars[car]
+    if isinstance(competitor, Driver):
+        other = "nor does the other car's" if isinstance(cars[1 - car], Driver) else "try the other car"
+        raise InputError(f"{competitor.name!r} in car {car} makes no moves, so there is nothing to explain; {other}")
+    recording = record_game(game, *cars, policies=policies, start=start, seed=seed, candidates=candidates)
+    played, game = recording.played, recording.game
+    names = recording.replay.car_names
+    config, strategy = game.config, getattr(competitor, "strategy", None)
+    # A strategy may have a network of another kind, whose outputs are no values of moves.
+    network = getattr(strategy, "network", None)
+    network = network if isinstance(network, RegretNetwork) else None
+    return Explanation(
+        archive=game.archive,
+        moves=game.move_names,
+        names=(names[0], names[1]),
+        car=car,
+        race=config.race.name,
+        ends=config.ends,
+        steps=_steps(game, competitor, played, car, network),
+        replay=mark_moves(recording.replay, played, game.move_names, config.ends),
+        played=played,
+        unit=None if network is None else value_unit(network, str(config.utility)),
+        default=DefaultStrategy(strategy.blind.name, strategy.margin)
+        if isinstance(strategy, AdaptiveStrategy)
+        else None,
+        open_loop=is_open_loop(competitor),
+    )
+
+
+def _steps(
+    game: RaceGame, competitor: Competitor, played: RaceTable, car: int, network: RegretNetwork | None
+) -> tuple[ExplainedDecision, ...]:
+    axes = len(game.characteristics)
+    strategy = getattr(competitor, "strategy", None)
+    steps = []
+    for k in range(int((played.moves.codes[0, car] >= 0).sum())):
+        # The last observation holds all earlier ones: cut off, it is what the agent saw before this move.
+        observation = earlier(played.observations[:, car], axes, k)
+        default_move = None
+        if isinstance(strategy, AdaptiveStrategy):
+            default_move = int(strategy.blind.predict(observation[0])[0])
+        steps.append(
+            ExplainedDecision(
+                time=game.config.ends[k],
+                own=own(observation, axes)[0].astype(np.float64),
+                opponent=opponent(observation, axes)[0].astype(np.float64),
+                lead=float(observed_lead(observation, axes, k)[0]),
+                move=int(played.moves.codes[0, car, k]),
+                policy=int(played.path[0, car, k]),
+                next_policy=int(played.path[0, car, k + 1]),
+                probabilities=competitor.probabilities(observation)[0] if isinstance(competitor, Agent) else None,
+                values=None if network is None else network.unclipped(observation)[0].astype(np.float64),
+                default_move=default_move,
+                opponent_move=int(played.moves.codes[0, 1 - car, k]),
+            )
+        )
+    return tuple(steps)
+
+
+def observed_lead(observation: NDArray[np.float32], axes: int, step: int) -> Floats:
+    """Return the own lead at the end of a step from observations, m, shape (B,); clipped to 100 m."""
+    return LEAD_SCALE * observation[:, step * (2 * axes + 2) + 2 * axes].astype(np.float64)
+
+
+def is_open_loop(competitor: Competitor) -> bool:
+    """Return whether an agent's moves are known to depend on nothing but time and its own policy."""
+    return isinstance(getattr(competitor, "strategy", None), ConstantStrategy | OpenLoopStrategy | WalkStrategy)
+
+
+def value_unit(network: RegretNetwork, utility: str) -> Unit:
+    """Return the unit of a network's values.
+
+    ``network``: the fact ``worth`` of its training decides ("win": shares of races won), else its target and the
+    utility. ``utility``: one of :data:`pcs_racing.game.config.UTILITIES`.
+    """
+    if network.training.get("worth") == "win":
+        return Unit(1.0, "of a win")
+    if network.target in ("advantage", "static-q"):
+        # A race won instead of lost is a difference of 2 in this utility.
+        return Unit(0.5, "of a win") if utility == "win" else Unit(1.0, "m of lead")
+    return Unit(1.0, "")
+
+
+def mark_moves(replay: Replay, played: RaceTable, moves: tuple[str, ...], ends: tuple[float, ...]) -> Replay:
+    """Return a replay with the moves of both cars as events."""
+    events = [
+        ReplayEvent(ends[k], car, "move", moves[played.moves.codes[0, car, k]])
+        for car in range(2)
+        for k in range(played.moves.codes.shape[2])
+        if played.moves.codes[0, car, k] >= 0
+    ]
+    return replace(replay, events=(*replay.events, *events))

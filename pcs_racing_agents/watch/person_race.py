@@ -1,0 +1,274 @@
+"""A race of a person in car 0, who makes moves or steers, against an agent, a driver or a policy in car 1."""
+
+import re
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import race_seed
+from pcs_racing.envs.drive import DriveEnv
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.competitor import competitor_name
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.races import starts_of
+from pcs_racing.race.replay import Replay, replay_page, safe_json
+from pcs_racing_agents.agents.agent import Competitor, Driver
+from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
+from pcs_racing_agents.tournament.races import RaceTable
+from pcs_racing_agents.tournament.runner import record_game
+from pcs_racing_agents.watch.explain import ExplainedDecision, explain_game, mark_moves
+from pcs_racing_agents.watch.view_page import page_of
+from pcs_racing_agents.watch.view_server import Answer, error_answer
+
+MOST_RACES = 1_000_000
+NEAREST = 4  # the person starts with one of the quarter of the policies that are nearest to the opponent's
+
+_ADDRESS = re.compile(r"/race/([0-9]{1,6})/((?:[0-9]{1,3}(?:-[0-9]{1,3})*)?)(\.html)?")
+
+
+@dataclass(frozen=True)
+class _GivenMoves:
+    """A competitor that makes given moves, and then stays."""
+
+    moves: tuple[int, ...]
+    stay: int
+    axes: int
+    name: str = "you"
+
+    def predict(
+        self, observation: NDArray[np.float32], state: Any = None, episode_start: Any = None, deterministic: bool = True
+    ) -> tuple[NDArray[np.int64], None]:
+        """Return the move for each observation."""
+        # From the observation, not from a counter: the same object may be asked for any race, in any order.
+        made = moves_made(observation, self.axes)
+        padded = np.array([*self.moves, self.stay])
+        return padded[np.minimum(made, len(self.moves))], None
+
+
+@dataclass(frozen=True, eq=False)
+class PersonRaces:
+    """Races of a person in car 0 against a competitor in car 1; race ``k`` has a start and policies of its own."""
+
+    game: RaceGame
+    opponent: Competitor  #: In car 1.
+    seed: int = 0  #: Root of the starts, of the policies that both cars start with, and of the noise.
+
+    def answer(self, path: str) -> Answer:
+        """Answer ``/race/K/MOVES`` with :meth:`situation` as JSON, and ``/race/K/MOVES.html`` with the race so far.
+
+        ``MOVES`` are the indices of the person's moves with hyphens between them; none before the first move.
+        """
+        match = _ADDRESS.fullmatch(path)
+        if match is None:
+            return error_answer(404, "there is / and /race/NUMBER/MOVES here")
+        number, moves = int(match.group(1)), tuple(int(move) for move in match.group(2).split("-") if move)
+        try:
+            if match.group(3):
+                page = replay_page(self.replay(number, moves))
+                return Answer(200, page.encode(), "text/html; charset=utf-8")
+            return Answer(200, safe_json(self.situation(number, moves)).encode())
+        except InputError as error:
+            return error_answer(409, str(error))
+
+    def replay(self, number: int, moves: tuple[int, ...]) -> Replay:
+        """Return the race up to the next move of the person, or to its end."""
+        return self._drive(number, moves)[0]
+
+    def situation(self, number: int, moves: tuple[int, ...]) -> dict[str, Any]:
+        """Return what the person may know before the next move, as plain values."""
+        replay, played, steps = self._drive(number, moves)
+        game, archive = self.game, self.game.archive
+        made, over = len(moves), self._over(played, len(moves))
+        # Steps after a crash have no policy (-1): then it is the last one that was driven.
+        policy = int([policy for policy in played.path[0, 0, : made + 1] if policy >= 0][-1])
+        axes = get_characteristics(archive.characteristics)
+        seen = [
+            opponent(earlier(played.observations[:, car], len(axes), made), len(axes))[0].astype(float).tolist()
+            for car in range(2)
+        ]
+        return {
+            "number": number,
+            "made": made,
+            "moves": game.config.moves,
+            "ends": game.config.ends,
+            "seconds": replay.duration,
+            "over": over,
+            "outcome": replay.outcome,
+            "winner": int(played.winner[0]) if over else None,
+            "lead": float(replay.lead[-1]),
+            "opponent": replay.car_names[1],
+            "track": replay.track_name,
+            "axes": [{"name": axis.name, "unit": axis.unit, "meaning": axis.meaning} for axis in axes],
+            "policies": archive.normalised.tolist(),
+            "policy": policy,
+            "choices": [
+                {"name": name, "policy": int(game.next_policy(np.array([policy]), np.array([move]))[0])}
+                for move, name in enumerate(game.competitor_moves)
+            ],
+            "opponent_seen": seen[0],
+            "you_seen": seen[1],
+            "history": [self._decision(step, moves[k]) for k, step in enumerate(steps)],
+        }
+
+    def _decision(self, step: ExplainedDecision, own_move: int) -> dict[str, Any]:
+        """Return what the opponent decided in a step, beside the person's move, as plain values."""
+        names = self.game.competitor_moves
+        return {
+            "you": names[own_move],
+            "opponent": names[step.move],
+            "probabilities": None if step.probabilities is None else step.probabilities.tolist(),
+            "values": None if step.values is None else step.values.tolist(),
+        }
+
+    def _over(self, played: RaceTable, made: int) -> bool:
+        """Whether the race ended within the step that follows a number of moves."""
+        return made >= self.game.config.moves or float(played.duration[0]) < self._end(made)
+
+    def _end(self, made: int) -> float:
+        """Time at which the step after a number of moves ends, s."""
+        return self.game.config.ends[made]
+
+    def _policies(self, number: int) -> NDArray[np.int64]:
+        """Draw the policies that both cars start with, alike where both are of the archive: such races are close."""
+        archive = self.game.archive
+        draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
+        if isinstance(self.opponent, Driver):
+            return np.array([draw.integers(len(archive)), draw.integers(len(self.opponent.policies))])
+        rival = draw.integers(len(archive))
+        apart = np.linalg.norm(archive.normalised - archive.normalised[rival], axis=1)
+        return np.array([np.argsort(apart, kind="stable")[draw.integers(max(1, len(archive) // NEAREST))], rival])
+
+    def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, RaceTable, tuple[ExplainedDecision, ...]]:
+        """Drive the whole race, staying after the given moves, and return it up to the next move."""
+        game, names = self.game, self.game.competitor_moves
+        if not 0 <= number < MOST_RACES:
+            raise InputError(f"there is no race {number}; there are races 0 to {MOST_RACES - 1}")
+        if len(moves) > game.config.moves:
+            raise InputError(f"{len(moves)} moves were made; a race has {game.config.moves}")
+        for move in moves:
+            if not 0 <= move < len(names):
+                raise InputError(f"move {move} is none of the moves 0 to {len(names) - 1} ({', '.join(names)})")
+        # The whole race each time: nothing is kept between two questions.
+        person = _GivenMoves(moves, len(names) - 1, len(game.archive.characteristics))
+        race: dict[str, Any] = {
+            "policies": self._policies(number),
+            "start": starts_of(game.track, game.setup.config, [number], self.seed),
+            "seed": int(race_seed(self.seed, number)),
+        }
+        if isinstance(self.opponent, Driver):
+            recording = record_game(game, person, self.opponent, **race, candidates=False)
+            whole, played = recording.replay, recording.played
+            replay = mark_moves(whole, played, recording.game.competitor_moves, game.config.ends)
+            steps: tuple[ExplainedDecision, ...] = ()
+        else:
+            explanation = explain_game(game, person, self.opponent, **race, car=1)
+            replay, played, steps = explanation.replay, explanation.played, explanation.steps
+        # What would happen if the person stayed from now on must not be shown.
+        if not self._over(played, len(moves)):
+            replay = first_frames(replay, self._end(len(moves)))
+        return replay, played, steps[: len(moves)]
+
+
+def first_frames(replay: Replay, seconds: float) -> Replay:
+    """Return the beginning of a race: its frames, plans and events up to a time, without an outcome.
+
+    ``replay``: without candidates. ``seconds``: up to when, s.
+    """
+    frames = round(seconds / replay.frame_dt) + 1
+    plans = round(seconds / replay.plan_dt)  # without the plan of that time: the next move decides about it
+    return replace(
+        replay,
+        cars=replay.cars[:frames],
+        progress=replay.progress[:frames],
+        ittc=None if replay.ittc is None else replay.ittc[:frames],
+        paths=None if replay.paths is None else replay.paths[:plans],
+        events=tuple(event for event in replay.events if event.time < seconds),
+        outcome="",
+    )
+
+
+def play_page(races: PersonRaces) -> str:
+    """Return the page on which a person makes the moves; it asks a server for everything else."""
+    title = f"You against {competitor_name(races.opponent)}"
+    return page_of("play.html", title, "connect-src 'self'; frame-src 'self'", {})
+
+
+TIME_STEP = 0.02  # s
+MOST_STEPS = 25  # in an answer: half a second, after which a page that was away goes on
+
+_BEGIN = re.compile(r"/begin/([0-9]{1,6})")
+_DRIVE = re.compile(r"/drive/([0-9]{1,6})/([0-9]{1,6})/([0-9]{1,2})/(-?[0-9]{1,3})/([0-9]{1,3})")
+
+
+@dataclass(eq=False)
+class PersonDrive:
+    """The race that a page drives; race ``k`` has a start of its own. Equal commands give equal races."""
+
+    env: DriveEnv  #: Of steps of :data:`TIME_STEP`, with actions in [-1, 1].
+    opponent: str  #: Its name.
+    seed: int = 0  #: Of race 0; race ``k`` has this one more ``k`` times.
+    _race: tuple[int, int] = field(init=False, default=(-1, 0))  # its number, and the steps driven
+    _info: dict[str, Any] = field(init=False, default_factory=dict)
+
+    def answer(self, path: str) -> Answer:
+        """Answer ``/begin/K``, and ``/drive/K/STEP/STEPS/STEERING/SPEED``, with the race at that moment as JSON.
+
+        ``STEP`` says from which step on ``STEPS`` are driven, with the steering from -100 (right) to 100 (left) and the
+        speed from 0 to 100 as shares of the largest.
+        """
+        begin, on = _BEGIN.fullmatch(path), _DRIVE.fullmatch(path)
+        try:
+            if begin:
+                return Answer(200, safe_json(self._begin(int(begin.group(1)))).encode())
+            if on:
+                return Answer(200, safe_json(self._drive(*map(int, on.groups()))).encode())
+        except InputError as error:
+            return error_answer(409, str(error))
+        return error_answer(404, "there is /, /begin/NUMBER and /drive/NUMBER/STEP/STEPS/STEERING/SPEED here")
+
+    def _begin(self, number: int) -> dict[str, Any]:
+        self._info = self.env.reset(seed=self.seed + number)[1]
+        self._race = number, 0
+        track = self.env.batch.track
+        walls, line = (np.round(part, 3).tolist() for part in (track.arrays.walls, track.line[:, :2]))
+        return {**self._moment(), "walls": walls, "line": line, "track": track.name, "opponent": self.opponent}
+
+    def _drive(self, number: int, step: int, steps: int, steering: int, speed: int) -> dict[str, Any]:
+        if (number, step) != self._race:
+            raise InputError(f"race {number} is not at step {step}: another page drives here; begin a race again")
+        if not (1 <= steps <= MOST_STEPS and -100 <= steering <= 100 and 0 <= speed <= 100):
+            raise InputError(f"{steps} steps with {steering} and {speed} are too many or too much")
+        action = np.array([0.01 * steering, 0.02 * speed - 1.0], np.float32)
+        for _ in range(steps):
+            if self._info["result"]:
+                break
+            self._info = self.env.step(action)[4]
+            self._race = number, self._race[1] + 1
+        return self._moment()
+
+    def _moment(self) -> dict[str, Any]:
+        info = self._info
+        cars = np.column_stack([info["poses"], np.asarray(info["velocities"])[:, 0]])
+        return {
+            "number": self._race[0],
+            "step": self._race[1],
+            "cars": np.round(cars, 4).tolist(),
+            "lead": float(info["lead"]),
+            "result": str(self.env.outcome()["result"]) if info["result"] else "",
+            "fault": int(info["fault"]),
+        }
+
+
+def drive_page(races: PersonDrive) -> str:
+    """Return the page on which a person steers; it asks a server for everything else."""
+    title = f"You at the wheel against {races.opponent}"
+    return page_of("drive.html", title, "connect-src 'self'", {"/*step*/": str(TIME_STEP)})
+
+
+def make_person_drive(rival: Any, seed: int = 0, **arguments: Any) -> PersonDrive:
+    """Return races against a competitor; the ``arguments`` are those of :class:`pcs_racing.envs.drive.DriveEnv`."""
+    env = DriveEnv(opponent=rival, time_step=TIME_STEP, look_ahead=(), **arguments)
+    return PersonDrive(env, competitor_name(rival), seed)

@@ -1,0 +1,106 @@
+"""Selection of races of a tournament to show: spread over agents and outcomes, the closest ones first.
+
+For one of its agents a race is a win by switching, another win, a loss, a crash by its own fault or the other's, or a
+tie. It is won by switching where "never-switch" loses to the same opponent, from the same start and policy. Agents and
+outcomes take turns. Within an agent and outcome, opponents and circuits take turns, and of each the races come by
+the distance between the cars at the end. What is shown is closer than what is typical, which the tournament's table
+says.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.game.competitor import NEVER_SWITCH
+from pcs_racing_agents.tournament.races import RaceTable
+
+OUTCOMES = (
+    "a win by switching",
+    "a win with switches",
+    "a loss",
+    "a crash of its own",
+    "a win without switching",
+    "a crash of the other's",
+    "a tie, or a crash that is nobody's",
+)
+
+
+class SelectedRace(NamedTuple):
+    """A selected race."""
+
+    race: int  #: Line of the results, from 0.
+    why: str  #: Agent and outcome, such as ``"cfr-argmax: a win by switching"``.
+
+
+def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
+    """Return the outcome of each race for one of its cars as an index in ``OUTCOMES``, shape (N,).
+
+    ``car``: 0 or 1.
+    """
+    crashed, fault = races.crashed, races.fault > 0
+    own, other = fault[:, car], fault[:, 1 - car] & ~fault[:, car]
+    won, lost = races.winner == car, races.winner == 1 - car
+    switched = races.switches[:, car] > 0
+    decided = won & switched & _lost_by_staying(races, car)
+    cases = [crashed & own, crashed & other, decided, won & switched, won, lost & ~crashed]
+    # The first case that holds counts: a crash comes before who won it.
+    return np.select(cases, [3, 5, 0, 1, 4, 2], 6)
+
+
+def _lost_by_staying(races: RaceTable, car: int) -> NDArray[np.bool_]:
+    """Whether the agent that never switches lost the same race of a car, shape (N,); False where it did not race."""
+    names = races.agents.codes
+    other, own = names[:, 1 - car], names[:, car]
+    starts = (races.preset.codes, races.track.codes, races.seed.codes, races.race, races.variants[:, car], other)
+    keys = np.stack(starts, axis=1).astype(np.int64)
+    staying = own == (races.agents.words.index(NEVER_SWITCH) if NEVER_SWITCH in races.agents.words else len(names))
+    lost = {tuple(key) for key in keys[staying & (races.winner == 1 - car)].tolist()}
+    return np.array([tuple(key) in lost for key in keys.tolist()], np.bool_)
+
+
+def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
+    """Select races to show, by a deterministic rule; return them in order of selection."""
+    agents = range(len(races.agents.words))
+    by_car = np.array([outcomes(races, car) for car in range(2)])
+    # Outcomes outside, agents inside: of each outcome every agent has its turn before the next one.
+    piles = [
+        (agent, outcome, _in_turns(races, agent, (by_car == outcome) & (agent == races.agents.codes.T)))
+        for outcome in range(len(OUTCOMES))
+        for agent in agents
+    ]
+    picks: dict[int, SelectedRace] = {}
+    while piles and len(picks) < min(count, len(races)):
+        remaining = []
+        for agent, outcome, pile in piles:
+            race = next((number for number in pile if number not in picks), None)
+            if race is None:
+                continue
+            remaining.append((agent, outcome, pile))
+            picks[race] = SelectedRace(race, f"{races.agents.words[agent]}: {OUTCOMES[outcome]}")
+            if len(picks) >= count:
+                break
+        piles = remaining
+    return list(picks.values())
+
+
+def _in_turns(races: RaceTable, agent: int, mask: NDArray[np.bool_]) -> Iterator[int]:
+    """Yield an agent's races of one outcome: circuits and opponents take turns, each with its closest race first.
+
+    ``mask`` has shape (2, N): the races, by the car that the agent drove in them.
+    """
+    cars, numbers = np.nonzero(mask)
+    gap = np.abs(races.lead[numbers])
+    others = races.agents.codes[numbers, 1 - cars]
+    tracks = races.track.codes[numbers]
+    groups: list[Sequence[int]] = []
+    for pair in sorted({*zip(tracks.tolist(), others.tolist(), strict=True)}, key=lambda pair: pair[::-1]):
+        rows = np.flatnonzero((tracks == pair[0]) & (others == pair[1]))
+        groups.append(numbers[rows][np.argsort(gap[rows], kind="stable")].tolist())
+    # Each agent starts with another group: else all of them would show their race against the same opponent.
+    groups = groups[agent % len(groups) :] + groups[: agent % len(groups)] if groups else []
+    for turn in range(max(map(len, groups), default=0)):
+        for group in groups:
+            if turn < len(group):
+                yield group[turn]

@@ -1,0 +1,187 @@
+"""Replays of races for the viewer, with the moves in the Policy Characteristic Space.
+
+A replay of the viewer is a smaller form of one of :mod:`pcs_racing.race.replay`: data of the circuit is stored once for
+all races, plans are stored every 0.2 s in centimetres, and data that the page does not draw is left out.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.packing import COARSE, FINE, pack, pack_paths, pack_segments
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.race.replay import Replay, plain_parts
+from pcs_racing_agents.agents.observing import opponent, step_count
+from pcs_racing_agents.tournament.pairings import Pairing
+from pcs_racing_agents.tournament.races import RaceRow
+from pcs_racing_agents.tournament.runner import record_game
+from pcs_racing_agents.watch.explain import mark_moves
+from pcs_racing_agents.watch.pcs_picture import in_units, plane
+from pcs_racing_agents.watch.results_folder import ResultsFolder
+
+PLACES = 4000  # resolution of positions: steps across the picture
+PLAN_SKIP = 2  # every second plan is kept
+MOST_PAIRINGS = 64
+
+Floats = NDArray[np.float64]
+
+
+class RepeatedRace(NamedTuple):
+    """A repeated race as data for the page."""
+
+    race: int  #: Line of the results, from 0.
+    circuit: str  #: Name of its circuit.
+    values: dict[str, Any]  #: Data of the race: :func:`race_values`.
+
+
+class RaceRepeater:
+    """Repeats races of a results folder, and stores the data that they share; not thread-safe."""
+
+    def __init__(self, results: ResultsFolder) -> None:
+        self.results = results
+        #: By name, those of the races driven so far: :func:`circuit_values`.
+        self.circuits: dict[str, dict[str, Any]] = {}
+        #: The Policy Characteristic Space: :func:`space_values`; None before the first race.
+        self.space: dict[str, Any] | None = None
+        self._pairing = lru_cache(maxsize=MOST_PAIRINGS)(self._make_pairing)
+
+    def _make_pairing(self, track: str, ego: str, opponent: str, seed: int) -> Pairing:
+        return self.results.pairing(RaceRow(track=track, ego=ego, opponent=opponent, seed=seed))
+
+    def drive(self, number: int) -> RepeatedRace:
+        """Repeat the race of a line of the results."""
+        row = self.results.row(number)
+        pairing = self._pairing(*_pair(row))
+        if row.race >= len(pairing):
+            raise InputError(f"race {number} is number {row.race} of its pair, which drove {len(pairing)}")
+        # A folder that was edited is found out before a race is driven, and again by the lead at its end.
+        _check_start(number, row, pairing)
+        recording = record_game(
+            pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(row.race), candidates=False
+        )
+        played, game = recording.played, recording.game
+        self.results.check_lead(number, played.lead[0])
+        replay = mark_moves(recording.replay, played, game.move_names, game.config.ends)
+        if self.space is None:
+            self.space = space_values(game.archive, game.move_names)
+        self.circuits.setdefault(row.track, circuit_values(replay))
+        axes = len(game.archive.characteristics)
+        steps = range(step_count(played.observations[:, 0], axes))
+        # Steps after a crash are zeros in an observation; the last number of a step says whether it is over.
+        blocks = played.observations[0, :, :-1].reshape(2, len(steps), -1)
+        observations = (played.observations[:, car] for car in range(2))
+        estimates = np.array([[opponent(observation, axes, step)[0] for step in steps] for observation in observations])
+        estimates = np.where(blocks[..., -1:] > 0.5, estimates.astype(np.float64), np.nan)
+        values = race_values(replay)
+        values["space"] = {
+            "ends": game.config.ends,
+            "policies": played.path[0].tolist(),
+            "made": played.moves.codes[0].tolist(),
+            "seen": _places(self.space, in_units(game.archive, estimates)[..., list(plane(game.archive))]),
+        }
+        return RepeatedRace(number, row.track, values)
+
+    def drive_all(self, numbers: Sequence[int]) -> Iterator[RepeatedRace]:
+        """Repeat the races of several lines, those of a pair together, and yield them in that order."""
+        rows = self.results.row
+        order = sorted(numbers, key=lambda number: (_pair(rows(number)), number))
+        for number in order:
+            yield self.drive(number)
+
+
+def _pair(row: RaceRow) -> tuple[str, str, str, int]:
+    return (row.track, row.ego, row.opponent, row.seed)
+
+
+def _check_start(number: int, row: RaceRow, pairing: Pairing) -> None:
+    """Check that a line of the results describes the race, before it is simulated."""
+    starts, variants = pairing.starts, pairing.variants[row.race].tolist()
+    drawn = (f"{starts.s[row.race]:.4f}", int(starts.side[row.race]), *variants)
+    recorded = (f"{row.start_s:.4f}", row.side, row.ego_variant, row.opponent_variant)
+    if recorded != drawn:
+        raise InputError(
+            f"race {number} is not the one that its folder describes: its line tells of start {recorded[0]}, side "
+            f"{recorded[1]} and variants {recorded[2]} and {recorded[3]}, the folder of {', '.join(map(str, drawn))}"
+        )
+
+
+def race_values(replay: Replay) -> dict[str, Any]:
+    """Return the data of a replay without its circuit, as plain values for the page's JSON.
+
+    Together with :func:`circuit_values` it is a replay in the format of :mod:`pcs_racing.race.replay`.
+    """
+    # The page draws neither of the last two columns; zeros pack to nothing.
+    drawn = np.concatenate([replay.cars[..., :5], np.zeros((*replay.cars.shape[:2], 2))], axis=-1)
+    values: dict[str, Any] = {
+        **plain_parts(replay),
+        "plan_dt": PLAN_SKIP * replay.plan_dt,
+        "cars": pack(drawn, FINE, [0, 0]),
+        "progress": pack(replay.progress, COARSE, [0, 0]),
+    }
+    if replay.paths is not None:
+        plans = replay.paths[::PLAN_SKIP].copy()
+        plans[..., 2] = np.where(np.isnan(plans[..., 2]), np.nan, 0.0)
+        values["paths"] = pack_paths(plans, COARSE)
+    return values
+
+
+def circuit_values(replay: Replay) -> dict[str, Any]:
+    """Return the data of a replay's circuit, as plain values for the page's JSON."""
+    values = {"walls": pack_segments(replay.walls), "line": pack(replay.line, FINE, [0, 0])}
+    if replay.line_speed is not None:
+        values["line_speed"] = pack(replay.line_speed, COARSE, [0])
+    return values
+
+
+def space_values(archive: PolicyArchive, moves: Sequence[str]) -> dict[str, Any]:
+    """Return the Policy Characteristic Space as plain values for the page's JSON.
+
+    Positions are in steps of 1/4000 of the picture, from its left and lower edge.
+    """
+    columns = plane(archive)
+    kinds = get_characteristics(archive.characteristics)
+    axes = []
+    for column in columns:
+        low, high = _limits(archive, column)
+        axes.append({"name": kinds[column].name, "unit": kinds[column].unit, "low": low, "high": high})
+    space: dict[str, Any] = {"archive": archive.name, "axes": axes, "moves": list(moves)}
+    explored = archive.explored_coordinates[:, list(columns)]
+    low_high = np.array([[axis["low"], axis["high"]] for axis in axes])
+    inside = np.all((explored >= low_high[:, 0]) & (explored <= low_high[:, 1]), axis=1)
+    space["points"] = _places(space, archive.coordinates[:, list(columns)])
+    space["explored"] = pack(np.array(_places(space, explored[inside]), float).reshape(-1, 2), 1)
+    space["crash"] = None if archive.own_crash is None else np.round(100.0 * archive.own_crash, 1).tolist()
+    return space
+
+
+def _limits(archive: PolicyArchive, column: int) -> tuple[float, float]:
+    """Return the limits of an axis: the archive, and most of the explored policies unless they are far away."""
+    low, high = float(archive.nadir[column]), float(archive.ideal[column])
+    reach = max(high - low, 1e-9)
+    explored = archive.explored_coordinates[:, column]
+    if len(explored):
+        tails = np.quantile(explored, [0.02, 0.98]).tolist()
+        low, high = max(min(low, tails[0]), low - 0.5 * reach), min(max(high, tails[1]), high + 0.5 * reach)
+    return low - 0.08 * reach, high + 0.08 * reach
+
+
+def _places(space: dict[str, Any], points: Floats) -> Any:
+    """Return points (..., 2) in units of the axes as nested lists of whole steps; null where they are NaN."""
+    low, high = (np.array([axis[key] for axis in space["axes"]]) for key in ("low", "high"))
+    steps = PLACES * (points - low) / (high - low)
+    missing = np.isnan(steps).any(axis=-1)
+    # Clipped, as an estimate can lie far outside of the picture; whole steps are short in JSON.
+    whole = np.rint(np.clip(np.nan_to_num(steps), -1e6, 1e6)).astype(np.int64).tolist()
+    return _without(whole, missing.tolist())
+
+
+def _without(values: Any, missing: Any) -> Any:
+    """Replace the innermost lists that are missing by None."""
+    if isinstance(missing, bool):
+        return None if missing else values
+    return [_without(value, empty) for value, empty in zip(values, missing, strict=True)]

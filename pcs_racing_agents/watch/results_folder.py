@@ -1,0 +1,185 @@
+"""The folder of a tournament or of a study, from which its races can be repeated.
+
+A folder describes the competitors, starts and noise of its races. An agent that has changed since is detected by its
+hash, and a race with another result by its lead.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive_files import load_archive
+from pcs_racing.game.config import GameConfig
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.track.loading import load_track
+from pcs_racing_agents.agents.agent import competitor_hash
+from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.agents.zoo import parse_agent
+from pcs_racing_agents.base.folders import read_job
+from pcs_racing_agents.study.study import Study, StudyConfig
+from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, draw_schedule, schedule_pairing
+from pcs_racing_agents.tournament.race_files import read_results
+from pcs_racing_agents.tournament.races import RaceRow, RaceTable
+
+MANIFEST = "job.yaml"
+
+
+@dataclass(frozen=True, eq=False)
+class ResultsFolder:
+    """The races of a folder."""
+
+    folder: Path
+    settings: Mapping[str, Any]  #: Settings of a tournament, from ``job.yaml``.
+    races: RaceTable  #: Content of ``results.csv``.
+    study: Study | None  #: The study that they belong to, whose agents are used instead of the zoo's.
+    tournament: bool  #: Whether they are a tournament; else they are the races of a study's tables.
+    code: Sequence[str] = ()  #: Names of agents that may be code, which is run.
+
+    def row(self, number: int) -> RaceRow:
+        """Return a line of the results, counted from 0."""
+        if not 0 <= number < len(self.races):
+            raise InputError(f"there is no race {number} in {self.folder}; it holds races 0 to {len(self.races) - 1}")
+        return self.races[number]
+
+    def check_raced(self, agent: str) -> None:
+        """Check that an agent is one of those of the results."""
+        if agent not in self.races.agents.words:
+            raise InputError(
+                f"{agent!r} did not race in {self.folder}; there are {', '.join(sorted(self.races.agents.words))}"
+            )
+
+    def check_lead(self, number: int, lead: float) -> None:
+        """Check that a repeated race ended with the lead that the results have, to four digits."""
+        recorded = f"{self.row(number).lead:.4f}"
+        if f"{lead:.4f}" != recorded:
+            raise InputError(
+                f"race {number} came out otherwise than in {self.folder}: a lead of {lead:.4f} m instead of {recorded} "
+                "m; it was driven by another version"
+            )
+
+    @cached_property
+    def pairs(self) -> dict[tuple[str, str, str, str], NDArray[np.intp]]:
+        """Numbers of the races by track, pair and seed."""
+        return self.races.pairs
+
+    def pairing(self, row: RaceRow) -> Pairing:
+        """Return the pairing of a line, by track, pair and seed; ``row.race`` is the line's number in the pairing."""
+        try:
+            if self.study is not None and not self.tournament:
+                return self._of_study(self.study, row)
+            return self._of_tournament(row.track, row.ego, row.opponent)
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            # Errors of ours are ValueErrors, too, and say more than that the manifest is damaged.
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{self.folder / MANIFEST} is damaged: {error!r}") from None
+
+    def pairings(self, agent: str) -> Iterator[tuple[Pairing, int]]:
+        """Return all pairings of an agent, with the car that it drove in them."""
+        self.check_raced(agent)
+        firsts = [self.races[int(numbers[0])] for numbers in self.pairs.values()]
+        rows = [row for row in firsts if agent in (row.ego, row.opponent)]
+        for row in rows:
+            for car, name in enumerate((row.ego, row.opponent)):
+                if name == agent:
+                    yield self.pairing(row), car
+
+    def _of_study(self, study: Study, row: RaceRow) -> Pairing:
+        # The variants and the number of lines of a pairing follow from all its races together.
+        rows = self.pairs[row.track, row.ego, row.opponent, str(row.seed)]
+        egos, opponents = (np.unique(self.races.variants[rows, car]).tolist() for car in range(2))
+        lines = len(rows) // max(1, 2 * len(egos) * len(opponents))
+        game, cars = study.game(row.track), (study.agent(row.ego), study.agent(row.opponent))
+        return cross_pairing(game, *cars, egos=egos, opponents=opponents, lines=lines, seed=row.seed)
+
+    def _of_tournament(self, track: str, ego: str, opponent: str) -> Pairing:
+        settings, study = self.settings, self.study
+        # Everything that a race depends on is compared by hash: driven with something else it would be another race.
+        archive = load_archive(settings["archive"]) if study is None else study.archive
+        _check_same(f"archive {archive.name!r}", archive.content_hash, settings["archive_sha256"])
+        circuit = load_track(track)
+        _check_same(f"track {track!r}", circuit.content_hash, settings["tracks"][track])
+        seed = int(settings["seed"])
+        setting = make_setting(archive, _game_config(settings["game"]))
+        cars = []
+        for name in (ego, opponent):
+            car = parse_agent(name, setting, seed=seed, code=name in self.code) if study is None else study.agent(name)
+            _check_same(f"agent {name!r}", competitor_hash(car), settings["agents"][name])
+            cars.append(car)
+        game = RaceGame(circuit, setting.archive, setting.config)
+        schedule = draw_schedule(circuit, setting.config.race_rules, int(settings["races_per_pair"]), seed)
+        return schedule_pairing(game, cars[0], cars[1], schedule, seed)
+
+
+def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
+    """Open the folder of a tournament or of a study; its agents named in ``code`` may be code, which is run."""
+    path = Path(folder)
+    manifest = _manifest(path)
+    if manifest is None or manifest["kind"] not in ("tournament", "study"):
+        raise InputError(
+            f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing study' wrote with "
+            "--out"
+        )
+    # A study keeps the races of its ratings in a folder of their own, and their lines beside it.
+    file, study = path / "results.csv", None
+    if manifest["kind"] == "study":
+        study = Study(_study_config(manifest["settings"]), path, quiet=True)
+    else:
+        above = _manifest(path.resolve().parent)
+        if above is not None and above["kind"] == "study":
+            study = Study(_study_config(above["settings"]), path.resolve().parent, quiet=True)
+            file = path.resolve().with_suffix(".csv")
+    if not file.exists():
+        raise InputError(f"there is no {file}; it is written when all races are driven")
+    races = read_results(file, ("ego_variant", "opponent_variant"))
+    results = ResultsFolder(path, manifest["settings"], races, study, manifest["kind"] == "tournament", code)
+    for name in code:
+        results.check_raced(name)
+    return results
+
+
+def _manifest(folder: Path) -> dict[str, Any] | None:
+    """Return the manifest of a job's folder; None if there is none."""
+    file = folder / MANIFEST
+    try:
+        manifest = read_job(file)
+    except FileNotFoundError:
+        return None
+    except (OSError, InputError) as error:
+        raise InputError(f"{file} is damaged: {error}") from None
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("settings"), dict) or "kind" not in manifest:
+        raise InputError(f"{file} is no manifest of a job")
+    return manifest
+
+
+def _study_config(values: Mapping[str, Any]) -> StudyConfig:
+    try:
+        return StudyConfig(**_tuples(values))
+    except TypeError as error:
+        raise InputError(f"the study's settings are of another version: {error}") from None
+
+
+def _game_config(values: Mapping[str, Any]) -> GameConfig:
+    """Return the rules in a manifest; the move "stay" is reset, since every tournament adds it."""
+    return GameConfig(**{**_tuples(values), "race": RaceConfig(**_tuples(values["race"])), "stay": None})
+
+
+def _tuples(values: Any) -> dict[str, Any]:
+    if not isinstance(values, Mapping):
+        raise InputError(f"{MANIFEST} holds {values!r:.80} where settings should be")
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+
+
+def _check_same(noun: str, current: str, recorded: str) -> None:
+    if current != recorded:
+        raise InputError(
+            f"{noun} has changed since the races were driven (sha256 {current[:12]}, it was {str(recorded)[:12]}), so "
+            "they can't be driven again"
+        )

@@ -1,0 +1,160 @@
+"""The page that lists races and plays them: a single file that loads and sends nothing.
+
+Its parts are ``head.html`` and ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the player, in a frame of its
+own) and ``beside.html`` (what the player shows beside the track).
+"""
+
+import html
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from pcs_racing.base.packing import pack
+from pcs_racing.race.replay import safe_json
+from pcs_racing_agents.tournament.races import Categorical, RaceTable
+from pcs_racing_agents.watch.race_choice import SelectedRace
+from pcs_racing_agents.watch.race_replays import RepeatedRace
+
+_SHARED = re.compile(r"/\* shared: (\w+) \*/(.*?)/\* end of shared \*/", re.DOTALL)
+
+
+@dataclass(frozen=True)
+class ViewContent:
+    """Content of a page."""
+
+    title: str
+    races: RaceTable
+    results: str = ""  #: Their path, as written in a command.
+    start: str = "side-by-side"  #: ``"side-by-side"``, or another kind of start, in which one car is in front.
+    picks: Sequence[SelectedRace] = ()  #: The races with replays.
+    driven: Sequence[RepeatedRace] = ()  #: Their replays.
+    circuits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  #: Their circuits, by name.
+    space: Mapping[str, Any] | None = None  #: The Policy Characteristic Space.
+    why_not: str = ""  #: Why no race can be repeated; ``""`` if they can.
+    serve: bool = False  #: Whether a server (:mod:`pcs_racing_agents.watch.view_server`) repeats the others on request.
+
+
+def view_page(content: ViewContent) -> str:
+    """Return the page.
+
+    A link may name filters, a race and a moment, such as ``view.html#agent=adaptive&crash=own&race=12&t=9.5``.
+    """
+    player, beside = template("pcs_racing.race", "replay.html"), template("pcs_racing_agents.watch", "beside.html")
+    driven = {race.race: race for race in content.driven}
+    table, path = content.races, shlex.quote(content.results)
+    commands = [f"pcs-racing view {path} --serve", f"pcs-racing view {path} --index {{race}}"]
+    tracks, races = len(table.track.words), len(table)
+    agents = len(table.agents.words)
+    rules = ", ".join(word for word in table.preset.words if word)
+    data = {
+        "title": content.title,
+        "about": f"{races:,} race{_s(races)}, {agents} agent{_s(agents)}, {tracks} circuit{_s(tracks)}"
+        + (f", {rules} rules" if rules else ""),
+        **packed_races(table),
+        "sides": ["left", "right"] if content.start == "side-by-side" else ["front", "rear"],
+        "replays": [[pick.race, pick.why] for pick in content.picks if pick.race in driven],
+        "circuits": [[name, dict(values)] for name, values in content.circuits.items()],
+        "space": None if content.space is None else dict(content.space),
+        "serve": content.serve,
+        # A command that would be refused is not offered.
+        "commands": [] if content.why_not else commands,
+        "why_not": content.why_not,
+    }
+    parts = {
+        "/*reading*/": _shared(player)["reading"],
+        "<!--races-->": safe_json(data),
+        "<!--player-->": safe_json(player.replace("<!--beside-->", beside)),
+        "<!--replays-->": "\n".join(
+            f'<script type="application/json" id="race-{number}">{safe_json(race.values)}</script>'
+            for number, race in driven.items()
+        ),
+    }
+    source = "'self'" if content.serve else "'none'"
+    return page_of("view.html", content.title, f"img-src data:; connect-src {source}", parts)
+
+
+def page_of(name: str, title: str, allowed: str, parts: Mapping[str, str]) -> str:
+    """Return a page of this package: its file, with the head that all of them have.
+
+    ``allowed``: what its policy allows besides its own scripts and style. ``parts``: texts by their placeholders.
+    """
+    common = {
+        "<!--title-->": html.escape(title),
+        "<!--allowed-->": allowed,
+        "/*colours*/": _shared(template("pcs_racing.race", "replay.html"))["colours"],
+    }
+    head = _fill(template("pcs_racing_agents.watch", "head.html"), common).rstrip()
+    return _fill(template("pcs_racing_agents.watch", name), {**common, "<!--head-->": head, **parts})
+
+
+def _fill(page: str, parts: Mapping[str, str]) -> str:
+    """Return a page with its placeholders replaced, in one pass: a text that spells a placeholder is not one."""
+    return re.sub("|".join(map(re.escape, parts)), lambda match: parts[match.group()], page)
+
+
+def _shared(player: str) -> dict[str, str]:
+    """Return the parts of the player's page that other pages share, by name: ``colours`` and ``reading``."""
+    return {name: text.strip() for name, text in _SHARED.findall(player)}
+
+
+def packed_races(races: RaceTable) -> dict[str, Any]:
+    """Return races as plain values for the page's JSON: leads to a millimetre, other lengths and times to a hundredth,
+    the rest exactly.
+    """
+    moves = _joined(races.moves)
+    whole = {
+        "ego": races.agents.codes[:, 0],
+        "opponent": races.agents.codes[:, 1],
+        "track": races.track.codes,
+        "preset": races.preset.codes,
+        "seed": races.seed.codes,
+        "race": races.race,
+        "side": races.side,
+        "winner": races.winner + 1,
+        "crash": races.crash,
+        "fault": races.fault[:, 0] + 2 * races.fault[:, 1],
+    }
+    both = {"overtakes": races.overtakes, "variants": races.variants, "switches": races.switches, "moves": moves.codes}
+    whole |= {f"{name}{car}": values[:, car] for name, values in both.items() for car in range(2)}
+    # Differences make the long runs of equal values, and numbers that count up, one character each.
+    return {
+        "length": len(races),
+        "agents": list(races.agents.words),
+        "tracks": list(races.track.words),
+        "presets": list(races.preset.words),
+        "seeds": list(races.seed.words),
+        "moves": list(moves.words),
+        "columns": {
+            **{name: pack(values.astype(np.int64), 1, [0]) for name, values in whole.items()},
+            "start_s": pack(races.start_s, 100, [0]),
+            "lead": pack(races.lead, 1000),
+            "duration": pack(np.nan_to_num(races.duration, nan=-1.0), 100, [0]),
+        },
+    }
+
+
+def _joined(moves: Categorical) -> Categorical:
+    """Return lists of moves as texts, shape (N, 2)."""
+    # Lists are compared as numbers, step by step; only the different ones become texts.
+    codes = np.zeros(moves.codes.shape[:2], np.int64)
+    for step in range(moves.codes.shape[2]):
+        # Renumbered after every step, so that the numbers do not overflow.
+        mixed = codes * (len(moves.words) + 1) + moves.codes[:, :, step] + 1
+        codes = np.unique(mixed, return_inverse=True)[1].reshape(codes.shape)
+    _, first = np.unique(codes, return_index=True)
+    lists = moves.codes.reshape(codes.size, moves.codes.shape[2])[first].tolist()
+    return Categorical(tuple("; ".join(moves.words[move] for move in indices if move >= 0) for indices in lists), codes)
+
+
+def template(package: str, name: str) -> str:
+    """Return the text of a page in a package."""
+    return files(package).joinpath(name).read_text(encoding="utf-8")
+
+
+def _s(count: int) -> str:
+    return "" if count == 1 else "s"

@@ -1,0 +1,161 @@
+"""A small local server for a page that asks for races while it is open.
+
+It listens on 127.0.0.1 only. It answers ``/`` with the page, and hands every other address to a service, such as the
+one that repeats the races of a results folder. Requests that another site's page makes a browser send are refused: by
+the name of the host that they ask for (a page that has rebound its own name to 127.0.0.1 would still ask for that
+name), and by what the browser says about where they come from.
+"""
+
+import re
+import socket
+import threading
+from collections.abc import Callable
+from functools import lru_cache
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, NamedTuple
+
+from pcs_racing.base.checks import check_whole
+from pcs_racing.base.errors import InputError
+from pcs_racing.race.replay import safe_json
+from pcs_racing_agents.watch.race_replays import RaceRepeater
+
+MOST_KEPT = 200  # answers kept in memory, some 40 kB each
+LONGEST_PATH = 100
+
+_RACE = re.compile(r"/race/([0-9]{1,7})")
+
+
+class Answer(NamedTuple):
+    """The answer to a request."""
+
+    status: int  #: HTTP status.
+    body: bytes
+    kind: str = "application/json"  #: Media type of the body.
+
+
+def error_answer(status: int, text: str) -> Answer:
+    """Return the answer to a request that fails: JSON with one line, ``error``."""
+    return Answer(status, safe_json({"error": " ".join(text.split())}).encode())
+
+
+class RaceService:
+    """Repeats races and caches the last answers."""
+
+    def __init__(self, driver: RaceRepeater, races: int) -> None:
+        self.driver = driver
+        self.races = races
+        self._kept = lru_cache(maxsize=MOST_KEPT)(self._drive)
+
+    def answer(self, path: str) -> Answer:
+        """Answer ``/race/NUMBER`` with the race, its circuit and its space as JSON, or with ``error``."""
+        match = _RACE.fullmatch(path)
+        if match is None:
+            return error_answer(404, "there is / and /race/NUMBER here")
+        number = int(match.group(1))
+        if not 0 <= number < self.races:
+            return error_answer(404, f"there is no race {number}; there are races 0 to {self.races - 1}")
+        try:
+            return Answer(200, self._kept(number))
+        except (InputError, ModuleNotFoundError, OSError) as error:
+            return error_answer(409, str(error))
+
+    def _drive(self, number: int) -> bytes:
+        race = self.driver.drive(number)
+        circuit = [race.circuit, self.driver.circuits[race.circuit]]
+        return safe_json({"race": race.values, "circuit": circuit, "space": self.driver.space}).encode()
+
+
+def make_server(
+    page: str, answer: Callable[[str], Answer], port: int = 0, *, method: str = "GET"
+) -> ThreadingHTTPServer:
+    """Return a server on 127.0.0.1 that is ready to be started with ``serve_forever``.
+
+    Parameters
+    ----------
+    page : str
+        What ``/`` shows.
+    answer : callable
+        ``answer(path) -> Answer`` for every other address of at most 100 characters, one at a time.
+    port : int
+        0 takes a free one.
+    method : {"GET", "POST"}
+        Method of these addresses: "POST" where an answer changes something.
+    """
+    check_whole("port", port, 0, 65535)  # 0 takes any free one
+    # Requests come in threads of their own, and what answers keeps what races share.
+    content, busy = page.encode(), threading.Lock()
+
+    class Handler(BaseHTTPRequestHandler):
+        """Answers a viewer."""
+
+        protocol_version = "HTTP/1.1"
+        server_version = "pcs-racing"
+        sys_version = ""
+        timeout = 60
+
+        def do_GET(self) -> None:
+            """Send the page, or what the service answers."""
+            # A port of 0 is known only now; the host of a request names it.
+            own_port = self.connection.getsockname()[1]
+            hosts = self.headers.get_all("Host", [])
+            sites, origins = (self.headers.get_all(name, []) for name in ("Sec-Fetch-Site", "Origin"))
+            # A body is not read, and must not be taken for the next request.
+            self.close_connection |= self.headers.get_all("Content-Length", ["0"]) != ["0"]
+            self.close_connection |= "Transfer-Encoding" in self.headers
+            # Of two headers the first might pass and the second be meant.
+            if hosts not in ([f"127.0.0.1:{own_port}"], [f"localhost:{own_port}"]):
+                self._send(error_answer(403, "this server answers for 127.0.0.1 only"))
+            elif sites not in ([], ["none"], ["same-origin"]) or origins not in ([], [f"http://{hosts[0]}"]):
+                self._send(error_answer(403, "another site's page asked for this"))
+            elif self.command != ("GET" if self.path == "/" else method):
+                self._send(error_answer(405, f"{self.path:.{LONGEST_PATH}} is asked for by another method"))
+            elif self.path == "/":
+                self._send(Answer(200, content, "text/html; charset=utf-8"))
+            elif len(self.path) > LONGEST_PATH:
+                self._send(error_answer(404, f"an address here has at most {LONGEST_PATH} characters"))
+            else:
+                with busy:
+                    found = None if self._left() else answer(self.path)
+                if found is not None:
+                    self._send(found)
+
+        do_POST = do_GET  # noqa: N815
+
+        def _left(self) -> bool:
+            """Return whether the viewer has closed the connection while the request waited."""
+            self.connection.settimeout(0.0)
+            try:
+                return not self.connection.recv(1, socket.MSG_PEEK)
+            except BlockingIOError:
+                return False
+            finally:
+                self.connection.settimeout(self.timeout)
+
+        def _send(self, sent: Answer) -> None:
+            self.send_response(sent.status)
+            self.send_header("Content-Type", sent.kind)
+            self.send_header("Content-Length", str(len(sent.body)))
+            self.send_header("Cache-Control", "no-store")
+            self.send_header("X-Content-Type-Options", "nosniff")
+            self.send_header("X-Frame-Options", "SAMEORIGIN")
+            self.send_header("Cross-Origin-Resource-Policy", "same-origin")
+            self.send_header("Referrer-Policy", "no-referrer")
+            self.end_headers()
+            self.wfile.write(sent.body)
+
+        def log_message(self, *_: Any) -> None:
+            """Keep quiet."""
+
+    class Server(ThreadingHTTPServer):
+        """Ends with the command, and does not tell of viewers who went away."""
+
+        daemon_threads = True
+        request_queue_size = 128  # connections that wait to be accepted; with 5, most of 200 at once are refused
+
+        def handle_error(self, *_: Any) -> None:
+            """A viewer that goes away in the middle of an answer is no error."""
+
+    try:
+        return Server(("127.0.0.1", port), Handler)
+    except OSError as error:
+        raise InputError(f"can't listen on port {port}: {error.strerror}") from None

@@ -1,0 +1,58 @@
+"""Tables are laid out as plain text and Markdown, and read line by line; what is no table is refused."""
+
+import os
+
+import pytest
+from refusal import refused
+
+from pcs_racing_agents.base.tables import aligned, csv_cell, markdown, read_csv, write_csv
+
+
+def written(tmp_path, text):
+    path = tmp_path / "table.csv"
+    path.write_bytes(text.encode())
+    return path
+
+
+def test_lines_are_numbered_as_an_editor_does_and_what_is_no_text_is_refused(tmp_path):
+    table = read_csv(written(tmp_path, '\ufeffego,lead\r\na,1.5\r\n\r\n"b, c",2\r\n'))
+    assert table.columns == ("ego", "lead")
+    assert list(table.lines()) == [(2, {"ego": "a", "lead": "1.5"}), (4, {"ego": "b, c", "lead": "2"})]
+    assert table.rows() == [row for _, row in table.lines()]
+    table = read_csv(written(tmp_path, ""))
+    assert (table.columns, table.rows()) == ((), [])
+    path = write_csv([("ego", "lead"), ("b, c", 2), ("", 1.5)], tmp_path / "table.csv")
+    assert path.read_bytes() == b'ego,lead\n"b, c",2\n,1.5\n'
+    assert read_csv(path).rows() == [{"ego": "b, c", "lead": "2"}, {"ego": "", "lead": "1.5"}]
+    assert [csv_cell(value) for value in (1 / 3, 2, ("a", "b"))] == ["0.333333", "2", "a; b"]
+    refused("missing", write_csv, [("ego",)], tmp_path / "missing" / "table.csv")
+    refused(r"can't read .*: No such file", read_csv, tmp_path / "none.csv")
+    (tmp_path / "latin.csv").write_bytes(b"\xff\xfe")
+    refused(r"is damaged: .*utf-8", read_csv, tmp_path / "latin.csv")
+
+
+def test_damaged_tables_are_named(tmp_path):
+    for text, message in [
+        ("ego,lead\na,1\nb\n", r"line 3 .* 1 values"),
+        ("ego,lead\na,1,2\n", r"line 2 .* 3 values"),
+        ('ego,lead\na,"1\n', "line 2 is damaged"),
+        ("x" * 200_000, "is damaged"),
+        ("a," * 2000, "has 2001 columns"),
+    ]:
+        table = written(tmp_path, text)
+        refused(message, lambda table=table: read_csv(table).rows())
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes with names are tested on Unix")
+def test_pipes_and_devices_that_never_end_are_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "zero.csv").symlink_to("/dev/zero")
+    for name in ("pipe.csv", "zero.csv"):
+        refused("no ordinary file", read_csv, tmp_path / name)
+
+
+def test_words_begin_and_numbers_end_below_each_other():
+    rows = [("agent", "races", "note"), ("a", "5", "x|y"), ("bcd", "12", "")]
+    assert aligned(rows) == ["agent  races  note", "a          5  x|y", "bcd       12"]
+    assert aligned(rows, left=3)[1:] == ["a      5      x|y", "bcd    12"]
+    assert markdown(rows) == ["| agent | races | note |", "| --- | --- | --- |", r"| a | 5 | x\|y |", "| bcd | 12 |  |"]

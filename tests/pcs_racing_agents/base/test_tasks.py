@@ -1,0 +1,112 @@
+"""Work that is more than a list of tasks: several groups side by side."""
+
+import logging
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from pcs_racing_agents.base.executors import make_executor, tasks_in_flight
+from pcs_racing_agents.base.folders import JobError
+from pcs_racing_agents.base.jobs import TaskGroup, open_job, run_groups
+from pcs_racing_agents.base.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
+from pcs_racing_agents.networks.torch_layers import torch_alone
+
+
+def double(task: int) -> dict[str, int]:
+    return {"value": 2 * task}
+
+
+def test_results_come_with_their_keys_and_only_threads_are_here():
+    for kind in ["serial", "threads"]:
+        with make_executor(kind, 2) as executor:
+            found = dict(run_tasks(numbered_tasks(double, range(20)), executor))
+            assert run_task(double, 21, executor) == {"value": 42}
+        assert found == {i: {"value": 2 * i} for i in range(20)}
+    with make_executor("threads", 1) as threads, make_executor("processes", 1) as processes:
+        assert in_other_processes(threads) is None
+        assert in_other_processes(processes) is processes
+    assert in_other_processes(None) is None
+
+
+class OddError(Exception):
+    """Can be pickled, but not unpickled."""
+
+    def __init__(self, what: str, where: str) -> None:
+        super().__init__(f"{what} in {where}")
+
+
+def fail(task: str) -> None:
+    if task == "exit":
+        sys.exit(3)
+    raise OddError("fog", task)
+
+
+@pytest.mark.parametrize("kind", ["serial", "threads", "processes", "dask"])
+def test_errors_of_tasks_are_named_wherever_they_run(kind, caplog):
+    if kind == "dask":
+        pytest.importorskip("distributed")
+    caplog.set_level(logging.INFO, "distributed")
+    with make_executor(kind, None if kind == "serial" else 1) as executor:
+        with pytest.raises(JobError, match=r"a task ended with SystemExit\(3\)"):
+            run_task(fail, "exit", executor)
+        with pytest.raises((OddError, RuntimeError), match="fog in Spa") as stop:
+            run_task(fail, "Spa", executor)
+        assert "OddError" in repr(stop.value)
+        assert run_task(double, 21, executor) == {"value": 42}  # no worker was lost
+    assert not [record for record in caplog.records if record.levelno < logging.ERROR]
+
+
+@pytest.mark.parametrize("workers", [None, 2])
+def test_tasks_are_made_when_they_are_asked_for(workers):
+    """A million tasks need not be in memory, and a task may follow from the result of another."""
+    made = []
+
+    def arguments():
+        for i in range(100):
+            made.append(i)
+            yield i
+
+    with make_executor("threads" if workers else "serial", workers) as executor:
+        for done, _ in enumerate(run_tasks(numbered_tasks(double, arguments()), executor), start=1):
+            assert len(made) <= done + tasks_in_flight(executor)
+    assert len(made) == 100
+
+
+def test_groups_of_several_jobs_are_done_side_by_side(tmp_path):
+    together = threading.Barrier(2, timeout=30.0)  # broken if one group waits for the end of the other
+
+    def meet(task: int) -> dict[str, int]:
+        together.wait()
+        return double(task)
+
+    told = []
+    with (
+        open_job(tmp_path / "a", "k", {}) as a,
+        open_job(tmp_path / "b", "k", {"other": 1}) as b,
+        ThreadPoolExecutor(2) as executor,
+    ):
+        groups = [TaskGroup(a, "first", meet, [1]), TaskGroup(b, "second", meet, [2])]
+        results = run_groups(groups, executor=executor, progress=lambda *news: told.append(news))
+        assert [[int(one["value"]) for one in group] for group in results] == [[2], [4]]
+        assert [(done, total) for done, total, _ in told] == [(0, 2), (1, 2), (2, 2)]
+        assert run_groups(groups, keep=False) == [[], []]  # nothing is done again: nobody waits at the barrier
+    assert (tmp_path / "a" / "chunks" / "first-00000.npz").is_file()
+    assert (tmp_path / "b" / "chunks" / "second-00000.npz").is_file()
+    assert run_groups([]) == []
+
+
+def test_torch_belongs_to_one_thread_at_a_time():
+    pytest.importorskip("torch")
+    inside = []
+
+    def work(number: int) -> int:
+        with torch_alone() as torch, torch_alone():  # it may be asked for within itself
+            inside.append(number)
+            alone = inside == [number] and torch.get_num_threads() == 1
+            inside.remove(number)
+        return alone
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(work, range(50)))

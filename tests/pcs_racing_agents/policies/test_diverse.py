@@ -1,0 +1,102 @@
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from refusal import refused
+
+from pcs_racing import PolicyArchive
+from pcs_racing.planners.lattice import LATTICE
+from pcs_racing_agents.policies import diverse
+
+
+def an_archive(coordinates):
+    rng = np.random.default_rng(0)
+    return PolicyArchive(
+        name="points", planner="lattice", parameter_names=LATTICE.parameter_names,
+        parameters=np.stack([LATTICE.sample(rng) for _ in coordinates]),
+        characteristics=("aggressiveness", "restraint"), coordinates=coordinates,
+    )  # fmt: skip
+
+
+def probabilities(kernel, k):
+    """Brute force: det(L_Y) of every set of k items, normalised."""
+    sets = list(combinations(range(len(kernel)), k))
+    weights = np.array([np.linalg.det(kernel[np.ix_(chosen, chosen)]) for chosen in sets])
+    return dict(zip(sets, weights / weights.sum(), strict=True))
+
+
+@pytest.mark.parametrize(("size", "k"), [(3, 1), (4, 2), (5, 3), (5, 4), (4, 4)])
+def test_the_sets_drawn_have_the_probabilities_of_the_definition(size, k):
+    kernel = diverse.similarity(np.random.default_rng(size * 10 + k).uniform(size=(size, 2)), 0.4)
+    expected = probabilities(kernel, k)
+    rng = np.random.default_rng(1)
+    draws = 4000
+    found = dict.fromkeys(expected, 0)
+    for _ in range(draws):
+        found[tuple(sorted(diverse.sample_kdpp(kernel, k, rng).tolist()))] += 1
+    unsure = {chosen: p for chosen, p in expected.items() if p < 1.0}
+    error = [(found[chosen] - draws * p) / np.sqrt(draws * p * (1 - p) + 1e-9) for chosen, p in unsure.items()]
+    assert np.max(np.abs([*error, 0.0])) < 4.0
+
+
+def test_draws_are_repeated_and_impossible_choices_refused():
+    archive = an_archive(np.random.default_rng(3).uniform(size=(30, 2)))
+    first = diverse.select_diverse(archive, 6, rng=np.random.default_rng(5))
+    np.testing.assert_array_equal(first, diverse.select_diverse(archive, 6, rng=5))
+    assert {tuple(diverse.select_diverse(archive, 6, rng=seed)) for seed in range(5)} != {tuple(first)}
+    places = archive.normalised
+    kernel = np.exp(-0.5 * ((places[:, None] - places[None]) ** 2).sum(axis=2) / 0.2**2) + 1e-6 * np.eye(30)
+    np.testing.assert_allclose(diverse.similarity(places, 0.2), kernel, rtol=1e-12)
+    drawn = np.sort(diverse.sample_kdpp(diverse.similarity(places, 0.2), 6, np.random.default_rng(5)))
+    np.testing.assert_array_equal(first, drawn)  # the defaults
+    # The determinants of all sets are below the smallest number there is.
+    kernel = diverse.similarity(np.random.default_rng(0).uniform(size=(90, 2)) * 1e-3, 0.5)
+    chosen = diverse.sample_kdpp(kernel, 70, np.random.default_rng(1))
+    assert len(set(chosen.tolist())) == 70
+    for arguments, message in [
+        ({"k": 0}, "k is 0"),
+        ({"k": 6}, "k is 6"),
+        ({"k": True}, "k is True"),
+        ({"k": 2, "method": "best"}, "method is 'best'"),
+        ({"k": 2, "scale": 0.0}, "scale is 0.0"),
+        ({"k": 2, "scale": float("nan")}, "scale is nan"),
+    ]:
+        refused(message, diverse.select_diverse, an_archive(np.random.default_rng(0).uniform(size=(5, 2))), **arguments)
+
+
+@given(values=st.lists(st.floats(0.0, 3.0), min_size=1, max_size=7), k=st.integers(0, 7))
+def test_elementary_symmetric_polynomials(values, k):
+    with np.errstate(divide="ignore"):
+        table = diverse.log_elementary_symmetric(np.log(values), k)
+    brute = sum(float(np.prod(chosen)) for chosen in combinations(values, k))
+    assert np.exp(table[k, len(values)]) == pytest.approx(brute, rel=1e-9, abs=1e-12)
+
+
+@given(seed=st.integers(0, 10_000), size=st.integers(2, 8), data=st.data())
+def test_each_greedy_step_takes_the_item_that_enlarges_the_determinant_most(seed, size, data):
+    k = data.draw(st.integers(1, size))
+    kernel = diverse.similarity(np.random.default_rng(seed).uniform(size=(size, 2)), 0.5)
+    chosen = diverse.greedy_map(kernel, k).tolist()
+    assert len(set(chosen)) == k
+    for i in range(k):
+        others = [item for item in range(size) if item not in chosen[:i]]
+        volumes = [np.linalg.det(kernel[np.ix_([*chosen[:i], item], [*chosen[:i], item])]) for item in others]
+        taken = volumes[others.index(chosen[i])]
+        assert taken >= max(volumes) - 1e-9
+
+
+def test_diverse_sets_lie_farther_apart_than_random_ones():
+    rng = np.random.default_rng(2)
+    agg = rng.uniform(size=60)
+    archive = an_archive(np.column_stack([agg, 1.0 - agg]))
+
+    def nearest_pair(method, seed):
+        points = archive.normalised[diverse.select_diverse(archive, 8, method, seed)]
+        away = np.linalg.norm(points[:, None] - points[None], axis=-1)
+        return away[np.triu_indices(8, 1)].min()
+
+    spread = {method: np.mean([nearest_pair(method, seed) for seed in range(40)]) for method in ("kdpp", "random")}
+    assert spread["kdpp"] > 1.5 * spread["random"]
+    assert nearest_pair("map", 0) > spread["kdpp"]

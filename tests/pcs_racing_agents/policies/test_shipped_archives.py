@@ -1,0 +1,69 @@
+"""The archives that come with the package are what their configurations and manifests say."""
+
+import numpy as np
+import pytest
+
+from pcs_racing import load_archive, load_track
+from pcs_racing.game.moves import duplicate_share
+from pcs_racing.testing import check_archive
+from pcs_racing_agents.policies import load_archive_config
+from pcs_racing_agents.policies.archive_report import stated_settings
+from pcs_racing_agents.policies.archive_run import stage_scenarios
+from pcs_racing_agents.policies.evaluate import race_policies, summarise
+
+
+@pytest.fixture(params=["default", "contest"])
+def name(request):
+    return request.param
+
+
+def test_it_was_made_with_the_settings_and_circuits_that_ship(name):
+    archive, config = load_archive(name), load_archive_config(name)
+    assert archive.parameter_names == config.varied
+    for key, value in stated_settings(config).items():
+        # The first is only a wish; an archive made before there were rivals had none.
+        if key != "min_policies" and (key in archive.settings or key not in ("rivals", "min_score")):
+            assert archive.settings[key] == value, key
+    assert len(config.tracks) >= 3
+    stated_hashes = archive.settings["track_hashes"].split(", ")
+    # After the circuits of the search come those on which the choice was judged.
+    for track, stated in zip(config.tracks, stated_hashes, strict=False):
+        assert stated == f"{track} {load_track(track).content_hash[:16]}"
+
+
+def test_the_default_archive_lies_along_the_front_and_that_of_the_contest_holds_a_game():
+    archive = load_archive("default")
+    check_archive(archive)
+    assert len(archive) >= load_archive_config("default").min_policies
+    assert len(archive) >= 40
+    points = archive.normalised
+    away = np.linalg.norm(points[:, None] - points[None], axis=-1)[~np.eye(len(points), dtype=bool)]
+    assert away.min() > 0.0
+    # Seen from either axis there is a policy within a quarter of the range of any place.
+    for axis in range(2):
+        assert np.diff(np.sort(points[:, axis])).max() < 0.25
+    assert np.corrcoef(points.T)[0, 1] < -0.9  # what is more of one is less of the other
+    assert duplicate_share(archive) < 0.15
+    archive = load_archive("contest")
+    check_archive(archive)
+    speed = archive.coordinates[:, archive.characteristics.index("speed")]
+    assert speed.min() < 0.75  # pace 0 is 0.72 of pace 1
+    assert speed.max() > 0.85
+    assert float(archive.settings["headroom_low"]) > 0.0  # on races not used for the choice
+    assert float(archive.settings["headroom_low_elsewhere"]) > 0.0  # on circuits not used for the choice
+
+
+def test_it_is_measured_again_with_crashes_as_rare_as_they_should_be(name):
+    """Two of its policies drive a part of those races again; other processors may round otherwise."""
+    archive = load_archive(name)
+    _, _, final = stage_scenarios(load_archive_config(name))
+    chosen = [0, len(archive) - 1]
+    found = summarise(race_policies((final, archive.complete(archive.parameters[chosen]))))
+    assert (np.abs(found.coordinates - archive.coordinates[chosen]) <= archive.spread[chosen]).all()
+    np.testing.assert_allclose(found.own_crash, archive.own_crash[chosen], atol=0.05)
+    lower = np.argsort(archive.coordinates[:, 0])[: len(archive) // 2]
+    if name == "default":
+        assert archive.own_crash.max() < 0.15
+    else:
+        assert archive.own_crash[lower].mean() <= 0.10
+        assert archive.own_crash.max() <= 0.50

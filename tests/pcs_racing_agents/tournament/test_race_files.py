@@ -1,0 +1,116 @@
+"""Results files: the same bytes for the same races, and what is refused."""
+
+import csv
+
+import numpy as np
+import pytest
+from refusal import refused
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.tournament.race_files import NEEDED, race_table, read_results, write_results
+from pcs_racing_agents.tournament.races import RaceRow
+
+EXAMPLE = """\
+preset,ego,opponent,track,race,start_s,side,seed,lead,winner,crash,fault,ego_overtakes,opponent_overtakes,duration,\
+ego_variant,opponent_variant,ego_path,opponent_path,ego_moves,opponent_moves
+paper,a,"b, c",Oval,0,12.5000,0,7,-1.2346,opponent,none,none,0,1,40.0000,3,0,3; 5; 5,,pace +; stay,
+paper,"b, c",a,Oval,1,12.5000,1,7,0.0000,none,car,both,2,0,3.1000,0,3,,3,,
+"""
+
+
+@pytest.fixture
+def rows() -> list[dict[str, str]]:
+    """Lines of a file, to be spoilt."""
+    made = [RaceRow("paper", "a", "b", "Oval", k, 1.5 * k, k % 2, 3, 0.1 * k, "ego", duration=40.0) for k in range(12)]
+    lists = ("", "3; 5", "", "stay")
+    return [dict(zip(RaceRow._fields, (*map(str, row[:17]), *lists), strict=True)) for row in made]
+
+
+def as_file(rows, path):
+    """Write lines with the columns of the first."""
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+def test_a_race_is_one_line(tmp_path):
+    races = race_table([
+        RaceRow("paper", "a", "b, c", "Oval", 0, 12.5, 0, 7, -1.23456, "opponent", "none", "none", 0, 1, 40.0, 3, 0,
+                (3, 5, 5), (), ("pace +", "stay"), ()),
+        RaceRow("paper", "b, c", "a", "Oval", 1, 12.5, 1, 7, 0.0, "none", "car", "both", 2, 0, 3.1, 0, 3, (), (3,)),
+    ])  # fmt: skip
+    path = write_results(races, tmp_path / "results.csv")
+    assert path.read_text(encoding="utf-8") == EXAMPLE
+    assert write_results(read_results(path), tmp_path / "again.csv").read_bytes() == path.read_bytes()
+    assert write_results(list(races), tmp_path / "rows.csv").read_bytes() == path.read_bytes()
+    refused("there is no folder", write_results, races, tmp_path / "missing" / "results.csv")
+
+
+def test_empty_lines_are_left_out_and_counted(tmp_path):
+    path = tmp_path / "results.csv"
+    head, first, second, _ = EXAMPLE.split("\n")
+    path.write_text("\n".join([head, first, "", second.replace("both", "me")]))
+    refused(r"line 4 \(race 1\), .*fault is 'me'", read_results, path)
+    path.write_text("\n".join([head, first, "a,1.5"]))
+    refused(r"line 3 .*2 values, .*21", read_results, path)
+    refused(r"the table, line 2 \(race 0\), .*fault is 'me'", race_table, [RaceRow("paper", "a", "b", fault="me")])
+
+
+def test_details_may_be_missing_and_seeds_larger_than_any_number_of_the_machine(tmp_path, rows):
+    races = read_results(as_file([{name: row[name] for name in NEEDED} for row in rows], tmp_path / "results.csv"))
+    assert np.isnan(races.duration).all()
+    assert not races.overtakes.any()
+    assert races[0][:12] == RaceRow("", "a", "b", "Oval", 0, 0.0, 0, 3, 0.0, "ego")[:12]
+    assert races[0].ego_moves == races[0].opponent_path == ()
+    rows[3]["seed"], rows[4]["seed"] = str(2**80), f"00{2**80}"
+    races = read_results(as_file(rows, tmp_path / "results.csv"))
+    assert races[3].seed == races[4].seed == 2**80
+    assert len(races.pairs) == 2
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("lead", "far", "line 7 (race 5), is damaged: lead is 'far'; it must be a number from"),
+        ("lead", "nan", "lead is 'nan'"),
+        ("lead", "inf", "lead is 'inf'"),
+        ("winner", "me", "winner is 'me'; it must be ego, opponent, none"),
+        ("crash", "tree", "crash is 'tree'"),
+        ("fault", "nobody", "fault is 'nobody'"),
+        ("side", "2", "side is '2'; it must be a number from 0 to 1"),
+        ("race", "-1", "race is '-1'"),
+        ("ego_variant", "1e9", "ego_variant is '1e9'"),
+        ("ego", "x" * 301, "ego is 301 characters long"),
+        ("race", "1.5", "race is '1.5'; it must be a whole number"),
+        ("seed", "minus one", "seed is 'minus one'; it must be a whole number"),
+        ("seed", "٣", "seed is '٣'; it must be a whole number"),
+        ("duration", "soon", "duration is 'soon'"),
+        ("opponent_path", "3; x", "opponent_path is '3; x'; it must be a list of policies"),
+    ],
+)
+def test_a_damaged_line_is_named(rows, column, value, message, tmp_path):
+    path = tmp_path / "results.csv"
+    for number in (5, 9):  # the first of them is told
+        rows[number][column] = value
+    with pytest.raises(InputError) as refused:
+        read_results(as_file(rows, path))
+    assert message in str(refused.value)
+    assert f"{path}, line 7 (race 5), is damaged: " in str(refused.value)
+
+
+def test_files_that_hold_no_races_are_refused(tmp_path, rows):
+    refused("can't read", read_results, tmp_path / "nothing.csv")
+    path = tmp_path / "results.csv"
+    path.write_bytes(b"\xff\xfe\x00")
+    refused("is damaged", read_results, path)
+    path.write_text("a,b\n" + '"' + "x" * (csv.field_size_limit() + 1) + '",1\n')
+    refused("is damaged", read_results, path)
+    for text in ("", ",".join(RaceRow._fields) + "\n"):
+        path.write_text(text)
+        refused(r"has no column 'ego'|holds no races", read_results, path)
+    with pytest.raises(InputError, match="has no column 'lead'"):
+        read_results(as_file([{name: row[name] for name in row if name != "lead"} for row in rows], path))
+    bare = [{name: row[name] for name in NEEDED} for row in rows]
+    refused("has no column 'ego_variant'", read_results, as_file(bare, path), ("ego_variant",))

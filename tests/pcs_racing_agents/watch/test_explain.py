@@ -1,0 +1,328 @@
+"""One race explained: the facts, the words and the pictures."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from refusal import refused
+from same_move import Model
+from zoo_games import untrained
+
+from pcs_racing import draw_starts, make_game
+from pcs_racing.base.packing import join_segments
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.moves import move_names, move_table
+from pcs_racing.race.replay import ReplayEvent
+from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.base.style import CARS, picture_bytes, save_picture
+from pcs_racing_agents.watch.explain import DefaultStrategy, Unit, explain_game, value_unit
+from pcs_racing_agents.watch.pcs_picture import archive_picture, in_units
+from pcs_racing_agents.watch.pictures import explanation_picture
+from pcs_racing_agents.watch.words import lead_words, story, why
+
+
+@pytest.fixture(scope="module")
+def contest(oval, archive):
+    return make_game(oval, archive, "contest", step_seconds=0.8)
+
+
+@pytest.fixture(scope="module")
+def setting(contest):
+    return make_setting(contest.archive, contest.config)
+
+
+def network_of(setting, target="advantage", **training):
+    return replace(untrained(setting, target), training=training)
+
+
+def explained(contest, ego, rival, **options):
+    """A race that is not over before the moves are made."""
+    start = draw_starts(contest.track, contest.setup.config, 8, 3).take([0])
+    return explain_game(contest, ego, rival, policies=[4, 6], start=start, seed=int(race_seeds(5, 8)[0]), **options)
+
+
+@pytest.fixture(scope="module")
+def race(contest, setting):
+    """An agent with a network, of which two moves are alike, against one that draws."""
+    ego = build("cfr-argmax", setting, network=network_of(setting, worth="win"))
+    return explained(contest, ego, build("random-moves", setting))
+
+
+def test_the_facts_are_those_of_the_game_and_moves_are_events_of_the_replay(contest, setting, race):
+    """The game is played again, move by move."""
+    start = draw_starts(contest.track, contest.setup.config, 8, 3).take([0])
+    state = contest.reset(race_seeds(5, 8)[:1], policies=[[4, 6]], starts=start)
+    for k, step in enumerate(race.steps):
+        assert step.time == pytest.approx(0.8 * (k + 1))
+        assert step.policy == state.policy[0, 0]
+        assert step.own == pytest.approx(np.clip(contest.archive.normalised[step.policy], -1, 2), abs=1e-6)
+        assert step.opponent == pytest.approx(state.estimates[0, 1, k], abs=1e-6)  # measured in the step before
+        assert step.lead == pytest.approx(race.lead[round(step.time / race.replay.frame_dt)], abs=1e-3)
+        assert step.move == np.argmax(step.values)
+        assert step.probabilities[step.move] == 1.0
+        assert step.next_policy == setting.table[step.policy, step.move]
+        state = contest.step(state, np.array([[step.move, step.opponent_move]]))
+    assert contest.done(state).all()
+    assert race.played.lead == state.race.lead
+    events = [(event.time, event.car, event.text) for event in race.replay.events if event.kind == "move"]
+    made = [(step.time, car, race.moves[(step.move, step.opponent_move)[car]]) for step in race.steps for car in (0, 1)]
+    assert sorted(events) == sorted(made)
+
+
+def test_the_other_car_sees_the_other_side(contest, setting):
+    ego, rival = build("random-moves", setting, seed=3), build("random-moves", setting, seed=4)
+    first, second = (explained(contest, ego, rival, car=car) for car in (0, 1))
+    for own, rival_step in zip(first.steps, second.steps, strict=True):
+        assert own.lead == pytest.approx(-rival_step.lead, abs=1e-5)
+        assert (own.move, own.opponent_move) == (rival_step.opponent_move, rival_step.move)
+    assert np.array_equal(first.lead, -second.lead)
+    assert story(second).startswith("random-moves (car 1) against random-moves (car 0)")
+
+
+@pytest.fixture(scope="module")
+def told(race):
+    """Two decisions of car 0 in a race of five, whose lead is made up, and which a crash ends at 2 s."""
+    time = np.linspace(0.0, 2.0, 41)
+    lead = np.interp(time, [0.0, 0.8, 1.6, 2.0], [0.0, 1.0, 2.3, -0.25])
+    cars = np.stack([np.stack([time, car + 0.1 * time, *[time] * 5], axis=1) for car in (0.0, 1.0)], axis=1)
+    moments = [(0.8, 1, "overtake", "no longer"), (1.2, 0, "overtake", "passed"), (1.6, 1, "brake", "braked")]
+    events = [ReplayEvent(*moment) for moment in [*moments, (1.7, 0, "move", "stay"), (2.4, 1, "crash", "hit a wall")]]
+    replay = replace(
+        race.replay, cars=cars, progress=np.stack([lead, 0.0 * lead], axis=1), ittc=None, paths=None, events=events,
+        frame_dt=0.05, outcome="car 1 crashed",
+    )  # fmt: skip
+    first, second = race.steps[:2]
+    values, chances = np.array([0.3, 0.1, 0.22, -0.1, 0.2]), np.array([0.6, 0.0, 0.4, 0.0, 0.0])
+    steps = (
+        first._replace(
+            time=0.8, lead=1.0, opponent=race.middle + np.array([0.12, -0.3]), move=0, policy=3, next_policy=5,
+            values=values,
+            probabilities=chances, opponent_move=1,
+        ),
+        second._replace(
+            time=1.6, lead=2.26, opponent=race.middle + np.array([-0.31, 0.05]), move=2, policy=5, next_policy=5,
+            values=values,
+            probabilities=np.eye(5)[2], opponent_move=-1,
+        ),
+    )  # fmt: skip
+    return replace(race, steps=steps, replay=replay, ends=(0.8, 1.6, 2.4, 3.2, 4.0))
+
+
+def test_the_story_tells_every_step_and_a_race_that_ends_at_once(told):
+    before, after = told.archive.normalised[[3, 5]]
+    by, to = ("aggressiveness", "restraint")
+    assert story(told).splitlines() == [
+        "cfr-argmax (car 0) against random-moves on oval, contest rules: car 1 crashed",
+        "  0.8 s  saw: opponent aggressive and daring (aggressiveness 0.12 above the middle, restraint 0.30 below the "
+        "middle); ahead by 1.0 m.",
+        "         did: aggressiveness + (drawn with a chance of 60%), from policy 3 to 5 "
+        f"({by} {before[0]:.2f} to {after[0]:.2f}, {to} {before[1]:.2f} to {after[1]:.2f}).",
+        "         why: worth 0.100 of a win more than staying, 0.080 of a win more than restraint +.",
+        "         then: gained 1.3 m, ahead by 2.3 m; it passed at 1.2 s; the opponent braked at 1.6 s.",
+        "  1.6 s  saw: opponent restrained (aggressiveness 0.31 below the middle, restraint 0.05 above the middle); "
+        "ahead by 2.3 m.",
+        "         did: restraint +, no policy lies that way: kept policy 5.",
+        "         why: it keeps the policy, so its value is that of staying.",
+        "         then: lost 2.5 m, level; the opponent hit a wall at 2.4 s.",
+    ]
+    still = told.steps[0]._replace(lead=2.26, move=4, next_policy=3, opponent=told.middle, probabilities=None)
+    lines = story(replace(told, steps=(still,))).splitlines()
+    assert lines[1].startswith("  0.8 s  saw: opponent in the middle of the archive (aggressiveness 0.00 below")
+    assert lines[2] == "         did: stay, kept policy 3."
+    assert lines[4].startswith("         then: no change, ahead by 2.3 m; it passed")
+    empty = replace(told, steps=())
+    assert story(empty).splitlines()[1:] == ["The race was over before the first move."]
+    assert picture_bytes(explanation_picture(empty)).startswith(b"<?xml")
+    for lead, words in [(3.14, "ahead by 3.1 m"), (-0.4, "behind by 0.4 m"), (0.3, "ahead by 0.3 m"), (0.29, "level")]:
+        assert lead_words(lead) == words
+
+
+def test_a_move_is_compared_with_staying_and_counted_in_what_values_mean(race, setting):
+    step = race.steps[0]._replace(move=0, values=np.array([0.3, 0.1, 0.22, -0.1, 0.2]))
+    assert why(race, step) == "worth 0.100 of a win more than staying, 0.080 of a win more than restraint +"
+    assert why(race, step._replace(move=4)) == "worth 0.100 of a win less than aggressiveness +"
+    drawn = step._replace(move=2, values=np.array([0.3, 0.1, 0.22]))
+    assert why(race, drawn) == "worth 0.080 of a win less than aggressiveness +"
+    assert why(race, drawn._replace(move=4)) == "its network has no value for stay"
+    assert why(race, step._replace(values=None)) == ""
+    assert why(race, step._replace(values=np.array([0.3]))) == "there is no other move"
+    metres, bare = (replace(race, unit=Unit(0.5, text)) for text in ("m of lead", ""))
+    assert why(metres, step) == "worth 0.05 m of lead more than staying, 0.04 m of lead more than restraint +"
+    assert why(bare, step) == "the highest value of all moves, worth 0.05 more than staying, 0.04 more than restraint +"
+    assert why(bare, step._replace(move=2)) == "worth 0.01 more than staying, 0.04 less than aggressiveness +"
+    habit = replace(race, default=DefaultStrategy("habit", 0.25))
+    for change, words in [
+        ({"move": 2, "default_move": 0}, "worth 0.000 of a win more than aggressiveness +, what habit would do, and "),
+        ({"move": 0, "default_move": 0}, "what habit would do, and the best move too"),
+        ({"move": 4, "default_move": 4}, "keeps to habit: the best move, aggressiveness +, promises 0.300 of a win "
+         "more, which is not above the margin of 0.250 of a win"),
+    ]:  # fmt: skip
+        values = step.values[: 4 if change["move"] == 4 else 5]
+        assert why(habit, step._replace(**change, values=values)).startswith(words)
+    assert value_unit(network_of(setting, worth="win"), "lead") == Unit(1.0, "of a win")
+    assert value_unit(network_of(setting), "win") == Unit(0.5, "of a win")
+    assert value_unit(network_of(setting, "static-q"), "lead") == Unit(1.0, "m of lead")
+    assert value_unit(network_of(setting, "regret"), "win") == Unit(1.0, "")
+
+
+def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, setting):
+    network = network_of(setting, worth="win")
+    rival = build("never-switch", setting)
+    options = {"network": network, "open_loop": "never-switch"}
+    drivers = (build("adaptive", setting, **options, margin=margin) for margin in (0.0, 1000.0))
+    bold, shy = (explained(contest, driver, rival) for driver in drivers)
+    assert shy.default.name == "never-switch"
+    assert "did: stay, kept policy" in story(shy)
+    for step in shy.steps:
+        assert step.move == step.default_move == shy.moves.index("stay")
+        if np.argmax(step.values) != step.default_move:
+            assert why(shy, step).startswith("keeps to never-switch: the best move, ")
+            assert "not above the margin of 1000.000 of a win" in why(shy, step)
+    left = [step for step in bold.steps if step.move != step.default_move]
+    assert left
+    for step in left:
+        gain = step.values[step.move] - step.values[step.default_move]
+        assert f"worth {gain:.3f} of a win more than stay, what never-switch would do" in why(bold, step)
+
+
+def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, setting):
+    race = explained(contest, build("always-aggressiveness+", setting), build("lane-switcher", setting))
+    assert "makes open-loop moves" in story(race)
+    assert "why:" not in story(race)
+    race = explained(contest, build("lane-switcher", setting), build("random-moves", setting), car=1)
+    assert re.search(r"drawn with a chance of 2[05]%", story(race))
+    cars = build("never-switch", setting), build("lane-switcher", setting)
+    refused("'lane-switcher' in car 1 makes no moves.*; try the other car", explained, contest, *cars, car=1)
+    refused("car 0 makes no moves.*; nor does the other car's", explained, contest, *cars[1:], *cars[1:])
+    refused("car is 2", explained, contest, build("never-switch", setting), build("never-switch", setting), car=2)
+    race = explained(contest, Model(), build("never-switch", setting))
+    assert all(step.values is None and step.probabilities is None for step in race.steps)
+    assert story(race).startswith("Model (car 0)")
+    assert picture_bytes(explanation_picture(race)).startswith(b"<?xml")
+
+
+def marks(axes):
+    """Signs that stand alone: marker, place, and colour of its face."""
+    found = [line for line in axes.lines if len(line.get_xdata()) == 1]
+    return [(one.get_marker(), one.get_xydata()[0].tolist(), one.get_markerfacecolor()) for one in found]
+
+
+def written(axes):
+    return {(text.get_text(), tuple(np.round(text.xy if hasattr(text, "xy") else text.get_position(), 9).tolist()),
+             text.get_color()) for text in axes.texts if text.get_text()}  # fmt: skip
+
+
+def test_the_signs_of_a_race_stand_where_things_happened(told):
+    from matplotlib.colors import to_rgba
+
+    figure = explanation_picture(told)
+    space, track, *panels, lead = figure.axes
+    assert figure.get_suptitle() == f"{told.replay.title}, oval, contest rules: car 1 crashed"
+    at, signs = told.replay.cars[:, :, :2].tolist(), []
+    for car in (0, 1):
+        signs += [("s", at[0][car], CARS[car]), ("o", at[-1][car], "white")]
+    signs += [("^", at[16][1], CARS[1]), ("^", at[24][0], CARS[0]), ("^", at[32][1], CARS[1])]
+    assert marks(track) == [*signs, ("X", at[-1][1], "#c22443")]
+    numbers = {
+        (str(k + 1), tuple(np.round(at[16 * (k + 1)][car], 9).tolist()), "white") for k in (0, 1) for car in (0, 1)
+    }
+    assert written(track) == numbers
+    assert track.get_title("left").endswith(", triangle: overtake, cross: crash")
+    loops, paths = join_segments(told.replay.walls), [told.replay.cars[:, car, :2] for car in (0, 1)]
+    drawn = [line.get_xydata() for line in track.lines if len(line.get_xdata()) > 1]
+    for line, expected in zip(drawn, [*loops, *paths], strict=True):
+        np.testing.assert_array_equal(line, expected)
+    # The arrow of the first move; the second one keeps its policy.
+    before, after = told.archive.coordinates[[3, 5]][:, [1, 0]]
+    (arrow,) = (text for text in space.texts if text.get_text() == "")
+    assert (*arrow.xy, *arrow.xyann) == (*after, *before)
+    assert marks(space) == [("o", before.tolist(), CARS[0]), ("o", after.tolist(), CARS[0])]
+    seen = [tuple(np.round(in_units(told.archive, step.opponent)[[1, 0]], 9).tolist()) for step in told.steps]
+    assert written(space) == {
+        ("1", tuple(np.round((before + after) / 2.0, 9)), "white"),
+        ("1", seen[0], "white"), ("2", seen[1], "white"), ("2: kept", tuple(np.round(after, 9).tolist()), CARS[0]),
+        ("cfr-argmax: arrows", (0.99, 0.99), CARS[0]),
+        ("random-moves: as measured before each move", (0.99, 0.94), CARS[1]),
+    }  # fmt: skip
+    # The lead from -0.25 to 2.3 m, with room for the names of the moves.
+    low, high, reach = -1.0, 2.3, 3.3
+    assert (*lead.get_ylim(), *lead.get_xlim()) == pytest.approx((low - 0.2 * reach, high + 0.2 * reach, 0.0, 4.0))
+    top, bottom = round(high + 0.17 * reach, 9), round(low - 0.17 * reach, 9)
+    assert written(lead) == {
+        ("aggressiveness +", (0.95, top), CARS[0]), ("aggressiveness -", (0.95, bottom), CARS[1]),
+        ("restraint +", (1.75, top), CARS[0]),
+    }  # fmt: skip
+    above, below = (np.concatenate([p.vertices for p in area.get_paths()]) for area in lead.collections)
+    assert (above[:, 1].min(), above[:, 1].max(), below[:, 1].max()) == pytest.approx((0.0, 2.3, 0.0))
+    level = 1.6 + 0.4 * 2.3 / 2.55  # s: when the cars are side by side
+    late = below[below[:, 0] > 1.0]
+    assert (above[:, 0].max(), late[:, 0].min(), below[:, 1].min()) == pytest.approx((level, level, -0.25), abs=1e-6)
+    assert lead.lines[0].get_xydata() == pytest.approx(np.stack([0.05 * np.arange(41), told.lead], axis=1))
+    assert [axes.get_visible() for axes in panels] == [True] * 2 + [False] * (len(panels) - 2)
+    assert (panels[0].get_title("left"), panels[0].get_ylim()) == ("1: 0.8 s", (4.5, -0.5))
+    assert [label.get_text() for label in panels[0].get_yticklabels()] == list(told.moves)
+    for unit, change, label in [
+        (Unit(0.5, "of a win"), {}, "value of each move, wins; coloured: made"),
+        (Unit(0.5, ""), {}, "value of each move; coloured: made"),
+        (None, {"values": None}, "chance of each move; coloured: made"),
+    ]:
+        steps = tuple(step._replace(**change) for step in told.steps)
+        figure = explanation_picture(replace(told, unit=unit, steps=steps))
+        expected = 0.5 * told.steps[0].values if unit else told.steps[0].probabilities
+        assert [patch.get_width() for patch in figure.axes[2].patches] == pytest.approx(expected.tolist())
+        colours = [patch.get_facecolor() == to_rgba(CARS[0]) for patch in figure.axes[2].patches]
+        assert (colours, *(set(line.get_xdata()) for line in figure.axes[2].lines)) == ([True] + [False] * 4, {0.0})
+        assert label in {text.get_text() for panel in figure.subfigs for text in panel.texts}
+    assert {line.get_xdata()[0] for line in lead.lines if len({*line.get_xdata()}) == 1} == {0.8, 1.6}
+    far = [told.steps[0]._replace(opponent=told.middle - distance) for distance in (3.0, 0.0)]
+    limits = explanation_picture(replace(told, steps=far)).axes[0].get_xlim()
+    assert limits[0] < in_units(told.archive, far[0].opponent)[1] < limits[1]
+    bare = [step._replace(values=None, probabilities=None) for step in told.steps]
+    assert len(explanation_picture(replace(told, steps=bare)).axes) == 3
+
+
+def test_a_move_that_the_network_does_not_know_is_marked_and_chances_stand_in_for_values(race, contest, setting):
+    steps = [step._replace(values=step.values[: step.move]) for step in race.steps]
+    panels = explanation_picture(replace(race, steps=steps)).axes[2:-1]
+    assert [[text.get_text() for text in axes.texts] for axes in panels[: len(steps)]] == [["made"]] * len(steps)
+    race = explained(contest, build("random-moves", setting), build("never-switch", setting))
+    panels = [axes for axes in explanation_picture(race).axes[2:-1] if axes.get_visible()]
+    assert sum(patch.get_width() for patch in panels[0].patches) == pytest.approx(1.0)
+
+
+def test_the_archive_shows_where_moves_lead(archive, tmp_path):
+    crashes = np.linspace(0.0, 0.3, 12)
+    known = replace(archive, own_crash=crashes)
+    figure = archive_picture(known, epsilon=0.5, policy=3)
+    axes, bar = figure.axes
+    names, leads_to = move_names(archive, 0.5), move_table(archive, 0.5)[3]
+    kept = [name for name, end in zip(names, leads_to, strict=True) if end == 3]
+    title = "Archive toy, preset paper: 12 policies, grey: 30 explored"
+    assert (axes.get_title("left"), axes.get_xlabel(), axes.get_ylabel()) == (
+        title,
+        "restraint, s",
+        "aggressiveness, m",
+    )
+    assert bar.get_ylabel() == "own crashes, % of races"
+    points, explored = archive.coordinates[:, [1, 0]], archive.explored_coordinates[:, [1, 0]]
+    dots = axes.collections[0]
+    drawn = [dots.get_offsets(), dots.get_array(), *(line.get_xydata() for line in axes.lines)]
+    for found, expected in zip(drawn, [points, 100.0 * crashes, explored, points[3:4]], strict=True):
+        np.testing.assert_array_equal(found, expected)
+    low, high = points.min(axis=0), points.max(axis=0)
+    tails, reach = np.quantile(explored, [0.02, 0.98], axis=0), high - low
+    least = np.maximum(np.minimum(low, tails[0]), low - reach) - 0.08 * reach
+    largest = np.minimum(np.maximum(high, tails[1]), high + reach) + 0.08 * reach
+    assert np.array([axes.get_xlim(), axes.get_ylim()]) == pytest.approx(np.stack([least, largest], axis=1))
+    texts = [text.get_text() for text in axes.texts]
+    assert f"arrows: moves of policy 3; {', '.join(kept)} keep{'s' * (len(kept) == 1)} it" in texts or not kept
+    assert {name for text in texts for name in text.split(", ")} >= {*names} - {*kept}
+    arrows = {(*text.xy, *text.xyann) for text in axes.texts if text.get_text() == "" and text.arrow_patch is not None}
+    assert arrows == {(*points[end], *points[3]) for end in leads_to if end != 3}
+    assert archive_picture(replace(archive, own_crash=None)).axes[0].lines[1].get_xydata() == pytest.approx(
+        points[[archive.select("middle")]]
+    )
+    assert save_picture(figure, tmp_path / "archive.png").read_bytes().startswith(b"\x89PNG")
+    refused("policy is 12", archive_picture, archive, policy=12)

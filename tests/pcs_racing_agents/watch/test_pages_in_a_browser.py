@@ -1,0 +1,97 @@
+"""Every page in Chromium, wide and as on a phone, light and dark: no complaint, all on the screen, accessible."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_races import race_on_a_circle
+from repository import REPOSITORY
+from toy_report import toy_report
+from zoo_games import CONFIG
+
+from pcs_racing import make_game
+from pcs_racing.race.replay import read_replay, save_replay
+from pcs_racing_agents import make
+from pcs_racing_agents.benchmark.card import board_page, read_cards, write_card
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.study.report import write_page
+from pcs_racing_agents.study.report_inputs import ExplainedRace
+from pcs_racing_agents.watch.person_race import PersonRaces, drive_page, make_person_drive, play_page
+
+CARDS = [REPOSITORY / "benchmarks" / "bench_v2"]
+
+
+@pytest.fixture(scope="module")
+def explained(tournament_folder, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("explained")
+    assert main(["explain", str(tournament_folder[0]), "--index", "1", "--out", str(folder)]) == 0
+    return folder / "race.html"
+
+
+def replay(get, moment="#t=nonsense&follow=7", **changes):
+    path = save_replay(race_on_a_circle(**{"candidates": 3, **changes}), get("tmp_path") / "race.html")
+    return path.as_uri() + moment
+
+
+def bare_replay(get):
+    two = race_on_a_circle(0.0)
+    one = {"cars": two.cars[:, :1], "progress": two.progress[:, :1], "car_names": ("alone",), "events": ()}
+    return replay(get, "#play=1", **one, candidates=0, paths=None, ittc=None, line_speed=None, walls=np.zeros((0, 4)))
+
+
+def report(get):
+    # Wider than any screen, instead of pictures that take seconds to draw.
+    svg = b'<svg xmlns="http://www.w3.org/2000/svg" width="1500" height="200"/>'
+    get("monkeypatch").setattr("pcs_racing_agents.study.report._draw", lambda *_, **__: svg)
+    race = ExplainedRace("A race", "What happened.", read_replay(get("explained")))
+    return write_page(toy_report(get("archive"), race), get("tmp_path") / "report.html")
+
+
+def card(get):
+    return write_card(read_cards(CARDS)[0], get("tmp_path"), [("A race", read_replay(get("explained")))])[2]
+
+
+def leaderboard(get):
+    page = get("tmp_path") / "leaderboard.html"
+    page.write_text(board_page(read_cards(CARDS)), encoding="utf-8")
+    return page
+
+
+def play(get):
+    archive = get("archive")
+    rival = make("random-moves", archive=archive, race=CONFIG)
+    races = PersonRaces(make_game("Pipkin", archive, CONFIG, stay=True), rival, seed=3)
+    return get("served")(play_page(races), races.answer)
+
+
+def drive(get):
+    races = make_person_drive(make("lattice:pace=0.3"), track="Pipkin")
+    return get("served")(drive_page(races), races.answer, method="POST")
+
+
+# What makes a page, and what is true of it when all of it is there.
+PAGES = {
+    "a replay": (replay, "document.documentElement.dataset.drawn"),
+    "a bare replay of one car": (bare_replay, "document.documentElement.dataset.drawn"),
+    "an explained race": (lambda get: get("explained"), "document.documentElement.dataset.drawn"),
+    "a report": (report, "document.images.length"),
+    "a list of races": (lambda get: get("page"), "document.body.dataset.played"),
+    "a card": (card, "document.querySelector('table')"),
+    "the leaderboard": (leaderboard, "document.querySelector('table')"),
+    "play": (play, "document.querySelector('#choices button:enabled')"),
+    "play at the wheel": (drive, "race || document.querySelector('#begin').click()"),
+}
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_fits_its_screen_and_hinders_nobody(name, browser, request):
+    make_page, there = PAGES[name]
+    browser.open(make_page(request.getfixturevalue), motion="reduce")  # races that play by themselves take time
+    browser.wait(f"Boolean(({there}))")
+    browser.run("for (const part of document.querySelectorAll('details')) part.open = true")
+    for width, height in ((1280, 720), (390, 844)):
+        for scheme in ("light", "dark"):
+            browser.show(width, height, scheme, motion="reduce")
+            assert browser.run("document.documentElement.scrollWidth") <= width, (width, scheme)
+            assert browser.hindrances() == [], (width, scheme)
+    assert browser.complaints == []

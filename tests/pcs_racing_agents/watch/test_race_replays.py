@@ -1,0 +1,172 @@
+"""Races driven again for the page: small, whole, and only if they are still the same."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from refusal import refused
+
+from pcs_racing.base.packing import unpack
+from pcs_racing.race.replay import read_replay
+from pcs_racing_agents.tournament.play import record_row
+from pcs_racing_agents.tournament.race_files import race_table, read_results
+from pcs_racing_agents.tournament.races import Categorical
+from pcs_racing_agents.watch.race_choice import SelectedRace
+from pcs_racing_agents.watch.race_replays import RaceRepeater, RepeatedRace, circuit_values, race_values, space_values
+from pcs_racing_agents.watch.results_folder import open_results
+from pcs_racing_agents.watch.view_page import ViewContent, packed_races, view_page
+
+
+@pytest.fixture(scope="module")
+def driver(tournament_folder):
+    return RaceRepeater(open_results(tournament_folder[0]))
+
+
+def test_a_race_is_a_replay_with_less_in_it(driver, tournament_folder, tmp_path):
+    _, tournament = tournament_folder
+    race = driver.drive(1)
+    recording = record_row(tournament, tournament.races[1], candidates=False)
+    values = {**driver.circuits[race.circuit], **race.values}
+    space = values.pop("space")
+    path = tmp_path / "race.json"
+    path.write_text(json.dumps(values))
+    read, whole = read_replay(path), recording.replay
+    assert read.cars[..., :5] == pytest.approx(whole.cars[..., :5], abs=0.0006)
+    assert not read.cars[..., 5:].any()
+    assert read.progress == pytest.approx(whole.progress, abs=0.006)
+    assert read.line == pytest.approx(whole.line, abs=0.0006)
+    assert read.paths[..., :2] == pytest.approx(whole.paths[::2, ..., :2], abs=0.006, nan_ok=True)
+    assert read.plan_dt == pytest.approx(2 * whole.plan_dt)
+    assert read.outcome == whole.outcome
+    assert [event for event in read.events if event.kind == "move"]
+    assert read.line_speed == pytest.approx(whole.line_speed, abs=0.006)
+    assert not np.nan_to_num(read.paths[..., 2]).any()  # speeds of plans are not drawn
+    assert space["policies"] == recording.played.path[0].tolist()
+    assert space["made"] == recording.played.moves.codes[0].tolist()
+
+
+def test_places_are_where_the_archive_and_the_other_car_saw_them(driver, tournament_folder, archive):
+    """In 4000 steps across the picture, which holds the archive and most of what was explored."""
+    _, tournament = tournament_folder
+    race = driver.drive(1)
+    points, explored = archive.coordinates[:, [1, 0]], archive.explored_coordinates[:, [1, 0]]
+    low, high = points.min(axis=0), points.max(axis=0)
+    tails, reach = np.quantile(explored, [0.02, 0.98], axis=0), high - low
+    least = np.maximum(np.minimum(low, tails[0]), low - 0.5 * reach) - 0.08 * reach
+    largest = np.minimum(np.maximum(high, tails[1]), high + 0.5 * reach) + 0.08 * reach
+    axes = [("restraint", "s", *ends) for ends in zip(least[:1], largest[:1], strict=True)]
+    axes += [("aggressiveness", "m", *ends) for ends in zip(least[1:], largest[1:], strict=True)]
+    for known, crash in ((archive, None), (replace(archive, own_crash=np.linspace(0.0, 0.1234, 12)), [0.0, 12.3])):
+        space = space_values(known, ("a", "b"))
+        assert (space["archive"], space["moves"]) == ("toy", ["a", "b"])
+        assert [tuple(axis.values()) for axis in space["axes"]] == [
+            (*axis[:2], *map(pytest.approx, axis[2:])) for axis in axes
+        ]
+        assert np.array(space["points"]) == pytest.approx(4000 * (points - least) / (largest - least), abs=0.51)
+        inside = ((explored >= least) & (explored <= largest)).all(axis=1)
+        assert 0 < inside.sum() < 30
+        expected = 4000 * (explored[inside] - least) / (largest - least)
+        assert unpack(space["explored"]) == pytest.approx(expected, abs=0.51)
+        assert (space["crash"] and [min(space["crash"]), max(space["crash"])]) == crash
+    none = replace(archive, explored_parameters=archive.explored_parameters[:0], explored_coordinates=explored[:0])
+    assert space_values(none, ())["axes"][0]["low"] == pytest.approx(low[0] - 0.08 * reach[0])
+    # A step of what a car saw: two own coordinates, two of the other, the lead, and whether it was over.
+    for number in (1, 9):
+        race, row = driver.drive(number), tournament.races[number]
+        blocks = record_row(tournament, row, candidates=False).played.observations[0, :, :-1].reshape(2, -1, 6)
+        units = archive.nadir + blocks[..., 2:4].astype(float) * (archive.ideal - archive.nadir)
+        places = np.rint(4000 * (units[..., ::-1] - least) / (largest - least))
+        over = blocks[..., 5] == 1.0
+        expected = [
+            [place.tolist() if there else None for place, there in zip(*rows, strict=True)]
+            for rows in zip(places, over, strict=True)
+        ]
+        assert race.values["space"]["seen"] == expected
+    assert race.values["space"]["ends"] == (1.0, 2.0, 3.0, 4.0, 5.0)
+
+
+def test_a_race_is_small_and_what_is_left_out_optional(driver, tournament_folder):
+    values = driver.drive(0).values
+    seconds = values["cars"]["shape"][0] * values["frame_dt"]
+    assert len(json.dumps(values)) < 3000 + 1300 * seconds  # 40 s in at most 55 kB
+    order = [race.race for race in driver.drive_all([13, 0, 7, 1, 12])]
+    assert sorted(order) == [0, 1, 7, 12, 13]
+    assert abs(order.index(0) - order.index(1)) == 1
+    assert abs(order.index(12) - order.index(13)) == 1
+    _, tournament = tournament_folder
+    replay = record_row(tournament, tournament.races[0], candidates=False).replay
+    bare = replace(replay, paths=None, line_speed=None)
+    assert "paths" not in race_values(bare)
+    assert "line_speed" not in circuit_values(bare)
+
+
+def test_a_race_that_is_another_one_is_refused(tournament_folder):
+    for change, value in [
+        ({"lead": 12.0}, r"race 3 .*12\.0000 m"),
+        ({"start_s": 12.0}, "race 3 is not"),
+        ({"side": 1 - tournament_folder[1].races[3].side}, "race 3 is not"),
+        ({"ego_variant": 99}, "race 3 is not"),
+        ({"opponent_variant": 99}, "race 3 is not"),
+        ({"race": 6}, "number 6 of its pair, which drove 6"),
+    ]:
+        results = open_results(tournament_folder[0])
+        rows = list(results.races)
+        rows[3] = rows[3]._replace(**change)
+        refused(value, RaceRepeater(replace(results, races=race_table(rows))).drive, 3)
+        refused("race 18", RaceRepeater(results).drive, 18)
+
+
+def test_packing_loses_nothing_that_is_shown_and_tells_what_is_not_known(tournament_folder):
+    races = read_results(tournament_folder[0] / "results.csv")
+    packed = packed_races(races)
+    assert packed["length"] == len(races) == 18
+    values = {name: unpack(column) for name, column in packed["columns"].items()}
+    assert values["lead"] == pytest.approx(races.lead, abs=0.00051)
+    assert values["start_s"] == pytest.approx(races.start_s, abs=0.005)
+    assert packed["seeds"] == ["2"]
+    for number, row in enumerate(races):
+        for car, (agent, overtakes, variant, moves) in enumerate((
+            (row.ego, row.ego_overtakes, row.ego_variant, row.ego_moves),
+            (row.opponent, row.opponent_overtakes, row.opponent_variant, row.opponent_moves),
+        )):  # fmt: skip
+            assert packed["agents"][int(values[("ego", "opponent")[car]][number])] == agent
+            assert packed["moves"][int(values[f"moves{car}"][number])] == "; ".join(moves)
+            assert values[f"overtakes{car}"][number] == overtakes
+            assert values[f"variants{car}"][number] == variant
+            assert values[f"switches{car}"][number] == races.switches[number, car]
+        assert ("none", "ego", "opponent")[int(values["winner"][number])] == row.winner
+        assert ("none", "wall", "car")[int(values["crash"][number])] == row.crash
+        assert ("none", "ego", "opponent", "both")[int(values["fault"][number])] == row.fault
+    assert values["duration"] == pytest.approx(races.duration, abs=0.005)
+    for name in ("race", "side"):
+        np.testing.assert_array_equal(values[name], getattr(races, name))
+    unknown = np.full(len(races), np.nan)
+    no_moves = races.moves._replace(codes=races.moves.codes[..., :0])
+    packed = packed_races(replace(races, duration=unknown, moves=no_moves))
+    assert (unpack(packed["columns"]["duration"]) == -1).all()
+    assert packed["moves"] == [""]
+
+
+def test_the_page_says_what_it_holds(tournament_folder):
+    races = read_results(tournament_folder[0] / "results.csv")
+    picks, driven = [SelectedRace(2, "why"), SelectedRace(3, "no")], [RepeatedRace(2, "Pipkin", {"a": 1})]
+    content = ViewContent(
+        "a title", races, "my folder", "front", picks, driven, {"Pipkin": {"b": 2}}, {"c": 3}, serve=True
+    )
+    rows = [replace(content, races=races.take([0]), start="side-by-side", space=None, serve=False, why_not="no job")]
+    rows.append(replace(content, races=replace(races.take([0]), preset=Categorical.constant("", 1))))
+    pages = [view_page(one) for one in (content, *rows)]
+    data = [json.loads(re.search(r'id="races">(.*?)</script>', page)[1]) for page in pages]
+    commands = ["pcs-racing view 'my folder' --serve", "pcs-racing view 'my folder' --index {race}"]
+    keys = ("title", "about", "sides", "replays", "circuits", "space", "serve", "commands", "why_not")
+    several, one = "18 races, 3 agents, 1 circuit, contest rules", "1 race, 3 agents, 1 circuit"
+    same = [[2, "why"]], [["Pipkin", {"b": 2}]]
+    assert [[one[key] for key in keys] for one in data] == [
+        ["a title", several, ["front", "rear"], *same, {"c": 3}, True, commands, ""],
+        ["a title", f"{one}, contest rules", ["left", "right"], *same, None, False, [], "no job"],
+        ["a title", one, ["front", "rear"], *same, {"c": 3}, True, commands, ""],
+    ]
+    assert ["connect-src 'self'" in page for page in pages] == [True, False, True]
+    assert all('<script type="application/json" id="race-2">{"a":1}</script>' in page for page in pages)

@@ -1,0 +1,203 @@
+"""The page in headless Chromium: the list, its filters and keys, a race that plays, names that are only names."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from toy_races import toy_races
+
+from pcs_racing.base.packing import unpack
+from pcs_racing_agents.tournament.race_files import race_table, read_results
+from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
+from pcs_racing_agents.watch.race_replays import RaceRepeater
+from pcs_racing_agents.watch.results_folder import open_results
+from pcs_racing_agents.watch.view_page import ViewContent, packed_races, view_page
+from pcs_racing_agents.watch.view_server import RaceService
+
+NASTY = "</script><script>document.title='taken'</script><img src=x onerror=\"document.title='taken'\">"
+BLUE, ORANGE = (27, 111, 216), (224, 135, 0)
+
+
+def coloured(pixels, colour):
+    """How many pixels have a colour."""
+    return int(np.count_nonzero(np.abs(pixels - colour).sum(axis=-1) < 12))
+
+
+def played(browser):
+    """Wait for a race to have been drawn; its time and duration."""
+    return [float(piece) for piece in browser.wait("document.body.dataset.played || ''").split("/")]
+
+
+def test_the_page_lists_the_races_and_reads_what_was_packed(browser, page, tournament_folder):
+    browser.open(page)
+    played(browser)
+    races = read_results(tournament_folder[0] / "results.csv")
+    displayed = browser.run("[...document.querySelectorAll('#pane .line:not([hidden])')].map((line) => line.innerText)")
+    assert len(displayed) >= 10
+    first = browser.run("Number(document.querySelector('#pane .line').dataset.race)")
+    for text in (races[first].ego, races[first].opponent, f"{abs(races[first].lead):.1f}"):
+        assert text in displayed[0]
+    assert browser.run("document.querySelectorAll('link, script[src], img').length") == 0
+    browser.open(f"{page.as_uri()}#show=list")
+    for name, packed in packed_races(races)["columns"].items():
+        assert browser.run(f"Array.from(columns.{name})") == pytest.approx(unpack(packed).tolist(), abs=1e-9), name
+    assert browser.run("[...replays.keys()]") == [pick.race for pick in choose_races(races, 5)]
+
+
+def test_filters_leave_the_races_that_they_name(browser, page, tournament_folder):
+    rows = list(read_results(tournament_folder[0] / "results.csv"))
+    of_random = [row for row in rows if "random-moves" in (row.ego, row.opponent)]
+    lead = [row.lead if row.ego == "random-moves" else -row.lead for row in of_random]
+    lost = [row for row in of_random if row.winner == ("opponent" if row.ego == "random-moves" else "ego")]
+    expected = {
+        "": len(rows),
+        "agent=random-moves": len(of_random),
+        "agent=random-moves&opponent=never-switch": 6,
+        "agent=random-moves&winner=loses": len(lost),
+        "agent=random-moves&low=0": sum(one >= 0 for one in lead),
+        "crash=any": sum(row.crash != "none" for row in rows),
+        "crash=none": sum(row.crash == "none" for row in rows),
+        "text=%234": 1,
+        "text=NEVER+lane": 6,
+        "watchable=1": 5,
+        "track=Pipkin": len(rows),
+    }
+    for link, count in expected.items():
+        browser.open(f"{page.as_uri()}#show=list&{link}")
+        assert browser.run("Number(document.body.dataset.shown)") == count, link
+    # The same by hand, and back again.
+    browser.open(page)
+    assert browser.run("""(() => {
+        const box = document.getElementById("agent");
+        box.value = [...box.options].find((option) => option.text === "random-moves").value;
+        box.dispatchEvent(new Event("change"));
+        return Number(document.body.dataset.shown);
+    })()""") == len(of_random)
+    assert {
+        *browser.run("[...document.querySelectorAll('#pane .line:not([hidden]) .first')].map((e) => e.innerText)")
+    } == {"random-moves"}
+    browser.run("document.getElementById('reset').click()")
+    assert browser.run("Number(document.body.dataset.shown)") == len(rows)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_race_plays_with_its_moves_beside_it(browser, page, theme):
+    browser.open(f"{page.as_uri()}#theme={theme}&t=1.5")
+    assert played(browser)[0] == pytest.approx(1.5, abs=0.01)
+    colours = (BLUE, ORANGE) if theme == "light" else ((88, 166, 255), (255, 176, 59))
+
+    def drawn(pixels):
+        width = pixels.shape[1]
+        track, space = pixels[140:480, 520 : int(0.74 * width)], pixels[140:480, int(0.76 * width) :]
+        both = all(coloured(track, colour) > 40 for colour in colours)
+        return both and sum(coloured(space, colour) for colour in colours) > 40
+
+    browser.look(drawn)
+    browser.press("Space")
+    browser.wait("Number(document.body.dataset.played.split('/')[0]) > 1.7")
+    browser.press("Space")
+    assert browser.complaints == []
+
+
+def test_keys_walk_through_the_list(browser, page):
+    browser.open(page)
+    played(browser)
+    before = browser.run("chosen")
+    browser.press("End")
+    assert browser.run("chosen") == browser.run("shown[shown.length - 1]")
+    browser.press("Home")
+    assert browser.run("chosen") == 0
+    browser.press("ArrowDown")
+    assert browser.run("chosen") == 1
+    browser.press("w")
+    assert browser.run("Number(document.body.dataset.shown)") == 5
+    browser.press("n")
+    assert browser.run("here(chosen) && chosen >= 0")
+    assert before in browser.run("[...replays.keys()]")
+    browser.press("/")
+    assert browser.run("document.activeElement.id") == "text"
+
+
+def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
+    place, _ = tournament_folder
+    results = open_results(place)
+    rows = [
+        row._replace(ego=NASTY, track=NASTY, ego_moves=(NASTY,), preset="<!--player--><b>") for row in results.races
+    ]
+    races = race_table(rows)
+    driver = RaceRepeater(results)
+    race = driver.drive(0)
+    texts = dict.fromkeys(("title", "track_name", "outcome"), NASTY) | {"car_names": [NASTY, NASTY]}
+    hostile = {**race.values, **texts, "events": [[*event[:3], NASTY] for event in race.values["events"]]}
+    content = ViewContent(
+        NASTY, races, results="$(touch /tmp/never) <b>", picks=[SelectedRace(0, NASTY)],
+        driven=[race._replace(values=hostile)], circuits={NASTY: driver.circuits[race.circuit]},
+        space={**driver.space, "archive": NASTY, "moves": [NASTY] * len(driver.space["moves"])},
+    )  # fmt: skip
+    path = tmp_path / "hostile.html"
+    path.write_text(view_page(content), encoding="utf-8")
+    browser.open(path)
+    played(browser)
+    assert browser.run("document.title") == NASTY
+    assert browser.run("document.getElementById('title').innerText") == NASTY
+    assert browser.run("document.querySelectorAll('img, b:not(.told b, #which b)').length") == 0
+    assert NASTY in browser.run("document.querySelector('#pane .line .first').textContent")
+    browser.run("choose(1, false)")
+    assert NASTY in browser.run("document.getElementById('instead').textContent")
+    assert "'$(touch /tmp/never) <b>'" in browser.run("document.getElementById('instead').textContent")
+    assert browser.complaints == []
+
+
+def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
+    """No time is asserted; that all of them are there, sorted, and that only what is seen is in the page."""
+    races = toy_races(("t",), ("a", "b"), egos=50, variants=50)
+    races = replace(races, overtakes=np.random.default_rng(0).integers(0, 3, (200_000, 2)))
+    path = tmp_path / "many.html"
+    path.write_text(view_page(ViewContent("many", races, why_not="They were never driven.")))
+    browser.open(f"{path.as_uri()}#show=list&sort=lead")
+    assert browser.run("Number(document.body.dataset.shown)") == 200_000
+    assert browser.run("document.querySelectorAll('#pane .line').length") < 60
+    order = np.argsort(np.rint(races.lead * 1000), kind="stable")
+    assert browser.run("Number(document.querySelector('#pane .line').dataset.race)") == order[0]
+    browser.press("End")
+    assert browser.run("chosen") == order[-1]
+    assert browser.run("[...document.querySelectorAll('#pane .line[aria-selected=true]')].length") == 1
+    browser.run("list.scrollTop = 0; drawList()")
+    assert browser.run("[...document.querySelectorAll('#pane .race')].every((e) => e.scrollWidth <= e.clientWidth)")
+    # Orders are stable, both ways: races that are alike stay in the order of the file.
+    mine = np.flatnonzero((races.agents.codes == 3).any(axis=1))
+    lead = np.where(races.agents.codes[:, 0] == 3, races.lead, -races.lead)[mine]
+    passes = races.overtakes.sum(axis=1)[mine]
+    for key, values in (("lead", np.rint(lead * 1000)), ("overtakes", passes)):
+        for down, sign in (("false", 1), ("true", -1)):
+            browser.run(f"filters.agent = 3; Object.assign(sorting, {{ key: '{key}', down: {down} }}); refilter()")
+            expected = mine[np.argsort(sign * values, kind="stable")]
+            assert browser.run("Array.from(shown)") == expected.tolist(), (key, down)
+    browser.run("filters.crash = 'own'; refilter()")
+    own = (races.agents.codes == 3) & (races.fault > 0) & races.crashed[:, None]
+    assert browser.run("shown.length") == np.count_nonzero(own.any(axis=1))
+    assert browser.complaints == []
+
+
+def test_a_phone_shows_the_list_and_then_the_race_or_how_to_watch_it(browser, page, tournament_folder):
+    browser.open(page, width=390, height=844)
+    assert browser.run("getComputedStyle(document.querySelector('.watch')).display") == "none"
+    browser.run("document.querySelector('#pane .line').click()")
+    assert browser.run("getComputedStyle(document.querySelector('.races')).display") == "none"
+    browser.open(page)
+    absent = browser.run("[...Array(N).keys()].find((i) => !here(i))")
+    browser.run(f"choose({absent}, true)")
+    text = browser.run("document.getElementById('instead').innerText")
+    assert f"pcs-racing view '{tournament_folder[0]}' --index {absent}" in text
+    assert f"Race {absent}: " in text
+
+
+def test_a_served_page_drives_any_race(browser, tournament_folder, served):
+    place, _ = tournament_folder
+    results = open_results(place)
+    service = RaceService(RaceRepeater(results), len(results.races))
+    page = view_page(ViewContent("served", results.races, str(place), serve=True))
+    browser.open(served(page, service.answer) + "#race=7")
+    assert played(browser)[1] > 0.1
+    assert browser.complaints == []
+    assert browser.run("space.archive") == "toy"
