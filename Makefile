@@ -8,13 +8,13 @@ PIP := $(RUN) -m pip --disable-pip-version-check install --quiet --no-compile
 # The tests start some hundred processes. Without bytecode on disk each of them would compile all of our files again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo quick test research kernels compare clients machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
+.PHONY: help demo quick test studies kernels compare clients machines lint types benchmarks docs release wheel-test coverage fuzz mutants benchmark-history clean
 
 help:
 	@echo "make demo        a race to watch, then the paper's study in small: trees, networks, races, a report (under 5 minutes)"
 	@echo "make quick       style, types, and the tests of the rooms that you changed (FROM=origin/main: since that branch)"
 	@echo "make test        the test suite"
-	@echo "make research    the tests of research/, whose experiments answered a question once (once a week in CI)"
+	@echo "make studies     the tests of studies/, whose experiments answered a question once (once a week in CI)"
 	@echo "make kernels     compile what races and environments need, which the tests do first"
 	@echo "make compare     comparisons with other libraries (Gambit, pymoo and others), which it installs"
 	@echo "make clients     other RL libraries on the environments, each in an environment of its own (half an hour the first time)"
@@ -50,9 +50,9 @@ quick: export OMP_NUM_THREADS = 1
 quick: lint types
 	$(RUN) dev/tools/quick.py --against $(FROM)
 
-research: export OMP_NUM_THREADS = 1
-research: export OPENBLAS_NUM_THREADS = 1
-research: kernels
+studies: export OMP_NUM_THREADS = 1
+studies: export OPENBLAS_NUM_THREADS = 1
+studies: kernels
 	$(RUN) -m pytest studies/tests -n 2 --dist worksteal
 
 kernels: $(VENV)/test.stamp

@@ -9,19 +9,16 @@ from pathlib import Path
 INK, LINE, PAPER = "#1f2933", "#52606d", "#ffffff"
 FLOORS = [
     ("agents", "cli/", "the commands of pcs-racing"),
-    ("agents", "view/", "the page on which races are filtered and watched"),
     ("agents", "benchmark/", "a fixed protocol, score cards, a leaderboard"),
     ("agents", "study/", "the paper's study: stages, table, report"),
-    ("agents", "explain/", "why an agent made a move, in words and pictures"),
+    ("agents", "watch/", "races to watch; why an agent made a move"),
     ("agents", "learning/", "PPO, responses, robust answers, self-play"),
     ("agents", "tournament/", "races of many competitors, ratings, statistics"),
     ("agents", "agents/", "the zoo: everything that answers predict"),
-    ("agents", "networks/", "regrets of a game tree, learned; drivers' networks"),
+    ("agents", "networks/", "regrets of a game tree, learned"),
     ("agents", "trees/  solvers/", "game trees that were driven; CFR, equilibria"),
-    ("agents", "synthesis/", "MO-CMA-ES: archives of policies"),
-    ("agents", "payoffs/", "all pairs of a pool race; headroom"),
-    ("agents", "jobs/  results/  pictures/", "long work that resumes; tables; style"),
-    ("agents", "configs/", "settings of studies and searches, by name"),
+    ("agents", "policies/", "MO-CMA-ES: archives of policies; payoffs of pools"),
+    ("agents", "base/", "jobs that resume; tables, style of pictures"),
     ("environment", "testing/", "checks for your own planners, archives, axes"),
     ("environment", "f1tenth/", "the F1TENTH gym's interface, for its programs"),
     ("environment", "envs/", "PettingZoo, Gymnasium, Stable-Baselines3"),
@@ -36,7 +33,7 @@ FILL = {"environment": "#e3f0fb", "agents": "#fdf0dc"}
 EDGE = {"environment": "#2f74b5", "agents": "#c07a14"}
 NAME = {"environment": "pcs_racing", "agents": "pcs_racing_agents"}
 ROADS = {
-    "a parameter vector": ["synthesis/", "jobs/  results/  pictures/", "race/", "planners/"],
+    "a parameter vector": ["policies/", "base/", "race/", "planners/"],
     "a move": ["agents/", "envs/", "game/", "race/"],
 }
 """Floors that each road passes, from the search or the agent to the kernel; ``docs/design.md`` names the functions."""
@@ -75,7 +72,7 @@ def drawing() -> str:
         parts.append(text(LEFT + 260, y + 24, words))
         if row == 0 or FLOORS[row - 1][0] != package:
             parts.append(text(LEFT + WIDTH - 14, y + 24, NAME[package], 14, "end"))
-    rows = {name: row for row, (_, name, _) in enumerate(FLOORS)}
+    rows = {name: row for row, (_, name, _) in reversed(list(enumerate(FLOORS)))}
     for x, (road, floors) in zip(ROAD_X, ROADS.items(), strict=True):
         ys = [floor_y(rows[name]) + HEIGHT / 2 for name in floors]
         parts.append(text(x, 40, road, 15, "middle", "bold"))

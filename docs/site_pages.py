@@ -39,9 +39,9 @@ NAMES = {
 COPIES = {
     "changelog": "CHANGELOG.md",
     "contributing": "CONTRIBUTING.md",
-    "shipped_archives": "archives/README.md",
-    "shipped_drivers": "drivers/README.md",
-    "shipped_networks": "networks/README.md",
+    "shipped_archives": "pcs_racing/data/archives/README.md",
+    "shipped_drivers": "pcs_racing/data/planners/README.md",
+    "shipped_networks": "pcs_racing_agents/data/networks/README.md",
 }
 REFERENCE = {
     "pcs_racing": "The package itself",
@@ -51,17 +51,15 @@ REFERENCE = {
     "pcs_racing.track.mapping": "Mapping tools",
     "pcs_racing.car": "One car",
     "pcs_racing.planners": "Planners",
+    "pcs_racing.planners.field": "Planners of the literature",
     "pcs_racing.race": "Races",
     "pcs_racing.game": "The game",
     "pcs_racing.envs": "Environments",
     "pcs_racing.f1tenth": "Programs of the F1TENTH gym",
     "pcs_racing.testing": "Checks for your own parts",
     "pcs_racing_agents": "The package itself",
-    "pcs_racing_agents.base": "Long work",
-    "pcs_racing_agents.tournament": "Results",
-    "pcs_racing_agents.base": "Style of pictures",
-    "pcs_racing_agents.policies": "Payoffs of pools of policies",
-    "pcs_racing_agents.policies": "Synthesis",
+    "pcs_racing_agents.base": "Jobs, tables, pictures",
+    "pcs_racing_agents.policies": "Archives of policies",
     "pcs_racing_agents.solvers": "Solvers",
     "pcs_racing_agents.trees": "Game trees",
     "pcs_racing_agents.networks": "Networks",
@@ -70,10 +68,9 @@ REFERENCE = {
     "pcs_racing_agents.learning": "Robust answers and self-play",
     "pcs_racing_agents.learning.ppo": "PPO baselines",
     "pcs_racing_agents.learning.responses": "Responses learned from branched games",
-    "pcs_racing_agents.watch": "Explanations",
     "pcs_racing_agents.study": "The study",
     "pcs_racing_agents.benchmark": "The benchmark",
-    "pcs_racing_agents.watch": "The race viewer",
+    "pcs_racing_agents.watch": "Explanations and the race viewer",
 }
 """Packages with a page of the reference each: their own modules, not those of packages inside them."""
 
@@ -155,10 +152,10 @@ def pages_of_data() -> dict[str, str]:
     from pcs_racing_agents.base.tables import markdown
     from pcs_racing_agents.benchmark.card import board_page, board_rows, read_cards
 
-    if str(REPOSITORY / "tools") not in sys.path:
-        sys.path.append(str(REPOSITORY / "tools"))
+    if str(REPOSITORY / "dev" / "tools") not in sys.path:
+        sys.path.append(str(REPOSITORY / "dev" / "tools"))
     circuits, gallery, zoo = (importlib.import_module(name) for name in ("circuits_page", "gallery", "zoo_page"))
-    cards = read_cards([REPOSITORY / "benchmarks" / "bench_v2"])
+    cards = read_cards([REPOSITORY / "dev" / "benchmarks" / "bench_v2"])
     return {
         "circuits.md": circuits.circuits_page(),
         "gallery.md": gallery.gallery_page(),

@@ -11,7 +11,7 @@ from warm_start import call_python
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
-def load_tool(name: str, place: str = "tools") -> ModuleType:
+def load_tool(name: str, place: str = "dev/tools") -> ModuleType:
     """Return a module of ``dev/tools/`` or of another folder, which is no part of the packages."""
     folder = str(REPOSITORY / place)
     if folder not in sys.path:

@@ -1,4 +1,4 @@
-"""Every script of ``dev/benchmarks/`` runs in a bare clone; the history of speed; the F1TENTH gym's half, by a stand-in."""
+"""Every script of ``dev/benchmarks`` runs in a bare clone; the history of speed; a stand-in of the F1TENTH gym."""
 
 import stat
 import sys
@@ -7,7 +7,7 @@ import pytest
 from repository import REPOSITORY, load_tool
 from warm_start import call_python
 
-record, beside = (load_tool(name, "benchmarks") for name in ("record", "beside_f1tenth_gym"))
+record, beside = (load_tool(name, "dev/benchmarks") for name in ("record", "beside_f1tenth_gym"))
 
 HELP = ("--help", "python dev/benchmarks/")  # of those that compile for a minute, or race the whole zoo
 SMALL = {
@@ -30,7 +30,7 @@ SMALL = {
 }
 
 
-@pytest.mark.parametrize("file", sorted((REPOSITORY / "benchmarks").glob("*.py")), ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", sorted((REPOSITORY / "dev" / "benchmarks").glob("*.py")), ids=lambda file: file.stem)
 def test_a_script_runs_where_it_says_that_it_runs(file, tmp_path):
     arguments, said = SMALL[file.stem]
     done = call_python(file, *arguments.split(), cwd=tmp_path)

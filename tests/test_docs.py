@@ -102,9 +102,9 @@ def test_commands_within_lines_exist_and_impossible_ones_are_found():
 
 def test_scripts_and_targets_exist_and_make_help_names_them():
     # A script that made one table once is gone; the page says at which commit it measured.
-    gone = re.compile(r"commit\s+[0-9a-f]{7}\s+with\s+`python benchmarks/\w+\.py")
+    gone = re.compile(r"commit\s+[0-9a-f]{7}\s+with\s+`python (?:dev/)?benchmarks/\w+\.py")
     texts = [gone.sub("", text) for text in TEXTS.values()]
-    scripts = {name for text in texts for name in re.findall(r"\b(?:examples|benchmarks|tools)/\w+\.py", text)}
+    scripts = {name for text in texts for name in re.findall(r"\b(?:examples|dev/benchmarks|dev/tools)/\w+\.py", text)}
     assert len(scripts) > 15
     assert [name for name in sorted(scripts) if not (REPOSITORY / name).is_file()] == []
     makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
@@ -205,9 +205,9 @@ def test_the_readme_is_short_and_every_page_is_in_the_list(made):
 
 def test_results_name_every_benchmark_and_link_a_table_of_it(made):
     text = TEXTS["docs/reports/results.md"]
-    for script in (REPOSITORY / "benchmarks").glob("*.py"):
-        rows = [line for line in text.splitlines() if f"`benchmarks/{script.name}`" in line]
-        assert rows, f"docs/reports/results.md has no row for benchmarks/{script.name}"
+    for script in (REPOSITORY / "dev" / "benchmarks").glob("*.py"):
+        rows = [line for line in text.splitlines() if f"`dev/benchmarks/{script.name}`" in line]
+        assert rows, f"docs/reports/results.md has no row for dev/benchmarks/{script.name}"
         pages = [(DOCS / "reports" / link).resolve() for link in re.findall(r"\]\(([\w/.]+\.md)", " ".join(rows))]
         texts = [made[page.name] if page.parent.name == "generated" else page.read_text("utf-8") for page in pages]
         assert not texts or any(f"benchmarks/{script.name}" in text for text in texts), script.name

@@ -187,7 +187,7 @@ def test_every_extra_folder_and_licence_that_is_named_exists():
     assert len(named) >= 6
     assert named <= set(PROJECT["project"]["optional-dependencies"])
     included = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
-    assert set(included) == {"maps", "archives", "drivers", "networks"}
+    assert set(included) == {"maps"}
     for folder in included:
         assert any((REPOSITORY / folder).iterdir())
     for name in PROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]:

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy._core._multiarray_umath import __cpu_dispatch__
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 Digests = Iterator[tuple[str, Any]]
 
 NO_AVX = " ".join(__cpu_dispatch__)  # numpy's own names for what it can do without

@@ -65,7 +65,7 @@ def side_by_side(code: str, arguments: list[str], other: Path) -> tuple[float, f
             stdout=subprocess.PIPE,
             text=True,
         )
-        for folder in (Path(__file__).resolve().parents[1], other.resolve())
+        for folder in (Path(__file__).resolve().parents[2], other.resolve())
     ]
     best = [float("inf")] * len(workers)
     for worker in workers:

@@ -56,7 +56,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--against", type=Path, metavar="PATH", help="measure the checkout in this folder, too")
     given = parser.parse_args()
-    folders = [Path(__file__).resolve().parents[1], *([given.against.resolve()] if given.against else [])]
+    folders = [Path(__file__).resolve().parents[2], *([given.against.resolve()] if given.against else [])]
     for folder in folders:
         with tempfile.TemporaryDirectory() as empty:
             first = processor_time(FIRST_RACE, folder, NUMBA_CACHE_DIR=empty)

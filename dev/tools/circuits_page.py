@@ -13,7 +13,7 @@ from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.maps import read_map
 from pcs_racing.track.track import Track
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 HEAD = """# Circuits
 

@@ -23,7 +23,7 @@ from pcs_racing.race.frames import replay_frames, write_gif
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.replay import Replay
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 FOLDER = "images/gallery"
 TABLE = DOCS / FOLDER / "scenes.csv"
 

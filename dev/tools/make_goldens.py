@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-GOLDENS = Path(__file__).resolve().parent.parent / "tests" / "goldens"
+GOLDENS = Path(__file__).resolve().parents[2] / "tests" / "goldens"
 sys.path.insert(0, str(GOLDENS))
 
 from scenarios import SCENARIOS, differences, file_name, track_hash  # noqa: E402

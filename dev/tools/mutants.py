@@ -29,7 +29,7 @@ from faults import Fault, changes_something, faults_of
 from mutants_table import COMPILED, PLAIN, ROOT, files, room_of, tests_of
 
 RESULTS = ROOT / "out" / "mutants" / "results.csv"
-ACCEPTED = ROOT / "tools" / "mutants_accepted.csv"
+ACCEPTED = ROOT / "dev" / "tools" / "mutants_accepted.csv"
 COLUMNS = ["file", "line", "kind", "before", "after", "source", "tests", "own", "suite", "seconds"]
 LEFT_OUT = (".git", ".venv", "out", "build", "dist", "__pycache__", "generated")  # of the copy
 SUITE = ("tests/goldens", "tests/pcs_racing", "tests/pcs_racing_agents", "tests/robustness", "tests")

@@ -8,7 +8,7 @@ import ast
 from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PLAIN, COMPILED = "plain", "compiled"
 _BRANCHES = (ast.If, ast.IfExp, ast.While, ast.BinOp, ast.Compare, ast.BoolOp, ast.AugAssign)
 _SIMULATOR = tuple(f"pcs_racing/{floor}" for floor in ("base", "track", "car", "planners", "race"))

@@ -17,7 +17,7 @@ import time
 import tomllib
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 CLIENTS = ROOT / "examples" / "clients"
 METADATA = re.compile(r"^# /// script\n((?:#.*\n)+?)# ///$", re.MULTILINE)
 TORCH = "torch>=2.8,<2.14"

@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-REPOSITORY = Path(__file__).resolve().parents[1]
+REPOSITORY = Path(__file__).resolve().parents[2]
 WIDE = "X86_V4 AVX512_ICL AVX512_SPR"  # groups of instructions that numpy has loops for, beyond AVX2
 COPIED = ("__pycache__", ".venv", ".git", "out", "build", "dist", ".pytest_cache", ".mypy_cache", ".ruff_cache")
 

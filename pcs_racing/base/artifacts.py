@@ -24,11 +24,11 @@ MANIFEST = "manifest.yaml"
 
 
 def shipped_folder(package: Path, name: str) -> Path:
-    """Return the folder of files that come with a package.
+    """Return the folder ``data/NAME`` of a package; in a checkout, circuits lie in ``maps`` at the top.
 
-    Once installed, they lie in the package's folder ``shipped_NAME``; in a checkout, in the folder ``NAME`` beside it.
+    The top folder has the drawings and the page of the circuits, and is the place where a reader looks for them.
     """
-    inside = package / f"shipped_{name}"
+    inside = package / "data" / name
     return inside if inside.is_dir() else package.parent / name
 
 

@@ -25,7 +25,7 @@ DRIVER_FORMAT = ArtifactFormat(
     data_file="weights.safetensors",
     digest_key="weights_sha256",
     max_bytes=4_000_000,
-    shipped=shipped_folder(Path(__file__).resolve().parents[1], "drivers"),
+    shipped=shipped_folder(Path(__file__).resolve().parents[1], "planners"),
 )
 
 

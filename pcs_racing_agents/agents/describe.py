@@ -76,7 +76,7 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
 
 def measured_file() -> Path:
     """Path of the table."""
-    return Path(__file__).resolve().parent / "measured.csv"
+    return Path(__file__).resolve().parents[1] / "data" / "measured.csv"
 
 
 NEEDS = {

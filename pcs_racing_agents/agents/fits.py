@@ -78,7 +78,7 @@ def load_fit(path: str | Path) -> Fit:
 
 def shipped_fits() -> Path:
     """Folder of the fits that come with the package; a file is called ``ARCHIVE-RACE-KIND.yaml``."""
-    return Path(__file__).resolve().parent / "fits"
+    return Path(__file__).resolve().parents[1] / "data" / "fits"
 
 
 FitSource = str | Path | Fit | None

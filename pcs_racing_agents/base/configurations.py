@@ -9,8 +9,8 @@ Kind = TypeVar("Kind", bound=Settings)
 
 
 def shipped_configs(kind: str) -> dict[str, Path]:
-    """Configurations of a kind, by name: the files ``configs/KIND_NAME.yaml``."""
-    folder = Path(__file__).resolve().parent
+    """Configurations of a kind, by name: the files ``data/configurations/KIND_NAME.yaml``."""
+    folder = Path(__file__).resolve().parents[1] / "data" / "configurations"
     return {
         file.stem.removeprefix(f"{kind}_"): file
         for file in sorted(folder.glob(f"{kind}_*.yaml"), key=lambda file: file.stem)

@@ -48,6 +48,6 @@ def test_there_are_commands_and_impossible_ones_are_found(monkeypatch):
 
 
 def test_the_experiments_stay_small():
-    files = [file for file in (REPOSITORY / "research").rglob("*.py") if "tests" not in file.parts]
+    files = [file for file in (REPOSITORY / "studies").rglob("*.py") if "tests" not in file.parts]
     assert len(files) > 20
     assert sum(len(file.read_text(encoding="utf-8").splitlines()) for file in files) <= 3000

@@ -44,7 +44,7 @@ def test_an_answer_is_told_from_a_finding(fuzz):
 
 
 def test_a_campaign_writes_a_line_for_each_turn_and_goes_on_where_it_was(tmp_path):
-    command = [sys.executable, str(REPOSITORY / "tools" / "fuzz.py"), "run", "--targets", "map yaml"]
+    command = [sys.executable, str(REPOSITORY / "dev" / "tools" / "fuzz.py"), "run", "--targets", "map yaml"]
     options = ["--turns", "2", "--slice", "0.2", "--out", str(tmp_path)]
     done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr[-2000:]

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcs_racing import Lidar, list_tracks, load_track
-from pcs_racing.planners import gap_follower as gaps
+from pcs_racing.planners.field import gap_follower as gaps
 from pcs_racing.planners.view import OWN_BETA, OWN_PSI, PATH_POINTS
 
 ANGLES = np.linspace(-0.5 * gaps.FIELD_OF_VIEW, 0.5 * gaps.FIELD_OF_VIEW, gaps.BEAMS)

@@ -165,7 +165,7 @@ ORPHANS = """
 import sys
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.executors import make_executor
-from tests.pcs_racing_agents.jobs.test_jobs import parents_alive
+from tests.pcs_racing_agents.base.test_jobs import parents_alive
 
 if __name__ == "__main__":
     with open_job(sys.argv[1], "squares", {}) as job, make_executor("processes", 2) as executor:

@@ -18,7 +18,7 @@ from pcs_racing_agents.study.report import write_page
 from pcs_racing_agents.study.report_inputs import ExplainedRace
 from pcs_racing_agents.watch.person_race import PersonRaces, drive_page, make_person_drive, play_page
 
-CARDS = [REPOSITORY / "benchmarks" / "bench_v2"]
+CARDS = [REPOSITORY / "dev" / "benchmarks" / "bench_v2"]
 
 
 @pytest.fixture(scope="module")
