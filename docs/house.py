@@ -12,7 +12,7 @@ FLOORS = [
     ("agents", "benchmark/", "a fixed protocol, score cards, a leaderboard"),
     ("agents", "study/", "the paper's study: stages, table, report"),
     ("agents", "watch/", "races to watch; why an agent made a move"),
-    ("agents", "learning/", "PPO, responses, robust answers, self-play"),
+    ("agents", "learning/", "PPO, responses, PSRO, self-play"),
     ("agents", "tournament/", "races of many competitors, ratings, statistics"),
     ("agents", "agents/", "the zoo: everything that answers predict"),
     ("agents", "networks/", "regrets of a game tree, learned"),

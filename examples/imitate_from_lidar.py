@@ -39,8 +39,8 @@ from pcs_racing import (
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.dense import weight_count
 from pcs_racing.base.elementary import sine_cosine
-from pcs_racing.planners.field import lidar_networks as _networks
 from pcs_racing.planners import view as _view
+from pcs_racing.planners.field import lidar_networks as _networks
 from pcs_racing.planners.field.lidar_networks import (
     BEAMS,
     FAR,

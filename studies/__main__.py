@@ -7,17 +7,15 @@ from collections.abc import Sequence
 from pcs_racing_agents.cli.commands import add_commands
 from pcs_racing_agents.cli.main import run_parsed
 from studies import reading
-from studies.axes import command as axes
 from studies.headroom import command as headroom
 from studies.matches import command as matches
-from studies.robust_curve import command as robust_curve
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run an experiment; errors and the exit status are those of ``pcs-racing``."""
     parser = argparse.ArgumentParser(prog="python -m studies", description=__doc__, allow_abbrev=False)
     commands = parser.add_subparsers(title="experiments", metavar="NAME", required=True)
-    for command in (axes, headroom, matches, reading, robust_curve):
+    for command in (headroom, matches, reading):
         add_commands(commands, command)
     return run_parsed(parser.parse_args(arguments))
 

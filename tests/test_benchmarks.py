@@ -25,7 +25,6 @@ SMALL = {
     "sb3_speed": ("--steps 64", "steps a second of PPO"),
     "scan_speed": ("--track Pipkin", "us"),
     "statistics_coverage": ("--datasets 4", "true"),
-    "tuned_ppo": ("--only", ""),
     **dict.fromkeys(("circuits", "field", "solver_speed", "start_time", "zoo"), HELP),
 }
 

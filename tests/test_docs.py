@@ -22,7 +22,7 @@ TEXTS = {page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8
 RUN_HERE = (
     "docs/agents.md", "docs/archives.md", "docs/benchmark.md", "docs/bring_a_map.md",
     "docs/coming_from_f1tenth_gym.md", "docs/environments.md", "docs/first_race.md", "docs/game.md",
-    "docs/ppo.md", "docs/reports/receding_horizon.md", "docs/self_play.md", "docs/solvers.md",
+    "docs/ppo.md", "docs/self_play.md", "docs/solvers.md",
     "docs/statistics.md", "docs/synthesis.md", "docs/trees.md", "docs/view.md",
     "docs/write_a_characteristic.md",
 )  # fmt: skip

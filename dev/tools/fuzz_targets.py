@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import yaml
 from fuzz_inputs import Draw
+from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
 from PIL import Image
 
 from pcs_racing import RaceGame, load_game_config, load_race_config, load_track, parse_policy, read_replay
@@ -55,7 +56,6 @@ from pcs_racing_agents.benchmark.card import board_page, read_card, read_cards, 
 from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
@@ -504,7 +504,7 @@ def opponents(data: bytes) -> object:
 POLICIES = ("lattice", "lattice:pace=0.8,side_margin=0.2", "lane-switcher:3", "pure-pursuit", "gap-follower")
 AGENTS = (
     *(*POLICIES, "never-switch", "random-moves", "always-restraint+", "best-fixed", "best-schedule:fit=x.yaml"),
-    *("cfr-argmax", "cfr-argmax:network=default-paper-regret", "receding-horizon:depth=2", "random-policy"),
+    *("cfr-argmax", "cfr-argmax:network=default-paper-regret", "random-policy"),
     "adaptive:margin=0.1",
 )  # fmt: skip
 

@@ -3,7 +3,8 @@
     pcs-racing study paper --out out/paper
     python dev/tools/ship_study.py paper out/paper .
 
-The last argument is a checkout; networks go to ``networks/``, choices to ``pcs_racing_agents/agents/fits/``.
+The last argument is a checkout; networks go to ``pcs_racing_agents/data/networks``, choices to
+``data/fits``.
 """
 
 import argparse
@@ -12,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from pcs_racing_agents.agents.fits import load_fit, save_fit
-from pcs_racing_agents.networks import load_network, load_network_set, save_network, save_network_set
-from pcs_racing_agents.study.study import SET_AGENTS, Study, load_study_config
+from pcs_racing_agents.networks import load_network, save_network
+from pcs_racing_agents.study.study import Study, load_study_config
 
 
 def ship(study: Study, checkout: Path) -> list[Path]:
@@ -23,27 +24,21 @@ def ship(study: Study, checkout: Path) -> list[Path]:
     """
     setting = study.setting
     stem = f"{setting.archive.name}-{setting.race}"
-    written = []
+    data = checkout / "pcs_racing_agents" / "data"
+    networks, written = data / "networks", []
     targets = dict.fromkeys((*study.config.targets, "regret"))
     kinds = {target: target for target in targets if study.network(target).is_dir()}
     if study.config.responses:
         kinds["gain"] = study.config.responses[0]
     for kind, found in kinds.items():
         name = f"{stem}-{kind}"
-        written.append(
-            save_network(replace(load_network(study.network(found)), name=name), checkout / "networks" / name)
-        )
+        written.append(save_network(replace(load_network(study.network(found)), name=name), networks / name))
     if study.config.ppo is not None:
         name = f"{stem}-ppo"
-        place = save_network(replace(load_network(study.network("ppo")), name=name), checkout / "networks" / name)
+        place = save_network(replace(load_network(study.network("ppo")), name=name), networks / name)
         shutil.copyfile(study.network("ppo") / "curve.csv", place / "curve.csv")
         written.append(place)
-    for kind in SET_AGENTS:
-        if study.network(kind).is_dir():
-            name = f"{stem}-{kind}"
-            networks = replace(load_network_set(study.network(kind)), name=name)
-            written.append(save_network_set(networks, checkout / "networks" / name))
-    folder = checkout / "pcs_racing_agents" / "agents" / "fits"
+    folder = data / "fits"
     folder.mkdir(exist_ok=True)
     for file in sorted(study.folder.glob("open-loop/*.yaml")):
         if file.name != "done.yaml":
@@ -55,7 +50,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], allow_abbrev=False)
     parser.add_argument("config", help="of the study")
     parser.add_argument("folder", type=Path, help="of the study")
-    parser.add_argument("checkout", type=Path, help="where networks/ and pcs_racing_agents/ are")
+    parser.add_argument("checkout", type=Path, help="the folder that holds pcs_racing_agents")
     given = parser.parse_args()
     for path in ship(Study(load_study_config(given.config), given.folder), given.checkout):
         print(path)

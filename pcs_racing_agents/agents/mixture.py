@@ -120,11 +120,6 @@ def _entry(kind: str, summary: str, source: str) -> Entry:
     return Entry(from_network_set, summary, source, "networks", {"kind": kind})
 
 
-ROBUST = _entry(
-    "robust",
-    "plays a response to a pool of opponents that an opponent trained against it can exploit only a little",
-    "restricted Nash response (Johanson et al. 2007), by learned responses",
-)
 PSRO = _entry(
     "psro",
     "draws a learned response for each game, with the probabilities of an equilibrium between such responses",

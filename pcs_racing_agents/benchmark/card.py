@@ -12,7 +12,7 @@ from pcs_racing.base.files import parse_json, read_limited, write_atomically
 from pcs_racing.base.settings import Settings, checked, number, setting
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.base.tables import Column, markdown, table_rows, with_interval
-from pcs_racing_agents.benchmark.card_values import NAME, SHA256, CardScore, Gain, HiddenScore, ReplyLoss
+from pcs_racing_agents.benchmark.card_values import NAME, SHA256, CardScore, Gain, ReplyLoss
 from pcs_racing_agents.study.report import page_environment
 
 FORMAT = "pcs-racing card 1"
@@ -63,9 +63,6 @@ class Card(Settings):
     cost_us: float | None = setting(None, number(0.0, 1e9), "Time of a decision, us.")
     best_reply: ReplyLoss | None = setting(
         None, checked(partial(_made, ReplyLoss)), "Loss to a learned best reply, if it was measured."
-    )
-    hidden: HiddenScore | None = setting(
-        None, checked(partial(_made, HiddenScore)), "Score in the hidden part; None of a card that is self-reported."
     )
 
     def __post_init__(self) -> None:
@@ -148,13 +145,6 @@ def fact_lines(card: Card) -> list[str]:
         )
     if card.rating is not None:
         lines.append(f"Rating among the zoo: {card.rating:+.0f}.")
-    if card.hidden is None:
-        lines.append("Self-reported: the hidden part was not driven.")
-    else:
-        lines.append(
-            f"Hidden part {card.hidden.sha256[:16]}: {card.hidden.score:.3f} {card.hidden.interval} in "
-            f"{card.hidden.races} races, own crashes {card.hidden.own_crash:.1%}."
-        )
     if card.cost_us is not None:
         lines.append(f"One decision takes {card.cost_us:.0f} us.")
     return lines
@@ -213,7 +203,7 @@ def _cards_in(path: Path) -> list[Path]:
 def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
     """Return the leaderboard as a table, a line for each card."""
     rows: list[tuple[str, ...]] = [
-        ("agent", "score", "95 % interval", "seen", "unseen", "own crashes", "gain", "best reply", "hidden", "us")
+        ("agent", "score", "95 % interval", "seen", "unseen", "own crashes", "gain", "best reply", "us")
     ]
     for card in cards:
         whole, gain, reply = card.score(), card.gains.get("all"), card.best_reply
@@ -227,7 +217,6 @@ def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
                 f"{whole.own_crash:.1%}",
                 "" if gain is None else f"{gain.gain:+.3f}",
                 "not measured" if reply is None else with_interval(reply.loss, reply.low, reply.high),
-                "self-reported" if card.hidden is None else f"{card.hidden.score:.3f} {card.hidden.interval}",
                 "" if card.cost_us is None else f"{card.cost_us:.0f}",
             )
         )

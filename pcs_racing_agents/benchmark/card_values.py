@@ -87,16 +87,3 @@ class ReplyLoss(_Estimate):
     starts: int = setting(MISSING, COUNT, "Starts of the learner on each circuit.")
     rounds: int = setting(MISSING, COUNT, "Rounds of the learner.")
     races: int = setting(MISSING, COUNT, "Races in which the loss was measured.")
-
-
-@dataclass(frozen=True)
-class HiddenScore(_Estimate):
-    """The score over the races of a protocol's hidden part, which only the maintainers can drive."""
-
-    value = "score"
-    sha256: str = setting(MISSING, SHA256, "Hash of the part's file, which the protocol states.")
-    races: int = setting(MISSING, COUNT, "Number of races.")
-    score: float = setting(MISSING, SHARE, "Mean score: 1 for a win, 0.5 for a tie, else 0.")
-    low: float = setting(MISSING, SHARE, "Lower limit of its 95 % interval.")
-    high: float = setting(MISSING, SHARE, "Upper limit.")
-    own_crash: float = setting(MISSING, SHARE, "Share of the races that ended in a crash by the agent's own fault.")

@@ -22,7 +22,6 @@ from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.fingerprint import fingerprint
-from pcs_racing_agents.benchmark.card_values import SHA256
 from pcs_racing_agents.tournament.play import game_rules
 
 KINDS = {
@@ -55,8 +54,6 @@ class ProtocolConfig(Settings):
     egos: int = setting(10, whole(2, 1000), "Start policies of the agent in each cell.")
     variants: int = setting(10, whole(2, 1000), "Variants of the opponent in each cell.")
     seed: int = setting(71, whole(0, 2**62), "Seed of the starts, policies and noise.")
-    # No part of the hash: the races of a card are the same whatever is hidden, and every release hides another part.
-    hidden: str | None = setting(None, SHA256, "SHA-256 of the file of the hidden part.")
     hashes: tuple[str, ...] = setting((), names(0), "Hashes of what the results depend on; () checks none.")
 
 

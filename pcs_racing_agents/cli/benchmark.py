@@ -5,7 +5,6 @@ import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 from pcs_racing.base.errors import InputError
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 
     from pcs_racing_agents.agents.agent import Competitor
     from pcs_racing_agents.base.jobs import Job
-    from pcs_racing_agents.benchmark.card_values import HiddenScore, ReplyLoss
+    from pcs_racing_agents.benchmark.card_values import ReplyLoss
     from pcs_racing_agents.benchmark.protocol import Protocol
     from pcs_racing_agents.benchmark.scoring import CellRaces
 
@@ -36,7 +35,7 @@ LEARNER = "best-reply"  # settings of the learner of best replies
     "pcs-racing benchmark my_model.zip --out out/cards/mine",
     "pcs-racing benchmark my_package.my_module:make_agent --weights net.pt --out out/cards/mine",
     "pcs-racing benchmark ppo-drive --drive --out out/cards/ppo-drive",
-    "pcs-racing benchmark best-fixed robust self-play --out out/cards/zoo",
+    "pcs-racing benchmark best-fixed psro self-play --out out/cards/zoo",
 )
 def run(
     agents: Annotated[
@@ -54,9 +53,6 @@ def run(
     name: Annotated[str | None, Option("name on the card (default: that of the agent)")] = None,
     protocol: Annotated[str, Option("protocol: its name or a YAML file")] = "bench_v2",
     full: Annotated[bool, Option("also train a best reply to the agent and measure the loss to it (minutes)")] = False,
-    hidden: Annotated[
-        Path | None, Option("also drive the protocol's hidden part: its file, which the maintainers keep", "FILE")
-    ] = None,
     out: Annotated[Path, Option("folder of the card; a run that was stopped there goes on", "DIR")],
     workers: Workers,
 ) -> None:
@@ -65,7 +61,7 @@ def run(
     from pcs_racing_agents.agents.agent import competitor_hash
     from pcs_racing_agents.agents.zoo import load_entrant
     from pcs_racing_agents.benchmark.protocol import load_protocol
-    from pcs_racing_agents.benchmark.scoring import hidden_score, load_hidden, play_protocol
+    from pcs_racing_agents.benchmark.scoring import play_protocol
 
     alone = len(agents) == 1
     if not alone and (weights is not None or name is not None):
@@ -76,23 +72,15 @@ def run(
     entrants = [load_entrant(text, rules.setting, drive=drive, weights=weights, name=name) for text in agents]
     digests = [competitor_hash(agent) for agent in entrants]
     settings = {"protocol": rules.content_hash, "agents": digests}
-    with TemporaryDirectory() as folder, workers.start() as executor:
-        # Before the job: of a file that is refused nothing stays in the folder of a card.
-        secret = None if hidden is None else load_hidden(rules, hidden, Path(folder))
-        with open_job(out, "benchmark", settings) as job:
-            results = play_protocol(rules, entrants, job=job, executor=executor, progress=show_progress("races"))
-            scores: dict[str, HiddenScore] = {}
-            if secret is not None:
-                # Without a job: nothing of what is hidden stays in the folder of a card.
-                driven = play_protocol(secret[1], entrants, executor=executor, progress=show_progress("hidden races"))
-                scores = {name: hidden_score(secret[0], races) for name, races in driven.items()}
-            for i, (agent, digest) in enumerate(zip(entrants, digests, strict=True)):
-                # Several agents share a job, whose groups of tasks need names that differ.
-                part = "" if alone else f"agent-{i}-"
-                reply = _best_reply(rules, agent, job, part, executor) if full else None
-                # Names of agents hold colons and equals signs, which some file systems do not allow.
-                own = out if alone else output_folder(out / re.sub(r"[^\w.+-]", "_", competitor_name(agent)))
-                _write(rules, agent, digest, results, reply, scores.get(competitor_name(agent)), own)
+    with workers.start() as executor, open_job(out, "benchmark", settings) as job:
+        results = play_protocol(rules, entrants, job=job, executor=executor, progress=show_progress("races"))
+        for i, (agent, digest) in enumerate(zip(entrants, digests, strict=True)):
+            # Several agents share a job, whose groups of tasks need names that differ.
+            part = "" if alone else f"agent-{i}-"
+            reply = _best_reply(rules, agent, job, part, executor) if full else None
+            # Names of agents hold colons and equals signs, which some file systems do not allow.
+            own = out if alone else output_folder(out / re.sub(r"[^\w.+-]", "_", competitor_name(agent)))
+            _write(rules, agent, digest, results, reply, own)
 
 
 def _write(
@@ -101,7 +89,6 @@ def _write(
     digest: str,
     results: "dict[str, list[CellRaces]]",
     reply: "ReplyLoss | None",
-    hidden: "HiddenScore | None",
     folder: Path,
 ) -> None:
     """Print the card of one agent and write it."""
@@ -128,7 +115,6 @@ def _write(
         rating=rating(protocol, own),
         cost_us=decision_cost(protocol, agent),
         best_reply=reply,
-        hidden=hidden,
     )
     print(f"\n{name}")
     print("\n".join(aligned(summary_rows(card))))

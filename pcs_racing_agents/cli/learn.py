@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 METHODS = {
     "response": "an approximate best response to a pool of opponents",
-    "robust": "a response that is hard to exploit: restricted Nash response to the pool",
     "psro": "a mixture of responses: policy-space response oracles, beginning with the pool",
     "self-play": "an average strategy of counterfactual regret minimisation; it needs no pool",
 }
@@ -68,7 +67,6 @@ class Games:
 @command(
     "learn",
     "pcs-racing learn self-play --track Brackwater --race contest --out out/self-play",
-    "pcs-racing learn robust --track Brackwater --race contest --out out/robust",
     "pcs-racing learn psro --track Pipkin Saltmere --pool never-switch lane-switcher --out out/psro",
 )
 def run(
@@ -93,8 +91,8 @@ def run(
     ],
     workers: Workers,
 ) -> None:
-    """Train an agent in branched races: a response to opponents, a robust one, PSRO, or CFR in self-play."""
-    from pcs_racing_agents.learning import responses, robust, self_play
+    """Train an agent in branched races: a response to opponents, PSRO, or CFR in self-play."""
+    from pcs_racing_agents.learning import psro, responses, self_play
     from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
 
     setting, made = games.make()
@@ -102,8 +100,7 @@ def run(
     opponents = [] if method == "self-play" else games.agents(pool, setting)
     methods: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
         "response": (responses.load_response_settings, responses.learn_response),
-        "robust": (robust.load_robust_settings, robust.learn_robust),
-        "psro": (robust.load_psro_settings, robust.learn_psro),
+        "psro": (psro.load_psro_settings, psro.learn_psro),
         "self-play": (self_play.load_self_play_settings, self_play.learn_self_play),
     }
     load, train = methods[method]

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.base.style import COLOURS, INK, SOFT, new_figure, picture, place_labels, short, tidy
-from pcs_racing_agents.study.report_inputs import ScoreAndLoss
+from pcs_racing_agents.base.style import COLOURS, INK, SOFT, new_figure, picture, short, tidy
 from pcs_racing_agents.study.table import StudyTable, TableRow
 
 PAPER = "#c22443"
@@ -86,31 +85,6 @@ def adaptivity_picture(table: StudyTable) -> Any:
         "blue: circuits learned on, orange: others; hollow: p (Holm) not below 0.05", fontsize=8.5, color=SOFT
     )
     tidy(axes, "x")
-    return figure
-
-
-@picture
-def exploitability_picture(points: Sequence[ScoreAndLoss]) -> Any:
-    """Draw the agents' scores over their losses to best replies."""
-    if not points:
-        raise InputError("there is no agent whose score and loss to a best reply are known")
-    figure = new_figure(7.2, 4.4)
-    axes = figure.subplots()
-    for i, point in enumerate(points):
-        colour = COLOURS[i % len(COLOURS)]
-        axes.plot([point.low, point.high], [point.score, point.score], color=colour, lw=1.0)
-        axes.plot(point.loss, point.score, "o", color=colour, ms=6)
-    axes.margins(x=0.16, y=0.12)
-    axes.set_xlabel("loss to a learned best reply, races won; right: easier to exploit")
-    axes.set_ylabel("score in races")
-    tidy(axes)
-    positions = [(point.loss, point.score) for point in points]
-    place_labels(
-        axes,
-        positions,
-        [short(point.name) for point in points],
-        [COLOURS[i % len(COLOURS)] for i in range(len(points))],
-    )
     return figure
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,8 @@ from pcs_racing_agents.base.jobs import open_job, run_groups
 from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.base.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
-from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network, save_network
+from pcs_racing_agents.learning.self_play import RaceSampler, learn_self_play, load_self_play_settings
+from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network, save_network, save_network_set
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.policies.diverse import select_diverse
 from pcs_racing_agents.study.study import Study
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 TREE_SEED = 1_000_000
 FITTING_SEED = 2_000_000
 RESPONSE_SEED = 3_000_000
+SAMPLED_SEED = 4_000
 PPO_SEEDS = 2**31  # torch takes no larger ones
 
 
@@ -132,6 +135,25 @@ def _train(
         about={"tracks": tracks},
         learning=None if progress is None else progress(f"epochs ({settings.target})"),
     )
+
+
+def learn_sampled_regrets(study: Study) -> None:
+    """Learn the regrets of "cfr-argmax" from sampled games; nothing to do without settings for it."""
+    if study.config.sampled_cfr is None:
+        return
+    settings = load_self_play_settings(study.config.sampled_cfr)
+    settings = replace(settings, seed=settings.seed + study.config.seed + SAMPLED_SEED)
+    samplers = [RaceSampler(game, study.setting, settings.worth) for game in study.games()]
+    identity = {"archive": study.archive.content_hash, **plain_settings(settings)}
+    name = "sampled-cfr"
+    with open_job(study.folder / name / name, name, identity) as job:
+        progress = study.progress(f"tasks ({name})")
+        learned = learn_self_play(samplers, settings, job, name=name, executor=study.executor, progress=progress)
+    save_network_set(learned, study.network(name))
+    # The last network predicts mean regrets over all iterations; the paper plays the move of the highest.
+    training = {**learned.training, "sampled": True}
+    last = replace(learned.networks[-1], name="regret", target="regret", training=training)
+    save_network(last, study.network("regret"))
 
 
 def choose_open_loop(study: Study) -> None:

@@ -15,8 +15,8 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.race.replay import replay_page
 from pcs_racing_agents.base.curves import Curve
-from pcs_racing_agents.base.tables import Column, is_number, table_rows
-from pcs_racing_agents.study.report_inputs import ExplainedRace, ReplyLoss, mean_scores, scores_and_losses, total_losses
+from pcs_racing_agents.base.tables import is_number
+from pcs_racing_agents.study.report_inputs import ExplainedRace
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament.round_robin import RoundRobin
@@ -47,8 +47,6 @@ class ReportContent:
     curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)  #: Loss by epoch of every network, by its name.
     #: Learning curves of reinforcement learning by step (in millions): a panel for each figure.
     reward_curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)
-    losses: Sequence[ReplyLoss] = ()  #: Losses of agents to learned best replies.
-    judged: StudyTable | None = None  #: The table whose scores are shown with the losses; by default ``table``.
     round_robin: RoundRobin | None = None
     situations: Sequence[Situations] = ()  #: Moves by situation, for each agent.
     sheets: Sequence[TitledTable] = ()  #: Other tables.
@@ -95,9 +93,6 @@ def report_page(content: ReportContent) -> str:
         notes=notes,
         paper_text=paper_text,
         situations_text=situations_text,
-        losses=_losses(content),
-        losses_by_circuit=table_rows([Column("agent"), Column("track", "circuit"), *LOSS_COLUMNS], content.losses),
-        scores_and_losses=scores_and_losses(content.judged or content.table, content.losses),
         ratings=_ratings(content),
     )
 
@@ -122,28 +117,6 @@ def _data(picture: bytes) -> str:
 
 def _plain(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
-
-
-LOSS_COLUMNS = (
-    Column("loss", format="+.3f"),
-    Column("interval", "95 % interval"),
-    Column("races"),
-    Column("reply_won", "reply won", ".3f"),
-    Column("agent_won", "agent won", ".3f"),
-    Column("agent_own_crash", "own crashes", ".1%"),
-)
-
-
-def _losses(content: ReportContent) -> list[tuple[str, ...]]:
-    """Return each agent's loss on all circuits as a table, with its score in races and its rating."""
-    scores, totals = mean_scores(content.judged or content.table), total_losses(content.losses)
-    head, *rows = table_rows(LOSS_COLUMNS, totals.values())
-    table: list[tuple[str, ...]] = [("agent", "score", "rating", *head)]
-    for agent, cells in zip(totals, rows, strict=True):
-        rating = np.nan if content.round_robin is None else content.round_robin.rating(agent)[0]
-        score = f"{scores[agent]:.3f}" if agent in scores else ""
-        table.append((agent, score, "" if np.isnan(rating) else f"{rating:+.0f}", *cells))
-    return table
 
 
 def _ratings(content: ReportContent) -> list[tuple[str, ...]]:

@@ -14,8 +14,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.base.curves import Curve
 from pcs_racing_agents.base.folders import package_version
-from pcs_racing_agents.base.tables import interval_text, read_csv
-from pcs_racing_agents.study.table import StudyTable
+from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.races import RaceTable
 from pcs_racing_agents.watch.explain import explain_game
@@ -24,47 +23,7 @@ from pcs_racing_agents.watch.words import story
 Floats = NDArray[np.float64]
 
 
-class ScoreAndLoss(NamedTuple):
-    """Score of an agent in the races of a table, and its loss to a best reply."""
-
-    name: str
-    score: float  #: Mean over the rows of the table.
-    loss: float  #: ``loss``, ``low``, ``high``: Its loss and the interval.
-    low: float
-    high: float
-
-
-class ReplyLoss(NamedTuple):
-    """Loss of an agent to a best reply that was learned against it, on one circuit or on all of them."""
-
-    agent: str  #: ``agent``, ``track``: The track is "all" in the line of all circuits.
-    track: str
-    loss: float  #: ``loss``, ``low``, ``high``: In races won, with its 95 % interval.
-    low: float
-    high: float
-    races: int
-    reply_won: float  #: ``reply_won``, ``agent_won``, ``agent_own_crash``: Shares of the races.
-    agent_won: float
-    agent_own_crash: float
-
-    @property
-    def interval(self) -> str:
-        """Interval of the loss as text."""
-        return interval_text(self.low, self.high)
-
-
 LARGEST = 1e100
-
-
-def read_losses(path: str | Path) -> list[ReplyLoss]:
-    """Read the results of the stage "best-replies": a line for each agent and circuit."""
-    losses = []
-    for row in _rows(path, ReplyLoss._fields):
-        loss, low, high, races, *shares = (_number(row[name], path) for name in ReplyLoss._fields[2:])
-        if not np.isfinite((loss, low, high, races, *shares)).all():
-            raise InputError(f"{path}: a number is missing for {row['agent']!r:.80}")
-        losses.append(ReplyLoss(row["agent"], row["track"], loss, low, high, int(races), *shares))
-    return losses
 
 
 def read_curves(path: str | Path, *columns: str, x: str = "epoch") -> list[Curve]:
@@ -75,34 +34,6 @@ def read_curves(path: str | Path, *columns: str, x: str = "epoch") -> list[Curve
     return [
         Curve(steps, np.array([_number(row[name], path) for row in rows]), name.removesuffix("_loss").replace("_", " "))
         for name in names
-    ]
-
-
-def total_losses(losses: Sequence[ReplyLoss]) -> dict[str, ReplyLoss]:
-    """Return the loss of each agent on all circuits together, by agent."""
-    totals: dict[str, ReplyLoss] = {}
-    for loss in losses:
-        # With a single circuit there is no line "all"; its own line is then the total.
-        if loss.agent not in totals or loss.track == "all":
-            totals[loss.agent] = loss
-    return totals
-
-
-def mean_scores(table: StudyTable | None) -> dict[str, float]:
-    """Return each agent's score, mean over the rows of a table; without those that did not race in all of them."""
-    if table is None:
-        return {}
-    rows = [{result.arm: result.score for result in row.arms} for row in table.rows]
-    return {arm: float(np.mean([row[arm] for row in rows])) for arm in table.arms if all(arm in row for row in rows)}
-
-
-def scores_and_losses(table: StudyTable | None, losses: Sequence[ReplyLoss]) -> list[ScoreAndLoss]:
-    """Return score and loss of the agents with both."""
-    scores = mean_scores(table)
-    return [
-        ScoreAndLoss(agent, scores[agent], loss.loss, loss.low, loss.high)
-        for agent, loss in total_losses(losses).items()
-        if agent in scores
     ]
 
 

@@ -12,19 +12,14 @@ from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import load_fit
 from pcs_racing_agents.base.curves import Curve
 from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.base.tables import table_rows
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
-from pcs_racing_agents.study.family_gains import COLUMNS as FAMILY_COLUMNS
-from pcs_racing_agents.study.family_gains import family_gains, write_family_gains
-from pcs_racing_agents.study.playing import PLAYING_SEED, RATING_SEED, REPLY_SEED, TABLE_SEED, StudyRaces, table_races
-from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, TREE_SEED
+from pcs_racing_agents.study.playing import RATING_SEED, TABLE_SEED, StudyRaces, table_races
+from pcs_racing_agents.study.preparing import FITTING_SEED, RESPONSE_SEED, SAMPLED_SEED, TREE_SEED
 from pcs_racing_agents.study.report import ExplainedRace, ReportContent, TitledTable, write_page
 from pcs_racing_agents.study.report_inputs import (
     KINDS,
     Highlight,
-    ReplyLoss,
     read_curves,
-    read_losses,
     select_highlights,
     software,
     watch_race,
@@ -129,13 +124,12 @@ def _content(
     study: Study, study_races: Sequence[StudyRaces], main: StudyTable, seconds: Mapping[str, float]
 ) -> ReportContent:
     config = study.config
-    sheets, judged = list(_papers_statistic(study, study_races)), main
+    sheets = list(_papers_statistic(study, study_races))
     if config.further_lines:
-        further = judged = study_table(study, study_races, "further")
+        further = study_table(study, study_races, "further")
         rows = overview_rows(further)
         note = f"{config.further_lines * config.egos * config.variants * 2} races of each agent in each row."
         sheets.append(TitledTable("More opponents, circuits and agents", rows[0], rows[1:], note))
-    sheets += _families(study, study_races, judged)
     return ReportContent(
         title=f"Study: {config.race} race, archive {study.archive.name}",
         about=(
@@ -151,8 +145,6 @@ def _content(
         epsilon=config.epsilon,
         curves=_curves(study),
         reward_curves=_reward_curves(study),
-        losses=_losses(study),
-        judged=judged,
         round_robin=_round_robin(study),
         situations=moves_in_situations(study, study_races),
         sheets=sheets,
@@ -174,26 +166,6 @@ def _papers_statistic(study: Study, study_races: Sequence[StudyRaces]) -> Iterat
     note = "Mean and standard deviation over the ego's start policies; p: paired t-test over them, as in the paper."
     yield TitledTable(
         "Who has progressed further at the end, crash or not: the paper's statistic", rows[0], rows[1:], note
-    )
-
-
-def _families(study: Study, study_races: Sequence[StudyRaces], table: StudyTable) -> Iterator[TitledTable]:
-    """Write the gains by family of opponents in the widest table, and yield them as a sheet; nothing without a gain."""
-    if table.best is None or table.open_loop is None:
-        return
-    name = "further" if study.config.further_lines else "main"
-    races = concatenate_races(cell.races for cell in study_races if cell.table == name)
-    gains = family_gains(races, table.best, table.open_loop, study.config.response_pool)
-    if not gains:
-        return
-    write_family_gains(gains, study.folder / "families.csv")
-    rows = table_rows(FAMILY_COLUMNS, gains)
-    yield TitledTable(
-        f"Gain by opponent: {table.best} minus {table.open_loop}",
-        rows[0],
-        rows[1:],
-        "Mean over all races of the table. Agents learned against the opponents for training; those for tests they "
-        "never met.",
     )
 
 
@@ -245,11 +217,6 @@ def _reward_curves(study: Study) -> dict[str, list[Curve]]:
     }
 
 
-def _losses(study: Study) -> list[ReplyLoss]:
-    file = study.folder / "best_replies.csv"
-    return read_losses(file) if file.is_file() else []
-
-
 def _round_robin(study: Study) -> RoundRobin | None:
     """Return the summary of all against all."""
     file = study.folder / "ratings.csv"
@@ -268,10 +235,8 @@ def _seeds(study: Study) -> dict[str, int]:
     if config.responses:
         seeds["answers"] = config.seed + RESPONSE_SEED
     seeds["races of the table"] = config.seed + TABLE_SEED
-    if any((config.robust, config.psro, config.self_play, config.sampled_cfr)):
-        seeds["robust answers and self-play"] = config.seed + PLAYING_SEED
-    if config.replies:
-        seeds["best replies"] = config.seed + REPLY_SEED
+    if config.sampled_cfr:
+        seeds["regrets of sampled games"] = config.seed + SAMPLED_SEED
     if config.rated:
         seeds["all against all"] = config.seed + RATING_SEED
     return seeds

@@ -48,10 +48,7 @@ class Stage(NamedTuple):
         learns = {
             "networks": config.pairs > 0,
             "responses": bool(config.responses),
-            "self-play": config.self_play is not None or config.sampled_cfr is not None,
-            "robust": config.robust is not None,
-            "psro": config.psro is not None,
-            "best-replies": bool(config.replies),
+            "sampled-cfr": config.sampled_cfr is not None,
         }
         if learns.get(self.name):
             require("torch", extra="learning")
@@ -62,12 +59,13 @@ class Stage(NamedTuple):
             require("moocore", *(("cma",) if method == "mo-cma-es" else ()), extra="synthesis")
 
 
-LEARNED = ("networks", "open-loop", "responses", "robust", "psro", "self-play", "ppo")
+LEARNED = ("networks", "sampled-cfr", "open-loop", "responses", "ppo")
 
 STAGES = (
     Stage("archive", (), "searches policies", preparing.make_the_archive),
     Stage("trees", ("archive",), "plays game trees", preparing.play_trees),
     Stage("networks", ("trees",), "trains networks on the trees", preparing.train_networks),
+    Stage("sampled-cfr", ("archive",), "learns regrets from sampled games", preparing.learn_sampled_regrets),
     Stage(
         "open-loop",
         ("archive",),
@@ -75,14 +73,10 @@ STAGES = (
         preparing.choose_open_loop,
     ),
     Stage("responses", ("networks", "open-loop"), "learns answers to opponents", preparing.learn_responses),
-    Stage("self-play", ("archive",), "lets both cars learn", playing.play_against_itself),
-    Stage("robust", ("open-loop",), "learns robust answers to opponents", playing.learn_robust_agent),
-    Stage("psro", ("open-loop",), "learns answers to answers", playing.learn_psro_agent),
     Stage("ppo", ("archive",), "trains the PPO baseline", preparing.train_ppo_baseline),
     Stage("races", LEARNED, "drives the races of the table", playing.race_tables),
     Stage("ratings", LEARNED, "lets agents race all against all", playing.race_for_ratings),
-    Stage("best-replies", LEARNED, "trains a best reply to each agent", playing.measure_replies),
-    Stage("report", ("races", "ratings", "best-replies"), "writes results.csv and report.html", _report, always=True),
+    Stage("report", ("races", "ratings"), "writes results.csv and report.html", _report, always=True),
 )
 """All stages, in the order in which they run."""
 
@@ -109,8 +103,7 @@ def _notes(folder: Path) -> dict[str, dict[str, Any]]:
 
 def _digests(config: StudyConfig, folder: Path, stage: str) -> dict[str, str]:
     """Return digests of what a stage has left for later ones, by path; jobs guard their chunks."""
-    sampled = ("sampled-cfr", "regret") if config.sampled_cfr is not None else ()
-    names = {"networks": config.targets, "responses": config.responses, "self-play": (stage, *sampled)}
+    names = {"networks": config.targets, "responses": config.responses, "sampled-cfr": (stage, "regret")}
     left = [f"networks/{name}/**/*" for name in names.get(stage, (stage,))]
     left += [f"{stage}/*", f"{stage}/*/job.yaml", f"{stage.replace('-', '_')}.csv"]
     found = {file.relative_to(folder): file for pattern in left for file in sorted(folder.glob(pattern))}

@@ -24,7 +24,6 @@ from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.progress import Progress, show_progress
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.targets import get_target
 from pcs_racing_agents.policies.config import load_archive_config
@@ -63,13 +62,6 @@ class StudyConfig(Settings):
     response_pool: tuple[str, ...] = setting(
         ("never-switch", "random-moves"), names(), "Opponents in the training of responses."
     )
-    robust: str | None = setting(
-        None, text(), 'Settings of the agent "robust", which learns against the pool of the responses; None for none.'
-    )
-    psro: str | None = setting(
-        None, text(), 'Settings of the agent "psro", whose first response is to that pool; None for none.'
-    )
-    self_play: str | None = setting(None, text(), 'Settings of the agent "self-play"; None for none.')
     sampled_cfr: str | None = setting(
         None,
         text(),
@@ -111,13 +103,6 @@ class StudyConfig(Settings):
         "Settings (level duel) of a PPO baseline that is trained on the study's circuits, with its archive and "
         'rules; None trains none, and the agent "ppo" is then the shipped one.',
     )
-    replies: tuple[str, ...] = setting(
-        (), names(0), "Agents of the tables whose loss to a learned best reply is measured, on the training circuits."
-    )
-    reply: str = setting("best-reply", text(), "Settings of the best replies (responses): the learner's budget.")
-    reply_races: int = setting(
-        4000, whole(40, 1_000_000), "Races of each agent against its best reply, on all circuits together."
-    )
     rated: tuple[str, ...] = setting((), names(0), "Agents of the round robin for the ratings.")
     rating_races: int = setting(
         100, whole(2, 2000), "Races of each pair of rated agents on each circuit of the table; even."
@@ -129,29 +114,13 @@ class StudyConfig(Settings):
         self.game  # noqa: B018 - checks race and epsilon
         for name in self.targets:
             get_target(name)
-        for name in (*self.responses, self.reply):
+        for name in self.responses:
             load_response_settings(name)
-        for load, source in (
-            (load_robust_settings, self.robust),
-            (load_psro_settings, self.psro),
-            (load_self_play_settings, self.self_play),
-            (load_self_play_settings, self.sampled_cfr),
-        ):
-            if source is not None:
-                load(source)
+        if self.sampled_cfr is not None:
+            load_self_play_settings(self.sampled_cfr)
         if self.sampled_cfr is not None and "regret" in self.targets and self.pairs > 0:
             raise ConfigError(
                 f"sampled_cfr is {self.sampled_cfr!r} and targets hold 'regret'; name one source of the regrets"
-            )
-        for name in self.replies:
-            if name not in self.every_arm:
-                raise ConfigError(
-                    f"replies hold {name!r}; they must be agents of the tables, {', '.join(self.every_arm)}"
-                )
-        # Every circuit needs some start policies and lines for an interval of its own.
-        if self.replies and self.reply_races < 40 * len(self.circuits):
-            raise ConfigError(
-                f"reply_races is {self.reply_races}; give at least 40 for each of {len(self.circuits)} circuits"
             )
         if self.synthesis is not None:
             load_archive_config(self.synthesis)
@@ -195,11 +164,6 @@ class StudyConfig(Settings):
         return tuple(dict.fromkeys((*self.circuits, *self.tracks, *self.further_tracks)))
 
     @property
-    def every_arm(self) -> tuple[str, ...]:
-        """All agents of the tables."""
-        return tuple(dict.fromkeys((*self.arms, *self.further_arms)))
-
-    @property
     def game(self) -> GameConfig:
         """Rules of the game; with the move "stay" if the race's rules have it."""
         race = load_race_config(self.race)
@@ -214,9 +178,6 @@ def load_study_config(source: str | Path | StudyConfig | None = None, **changes:
 
 NETWORK_AGENTS = {"cfr-argmax": "regret", "cfr-regret-matching": "regret", "nash": "nash", "ppo": "ppo"}
 """Targets of the networks of the zoo's agents."""
-
-SET_AGENTS = ("robust", "psro", "self-play")
-"""Agents of the zoo with a set of networks."""
 
 
 @dataclass(frozen=True)
@@ -276,8 +237,6 @@ class Study:
             options = {"network": self.network(self.config.responses[0]), "open_loop": self.agent("best-fixed")}
         elif kind is not None and self.network(kind).is_dir():
             options = {"network": self.network(kind)}
-        elif name in SET_AGENTS and self.network(name).is_dir():
-            options = {"networks": self.network(name)}
         elif name in BEST_OPEN_LOOP:
             options = {"fit": self.folder / "open-loop" / f"{name}.yaml"}
         make = build if options else parse_agent

@@ -6,7 +6,7 @@ import numpy as np
 from toy_races import toy_races
 
 from pcs_racing_agents.study.report import ReportContent, TitledTable
-from pcs_racing_agents.study.report_inputs import ReplyLoss, software
+from pcs_racing_agents.study.report_inputs import software
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import RaceRow
@@ -23,7 +23,6 @@ def toy_report(archive, watched) -> ReportContent:
         open_loop="best-fixed",
         seen={"Tarnfjord"},
     )
-    losses = [ReplyLoss("our-best", "Tarnfjord", 0.2, 0.1, 0.3, 400, 0.7, 0.3, 0.05)]
     return ReportContent(
         title=f"A study {NASTY}",
         about=f"{NASTY}\n\nSecond paragraph.",
@@ -31,7 +30,6 @@ def toy_report(archive, watched) -> ReportContent:
         caution=NASTY,
         table=table,
         archive=replace(archive, name=NASTY),
-        losses=losses,
         round_robin=round_robin(
             ("a", NASTY),
             race_table(

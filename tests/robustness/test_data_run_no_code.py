@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import pytest
 import yaml
+from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
 from refusal import refused
 from repository import REPOSITORY
 
@@ -49,7 +50,6 @@ from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.learning.ppo.drives import make_drive_task
 from pcs_racing_agents.learning.ppo.settings import LEVELS, load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.archive_run import stage_scenarios

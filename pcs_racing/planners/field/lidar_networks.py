@@ -35,8 +35,8 @@ from pcs_racing.base.dense import dense_forward, flat_layers
 from pcs_racing.base.elementary import hyperbolic_tangent, sine_cosine
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import Beams
-from pcs_racing.planners.field import residual as _residual
 from pcs_racing.planners import view as _view
+from pcs_racing.planners.field import residual as _residual
 from pcs_racing.planners.line_following import lane_step, speed_scale
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.scanning import FIELD_OF_VIEW, MAX_RANGE, WORK, scan_beams, sine_tables

@@ -81,6 +81,6 @@ def test_bad_mixtures_are_refused_and_without_networks_the_error_says_how_to_mak
     refused("'never-switch' can't be a member of a mixture", make_mixture, [stay, "never-switch"], [1, 1])
     other = never_switch(make_setting(archive, "contest"))
     refused("different archives or rules", make_mixture, [stay, other], [1, 1])
-    for name in ["robust", "psro", "self-play"]:
+    for name in ["psro", "self-play"]:
         refused(f"'toy-paper-{name}'.*pcs-racing learn {name}", build, name, setting, error=UnknownNameError)
         refused("'nowhere'", build, name, setting, networks="nowhere", error=UnknownNameError)

@@ -18,7 +18,7 @@ from pcs_racing.game.competitor import competitor_names, make_competitor
 from pcs_racing_agents.agents.drivers import planner_driver
 
 SHORT = {"step_seconds": 0.4}
-UNTRAINED = {"psro", "robust", "self-play"}
+UNTRAINED = {"psro", "self-play"}
 """Agents that are shipped for the contest alone; of these games they say so."""
 NAMES = [name for name in pcs_racing_agents.names() if name not in UNTRAINED]
 
@@ -94,8 +94,8 @@ def test_a_drive_against_an_agent_is_the_same_in_a_batch_and_after_a_copy():
 
 def test_names_are_known_with_their_options_and_a_driver_draws_one_of_its_variants(game):
     assert set(NAMES) <= {"".join(name.split()) for name in competitor_names(game)}
-    agent = make_competitor("receding-horizon:depth=1,leaf=rollout", game)
-    assert agent.name == "receding-horizon:depth=1,leaf=rollout"
+    agent = make_competitor("cfr-argmax:network=default-paper-regret", game)
+    assert agent.name == "cfr-argmax:network=default-paper-regret"
     with pytest.raises(UnknownNameError, match="'cfr-argmx' is unknown; did you mean 'cfr-argmax'"):
         make_competitor("cfr-argmx", game)
     driver = planner_driver(None, name="lane-switcher")

@@ -14,7 +14,6 @@ from pcs_racing.planners.network import INPUTS
 from pcs_racing.planners.trained import save_driver
 from pcs_racing_agents.agents import (
     Agent,
-    Decider,
     Driver,
     describe,
     make,
@@ -60,9 +59,6 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
             assert entries()[name].moves == (not isinstance(created, Driver))
         if isinstance(created, Driver):
             assert name in (*("random-policy", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit"),)
-            continue
-        if name == "receding-horizon":
-            assert isinstance(created, Decider)
             continue
         assert isinstance(created, Agent)
         for rows in seen[:-1]:

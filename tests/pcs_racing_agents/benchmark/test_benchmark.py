@@ -1,10 +1,8 @@
 """The benchmark on a small protocol: races, scores, cards, and the leaderboard."""
 
-import hashlib
 import json
 import sys
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +15,7 @@ from pcs_racing import save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.agents.zoo import load_entrant
 from pcs_racing_agents.benchmark.card import Card, board_page, board_rows, read_card, read_cards, write_card
-from pcs_racing_agents.benchmark.card_values import CardScore, Gain, HiddenScore, ReplyLoss
+from pcs_racing_agents.benchmark.card_values import CardScore, Gain, ReplyLoss
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
 from pcs_racing_agents.benchmark.scoring import decision_cost, gain, play_protocol, rating, summarise
 from pcs_racing_agents.cli.main import main
@@ -155,7 +153,6 @@ def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_pa
         ({"gains": {"mine": {}}}, "gains are"),
         ({"gains": {"all": {"gain": 0.1}}}, "must be a mapping of over"),
         ({"best_reply": {"loss": 0.1}}, "must be a mapping of loss"),
-        ({"hidden": {"score": 0.1}}, "must be a mapping of sha256"),
         ({"rating": 1e308}, "rating is"),
         ({"cost_us": -1.0}, "cost_us is"),
         ({"page": "x"}, "damaged card"),
@@ -190,13 +187,9 @@ def test_the_leaderboard_ranks_cards_of_one_protocol_and_tells_what_was_not_meas
     for name, value in others.items():
         refused(name, read_cards, [*good, folder(name, value)])
     reply = ReplyLoss(0.123, 0.1, 0.15, 8, 1, 40)
-    hidden = HiddenScore("ef" * 32, 40, 0.4, 0.3, 0.5, 0.1)
-    head, *rows = board_rows([card("a", best_reply=reply, hidden=hidden), card("b")])
-    for name, measured, other in (
-        ("best reply", "+0.123 [+0.100, +0.150]", "not measured"),
-        ("hidden", "0.400 [0.300, 0.500]", "self-reported"),
-    ):
-        assert [row[head.index(name)] for row in rows] == [measured, other]
+    head, *rows = board_rows([card("a", best_reply=reply), card("b")])
+    place = head.index("best reply")
+    assert [row[place] for row in rows] == ["+0.123 [+0.100, +0.150]", "not measured"]
 
 
 @pytest.fixture(scope="module")
@@ -221,24 +214,6 @@ def test_a_full_card_has_the_loss_to_a_best_reply(protocol_file, tmp_path, monke
     assert (reply.starts, reply.rounds) == (8, 1)
     assert reply.low <= reply.loss <= reply.high
     assert "Loss to a learned best reply (8 starts, 1 round)" in (out / "card.md").read_text()
-
-
-def test_the_hidden_part_is_the_one_that_the_protocol_states(protocol_file, tmp_path):
-    pytest.importorskip("skimage")
-    secret, stated = tmp_path / "hidden.yaml", tmp_path / "protocol.yaml"
-    secret.write_text(f"circuits: [{2**33}, {2**40 + 1}]\nstyles: [hull]\nseed: {2**50}\n")
-    digest = hashlib.sha256(secret.read_bytes()).hexdigest()
-    stated.write_text(json.dumps({**json.loads(Path(protocol_file).read_text()), "hidden": digest}))
-    command = ["benchmark", "always-restraint+", "--hidden", str(secret), "--out", str(tmp_path / "card"), "--protocol"]
-    assert main([*command, str(stated)]) == 0
-    made = read_card(tmp_path / "card")
-    assert (made.hidden.sha256, made.hidden.races) == (digest, made.score().races)
-    assert made.protocol_sha256 == load_protocol(str(stated)).content_hash == load_protocol(protocol_file).content_hash
-    assert not [*(tmp_path / "card").rglob("*idden*")]  # what is published says nothing of the circuits
-    secret.write_text(secret.read_text() + "\n")
-    assert main([*command, str(stated)]) == 2  # another file
-    assert main([*command, protocol_file, "--out", str(tmp_path / "none")]) == 2  # no part is stated
-    assert not (tmp_path / "none").exists()
 
 
 def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_path, capsys):

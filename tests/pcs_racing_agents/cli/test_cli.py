@@ -261,7 +261,7 @@ def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, printed, c
         (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
         (["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"], "style 'baroque' is unknown"),
         (["policies", "latice"], "did you mean 'lattice'?"),
-        (["agents", "robot"], "agent 'robot' is unknown; did you mean 'robust'?"),
+        (["agents", "robot"], "agent 'robot' is unknown; there are: "),
         (["headroom", "--size", "2", "--out", "x"], "2"),
         (["headroom", "--races", "33", "--out", "x"], "33"),
         (["study", "contest-table", "--unseen", "Nowhere", "--out", "x"], "Nowhere"),

@@ -9,7 +9,6 @@ from toy_races import toy_difference, toy_races, toy_table
 from pcs_racing_agents.base.curves import Curve, curves_picture
 from pcs_racing_agents.base.style import COLOURS, picture_bytes
 from pcs_racing_agents.study import figures
-from pcs_racing_agents.study.report_inputs import ScoreAndLoss
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.tournament.ratings import rate
 from pcs_racing_agents.tournament.table import payoffs_picture, ratings_picture
@@ -31,11 +30,6 @@ def ratings():
     return rate(["a", "b", "a", "c"] * 20, ["b", "c", "c", "a"] * 20, [1, 1, 1, -1] * 10 + [0, -1, 1, 1] * 10)
 
 
-POINTS = [
-    ScoreAndLoss("one", 0.5, 0.2, 0.1, 0.3),
-    ScoreAndLoss("two", 0.5, 0.2, 0.15, 0.25),
-    ScoreAndLoss("three", 0.4, 0.4, 0.3, 0.5),
-]
 PAYOFFS = np.array([[np.nan, 0.9], [0.1, np.nan]])
 
 DRAWINGS = {
@@ -44,7 +38,6 @@ DRAWINGS = {
     "adaptivity": lambda table: figures.adaptivity_picture(table),
     "curves": lambda table: curves_picture({str(n): curves(n) for n in range(5)}),
     "rewards": lambda table: curves_picture({"ppo": curves()}, x_label="steps", y_label="reward", log=False),
-    "exploitability": lambda table: figures.exploitability_picture(POINTS),
     "payoffs": lambda table: payoffs_picture(["one", "two"], PAYOFFS),
     "ratings": lambda table: ratings_picture(ratings()),
 }
@@ -126,7 +119,6 @@ def test_what_can_not_be_drawn_is_named():
         (lambda: figures.adaptivity_picture(make_table(toy_races(egos=3, variants=3))), "adaptivity gains"),
         (lambda: curves_picture({}), "curves"),
         (lambda: curves_picture({"regret": []}), "curves"),
-        (lambda: figures.exploitability_picture([]), "score"),
         (lambda: payoffs_picture(["a", "b", "c"], PAYOFFS), r"\(2, 2\)"),
     ]:
         refused(value, draw)

@@ -22,7 +22,7 @@ from pcs_racing_agents.study.playing import StudyRaces
 from pcs_racing_agents.study.report import ReportContent, report_page, write_page
 from pcs_racing_agents.study.study import Study, StudyConfig
 from pcs_racing_agents.study.table import by_progress, make_table
-from pcs_racing_agents.study.table_text import overview_rows, paper_rows, write_table
+from pcs_racing_agents.study.table_text import paper_rows, write_table
 from pcs_racing_agents.tournament import cross_pairing, play_pairings
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import RaceRow, concatenate_races
@@ -103,7 +103,7 @@ def test_the_page_loads_nothing_and_texts_stay_texts(page, parsed):
 def test_every_section_is_there_with_its_numbers_and_pictures(page, parsed, content):
     assert re.findall('<section id="([^"]*)"', page) == [
         *("results", "all-findings", "adaptivity-gain", "races-to-watch", "which-move-in-which-situation"),
-        *("policies", "exploitability", "ratings", "more", "how-it-was-made"),
+        *("policies", "ratings", "more", "how-it-was-made"),
     ]
     everything = " ".join(parsed.text)
     for row in content.table.rows:
@@ -112,39 +112,10 @@ def test_every_section_is_there_with_its_numbers_and_pictures(page, parsed, cont
     assert "0.569 ± 0.213 GT" in everything
     assert "63.0 (1.1 min)" in everything
     drawn = [image["src"].split(",")[1] for image in parsed.images if "svg" in image["src"]]
-    assert len(drawn) == 8 + 2
+    assert len(drawn) == 7 + 2
     for data in drawn:
         assert ET.fromstring(base64.b64decode(data)).tag.endswith("svg")
     assert all(image["alt"] for image in parsed.images)
-
-
-def test_strong_and_safe_stand_beside_each_other(content, parsed):
-    """The table of losses to best replies tells the score in races, too."""
-    judged = replace(content.table, rows=content.table.rows[:1])
-    page = report_page(ReportContent("", losses=content.losses, judged=judged, round_robin=content.round_robin))
-    (score,) = [arm.score for arm in judged.rows[0].arms if arm.arm == "our-best"]
-    assert f'<th class="name">our-best</th><td>{score:.3f}</td>' in page
-    assert "<td>+0.200</td><td>[+0.100, +0.300]</td><td>400</td>" in page
-
-
-def test_what_is_not_there_is_not_told(content):
-    table = replace(content.table, rows=tuple(replace(row, paper=None) for row in content.table.rows))
-    page = report_page(ReportContent("", table=table))
-    assert "paper" not in re.sub(r"base64,[^\"]*|the paper&#39;s test|<style>.*?</style>", "", page, flags=re.DOTALL)
-    assert "paper" not in overview_rows(table)[0]
-    assert len({len(row) for row in overview_rows(table)}) == 1
-    assert f"{table.rows[0].gain.result.difference:+.3f}" in overview_rows(table)[1][-1]
-    page = report_page(ReportContent("Nothing yet"))
-    assert "<section" not in page
-    page = report_page(ReportContent("Times", seconds={"archive": 3.0}))
-    assert page.count("<section") == 1
-
-
-def test_without_matplotlib_the_page_says_so(monkeypatch, content):
-    monkeypatch.setattr(report, "find_spec", lambda name: None)
-    page = report_page(replace(content, races=[race._replace(picture=b"") for race in content.races]))
-    assert "matplotlib is not installed" in page
-    assert "<img" not in page
 
 
 def test_the_page_is_written_races_read_back_and_every_field_told(tmp_path, content, page, parsed, watched):
@@ -152,7 +123,7 @@ def test_the_page_is_written_races_read_back_and_every_field_told(tmp_path, cont
     # What is given changes the page.
     for name in ReportContent.__dataclass_fields__:
         empty = ReportContent("")
-        if name not in ("epsilon", "loss_unit", "judged", "curves", "reward_curves", "title"):
+        if name not in ("epsilon", "loss_unit", "curves", "reward_curves", "title"):
             assert report_page(replace(empty, **{name: getattr(content, name)})) != report_page(empty), name
     file = tmp_path / "race.html"
     file.write_text(parsed.frames[0]["srcdoc"])
@@ -176,7 +147,7 @@ def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
     # One screen and the table; the rest is folded, but not on paper.
     screen = browser.run("document.documentElement.scrollHeight")
     hidden = "[...document.images].filter((image) => !image.checkVisibility({ contentVisibilityAuto: true })).length"
-    assert browser.run(hidden) == 8 + 2
+    assert browser.run(hidden) == 7 + 2
     browser.page.emulate_media(media="print")
     assert browser.run(hidden) == 0
     assert browser.run("document.documentElement.scrollHeight") > 2 * screen
@@ -319,7 +290,7 @@ def test_the_seeds_and_tables_of_a_study_follow_from_its_settings(tmp_path):
         "further": (("Tarnfjord", "Pipkin"), (*rivals, "random-moves"), (*arms, "ppo"), 2),
     }
     assert list(StudyConfig().tables) == ["main"]
-    assert (config.every_track, config.every_arm) == (("Tarnfjord", "Pipkin"), (*arms, "ppo"))
+    assert config.every_track == ("Tarnfjord", "Pipkin")
     seeds = {"study": 5, "trees": 1_000_005, "training races": 2_000_005, "races of the table": 5}
     assert reporting._seeds(Study(config, tmp_path)) == seeds
     more = replace(config, pairs=0, responses=("quick",), rated=("never-switch", "ppo"))
@@ -348,24 +319,7 @@ def test_ratings_stand_in_order_with_what_is_known_of_them():
         assert report._ratings(nothing) == []
 
 
-def test_curves_and_losses_are_read_and_losses_stand_beside_the_score(tmp_path):
-    path = tmp_path / "best_replies.csv"
-    head = ",".join(("agent", "track", *inputs.ReplyLoss._fields[2:])) + "\n"
-    lines = ("a,Oval,0.1,0,0.2,400,0.6,0.4,0.05", "a,Hut,0.3,0.2,0.4,400,0.8,0.2,0", "a,all,0.2,0.1,0.3,800,0.7,0.3,0")
-    path.write_text(head + "\n".join(lines) + "\nb,Oval,-0.1,-0.2,0,40,0.4,0.6,0\n")
-    losses = inputs.read_losses(path)
-    assert losses[0] == inputs.ReplyLoss("a", "Oval", 0.1, 0.0, 0.2, 400, 0.6, 0.4, 0.05)
-    totals = inputs.total_losses(losses)
-    found = {name: (total.track, total.loss) for name, total in totals.items()}
-    assert found == {"a": ("all", 0.2), "b": ("Oval", -0.1)}
-    table = make_table(toy_races(strengths={"a": 0.0, "c": 0.1}, egos=3, variants=3))
-    (place,) = inputs.scores_and_losses(table, losses)
-    assert (place.name, place.loss, place.low, place.high) == ("a", 0.2, 0.1, 0.3)
-    assert place.score == pytest.approx(np.mean([row.arms[0].score for row in table.rows]))
-    assert inputs.scores_and_losses(None, losses) == []
-    assert inputs.mean_scores(table)["c"] == pytest.approx(np.mean([row.arms[1].score for row in table.rows]))
-    less = replace(table.rows[0], arms=table.rows[0].arms[:1])
-    assert inputs.mean_scores(replace(table, rows=(*table.rows, less))).keys() == {"a"}
+def test_curves_are_read_and_damaged_ones_refused(tmp_path):
     path = tmp_path / "learning_curves.csv"
     path.write_text("epoch,training_loss,validation_loss\n1,0.5,\n2,0.25,0.3\n")
     training, validation = inputs.read_curves(path)
@@ -376,15 +330,9 @@ def test_curves_and_losses_are_read_and_losses_stand_beside_the_score(tmp_path):
     assert (won.label, won.y.tolist(), won.x.tolist()) == ("won", [0.5, 1e100], [5.0, 10.0])
     refused("has no column 'lost'", inputs.read_curves, path, "lost", x="step")
     refused("can't read", inputs.read_curves, tmp_path / "nothing.csv")
+    for head, value in (("name", "0.1"), ("epoch", "much"), ("epoch", "inf")):
+        path.write_text(f"{head},training_loss,validation_loss\n{value},0.5,0.3\n")
+        refused("epoch" if head == "name" else repr(value), inputs.read_curves, path)
     versions = inputs.software()
     own = (np.__version__, platform.python_version(), f"{platform.system()} {platform.machine()}")
     assert tuple(versions[name] for name in ("numpy", "Python", "machine")) == own
-
-
-def test_files_without_losses_are_refused(tmp_path):
-    numbers = [("agent", "much", "'much'"), ("agent", "", "'a'"), ("agent", "inf", "'inf'")]
-    for agent, loss, value in [("name", "0.1", "'agent'"), *numbers]:
-        path = tmp_path / "best_replies.csv"
-        head = ",".join((agent, "track", *inputs.ReplyLoss._fields[2:]))
-        path.write_text(f"{head}\na,Oval,{loss},0,0.2,400,0.6,0.4,0.05\n")
-        refused(value, inputs.read_losses, path)

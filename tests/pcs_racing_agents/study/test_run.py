@@ -21,7 +21,7 @@ from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.learning.responses.learner import load_response_settings
-from pcs_racing_agents.networks import load_network, load_network_set
+from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.study import STAGES, load_study_config, preparing, run_study
 from pcs_racing_agents.study.playing import RATING_SEED
 from pcs_racing_agents.study.reporting import best_open_loop
@@ -37,17 +37,14 @@ def settings_file(name: str, text: str) -> str:
     return str(file)
 
 
-LEARNER = settings_file("learner", "starts: 16\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 3\n")
 SELF_PLAY = settings_file("self_play", "iterations: 2\nstarts: 16\nhidden: [8]\nepochs: 3\n")
 
 TINY = load_study_config(
     "quick", moves=2, step_seconds=2.0, circuits=("Pipkin",), tracks=("Pipkin",), pairs=3, targets=("advantage",),
-    robust=settings_file("robust", f"rounds: 1\nlearner: {LEARNER}\n"), self_play=SELF_PLAY, sampled_cfr=SELF_PLAY,
-    psro=settings_file("psro", f"rounds: 2\nraces: 4\nlearner: {LEARNER}\n"), fitting_games=2, fixed_targets=2,
+    sampled_cfr=SELF_PLAY, fitting_games=2, fixed_targets=2,
     opponents=("never-switch", "lane-switcher"), arms=("never-switch", *BEST_OPEN_LOOP, "cfr-argmax", "quick"),
     egos=2, variants=2, lines=1, further_lines=1, further_opponents=("random-moves",),
-    further_arms=("ppo", "robust", "psro", "self-play"), replies=("cfr-argmax", "self-play"), reply=LEARNER,
-    reply_races=40, ppo=str(SETTINGS / "ppo_duel.yaml"), rating_races=2,
+    further_arms=("ppo",), ppo=str(SETTINGS / "ppo_duel.yaml"), rating_races=2,
     rated=("never-switch", "cfr-argmax", "ppo", "lane-switcher"), seed=3,
 )  # fmt: skip
 
@@ -61,7 +58,7 @@ def finished(tmp_path_factory):
 
 
 def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished):
-    main, further = 2 * 6 * 8, 3 * 10 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
+    main, further = 2 * 6 * 8, 3 * 7 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
     assert len(read_csv(finished.folder / "results.csv").rows()) == main + further
     assert "best-fixed" in (finished.folder / "table.txt").read_text(encoding="utf-8")
     page = (finished.folder / "report.html").read_text(encoding="utf-8")
@@ -76,15 +73,8 @@ def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished):
     assert {file: file.stat().st_mtime_ns for file in finished.folder.rglob("*.npz")} == chunks
 
 
-def test_the_report_tells_losses_gains_and_moves(finished):
+def test_the_report_tells_gains_and_moves(finished):
     page = (finished.folder / "report.html").read_text(encoding="utf-8")
-    losses = read_csv(finished.folder / "best_replies.csv").rows()
-    assert [row["agent"] for row in losses] == ["cfr-argmax", "self-play"]
-    assert {(row["track"], row["races"]) for row in losses} == {("Pipkin", "40")}
-    assert f"<td>{float(losses[0]['loss']):+.3f}</td>" in page
-    families = {row["family"]: row["use"] for row in read_csv(finished.folder / "families.csv").rows()}
-    assert families == {"never-switch": "training", "random-moves": "training", "lane-switcher": "test"}
-    assert "Gain by opponent" in page
     assert f"all against all</th><td>{TINY.seed + RATING_SEED}</td>" in page
     for name in ("cfr-argmax", "quick"):
         assert f"{name}: moves by step, lead and aggressiveness of the opponent" in page
@@ -97,9 +87,6 @@ def test_the_report_tells_losses_gains_and_moves(finished):
 
 
 def test_the_agents_learned_by_playing_the_game_that_is_studied(finished):
-    for name in ("robust", "psro", "self-play"):
-        networks = load_network_set(finished.network(name))
-        assert finished.agent(name).facts["networks"].startswith(f"{networks.name}: {len(networks.networks)}")
     regrets = load_network(finished.network("regret"))
     assert (regrets.target, regrets.training["sampled"]) == ("regret", True)
     assert "sampled True" in finished.agent("cfr-argmax").facts["trained on"]
@@ -119,11 +106,11 @@ def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
         run_study(TINY, other, only=NAMES[: NAMES.index("races")], executor=executor, quiet=True)
         for file in sorted(other.rglob("*.npz"))[::3]:
             file.unlink()  # as if the run had been killed before they were there
-        for stage in ("trees", "networks", "open-loop", "responses", "robust", "psro", "self-play", "ppo"):
+        for stage in ("trees", "networks", "sampled-cfr", "open-loop", "responses", "ppo"):
             (other / stage / "done.yaml").unlink()
         run_study(TINY, other, executor=executor, quiet=True)
     one, two = files(finished.folder), files(other)
-    assert {"results.csv", "table.csv", "best_replies.csv", "ratings.csv", "networks/ppo/curve.csv"} < set(one)
+    assert {"results.csv", "table.csv", "ratings.csv", "networks/ppo/curve.csv"} < set(one)
     assert [name for name in sorted({*one, *two}) if one.get(name) != two.get(name)] == []
 
 
@@ -132,7 +119,7 @@ def test_changed_files_of_finished_stages_are_named_and_made_again(finished, tmp
     half = folder / "networks" / ".quick.0123abcd"
     half.mkdir()  # by a run that was killed
     changed = ["open-loop/best-fixed.yaml", "networks/advantage/weights.safetensors", "trees/Pipkin/job.yaml"]
-    for name in [*changed, "best_replies.csv"]:
+    for name in [*changed, "ratings.csv"]:
         (folder / name).write_bytes(b"other")
         with pytest.raises(InputError, match=re.escape(f"{folder / name} is not what stage")) as refused:
             run_study(TINY, folder, quiet=True)
@@ -155,7 +142,7 @@ def test_an_archive_that_was_made_is_the_one_that_ppo_learns_with(tmp_path):
 def test_each_stage_works_on_the_studys_games_with_seeds_of_its_own(tmp_path, monkeypatch):
     """What the stages before the races ask for, of two circuits."""
     circuits = ("Pipkin", "Tarnfjord")
-    config = replace(TINY, circuits=circuits, responses=("quick",), seeds=2, replies=(), seed=2**31 + 3)
+    config = replace(TINY, circuits=circuits, responses=("quick",), seeds=2, seed=2**31 + 3)
     study, asked = Study(config, tmp_path, quiet=True), {}
 
     def trees(game, folder, **given):
@@ -223,13 +210,12 @@ def test_open_loop_agents_are_fitted_on_training_races_with_targets_spread_over_
 
 def test_what_was_found_can_be_shipped(finished, tmp_path):
     config = replace(TINY, responses=("quick",))
-    fits = tmp_path / "pcs_racing_agents" / "agents" / "fits"
+    fits = tmp_path / "pcs_racing_agents" / "data" / "fits"
     fits.mkdir(parents=True)
     load_tool("ship_study").ship(Study(config, finished.folder), tmp_path)
-    kinds = ("advantage", "gain", "ppo", "psro", "regret", "robust", "self-play")
+    kinds = ("advantage", "gain", "ppo", "regret")
     expected = [f"default-paper-{kind}" for kind in kinds]
-    assert sorted(path.name for path in (tmp_path / "networks").iterdir()) == expected
-    assert load_network_set(tmp_path / "networks" / "default-paper-psro").name == "default-paper-psro"
+    assert sorted(path.name for path in (fits.parent / "networks").iterdir()) == expected
     assert len(list(fits.glob("default-paper-best-*.yaml"))) == 3
 
 
@@ -272,7 +258,7 @@ def test_the_gain_is_over_the_open_loop_agents_that_won_more_training_races(fini
         reached = 0.7 if name == better else 0.6
         save_fit(replace(fit, training={**fit.training, "reached": reached}), tmp_path / "open-loop" / f"{name}.yaml")
     assert best_open_loop(other) == better
-    assert best_open_loop(replace(other, config=replace(TINY, arms=("never-switch", "quick"), replies=()))) is None
+    assert best_open_loop(replace(other, config=replace(TINY, arms=("never-switch", "quick")))) is None
 
 
 def test_impossible_studies_are_refused():
@@ -286,10 +272,7 @@ def test_impossible_studies_are_refused():
         ({"tracks": ("Pipkin", "Pipkin")}, "name each once"),
         ({"ppo": "drive"}, "ppo is 'drive'"),
         ({"ppo": "nowhere"}, "ppo settings 'nowhere' are unknown"),
-        ({"robust": "nowhere"}, "robust settings 'nowhere' are unknown"),
         ({"sampled_cfr": "cfr"}, "one source"),
-        ({"replies": ("lane-switcher",)}, "replies hold 'lane-switcher'"),
-        ({"replies": ("cfr-argmax",), "reply_races": 40, "circuits": ("Tarnfjord", "Pipkin")}, "reply_races is 40"),
         ({"lunch": 1}, "unknown study setting 'lunch'"),
     ]:
         with pytest.raises((ConfigError, UnknownNameError), match=message):

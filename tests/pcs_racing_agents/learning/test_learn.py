@@ -1,53 +1,19 @@
-"""Restricted Nash responses and response oracles, in games of two moves."""
+"""Agents that ``learn`` trains, in games of two moves: responses, response oracles, self-play."""
 
 import numpy as np
 import pytest
 from long_jobs import files
 from refusal import refused
 
-from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.learning.psro import learn_psro, load_psro_settings
 from pcs_racing_agents.learning.responses import learn_response, load_response_settings
-from pcs_racing_agents.learning.robust import learn_psro, learn_robust, load_psro_settings, load_robust_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 
 pytest.importorskip("torch", reason="torch is not installed")
 
 
-def test_the_opponents_are_those_of_the_method(lesson, learner, tmp_path, monkeypatch):
-    """The response, then by turns an adversary of all agents so far and a response to pool and adversaries."""
-    asked = []
-
-    def learn(games, opponents, setting, settings, job, *, shares, **rest):
-        asked.append(([opponent.name for opponent in opponents], list(shares), settings.seed))
-        return learn_response(games, opponents, setting, settings, job, shares=shares, **rest)
-
-    monkeypatch.setattr("pcs_racing_agents.learning.robust.learn_response", learn)
-    settings = load_robust_settings(pool_share=0.6, rounds=2, learner=learner)
-    with open_job(tmp_path / "robust", "robust", {}) as job:
-        networks = learn_robust(*lesson, settings, job)
-    kept, slow = (opponent.name for opponent in lesson[1])
-    names = [opponents for opponents, _, _ in asked]
-    assert names == [
-        [kept, slow], ["robust-response-0"], [kept, slow, "robust-adversary-1"],
-        ["robust-response-0", "robust-response-1"], [kept, slow, "robust-adversary-1", "robust-adversary-2"],
-    ]  # fmt: skip
-    shares = [np.array(own) for _, own, _ in asked]
-    np.testing.assert_allclose(shares[2], [0.3, 0.3, 0.4])
-    np.testing.assert_allclose(shares[3], [0.0, 1.0])
-    np.testing.assert_allclose(shares[4], [0.3, 0.3, 0.2, 0.2])
-    assert len({seed for *_, seed in asked}) == 5
-    np.testing.assert_allclose(networks.weights, [1 / 3, 2 / 3])
-    build("robust", lesson[2], networks=networks).check_fits(lesson[0][0])
-
-
-def test_psro_adds_responses_and_with_the_pool_alone_robust_is_the_response(lesson, learner, tmp_path):
-    settings = load_robust_settings(pool_share=1.0, learner=learner)
-    with open_job(tmp_path / "robust", "robust", {}) as job:
-        (network,) = learn_robust(*lesson, settings, job).networks
-    with open_job(tmp_path / "response", "response", {}) as job:
-        response = learn_response(*lesson, settings.response(0), job, shares=[1, 1])
-    np.testing.assert_array_equal(network.layers.weights[0], response.layers.weights[0])
+def test_psro_plays_an_equilibrium_of_its_responses(lesson, learner, tmp_path):
     settings = load_psro_settings(rounds=3, races=20, learner=learner)
     with open_job(tmp_path / "one", "psro", {}) as job:
         networks = learn_psro(*lesson, settings, job)
@@ -73,7 +39,6 @@ GAME = ["--track", "Tarnfjord", "--duration", "2.5"]
     ("method", "settings"),
     [
         ("response", "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n"),
-        ("robust", "rounds: 1\nlearner: {learner}\n"),
         ("psro", "rounds: 2\nraces: 4\nlearner: {learner}\n"),
         ("self-play", "iterations: 2\nstarts: 8\nhidden: [8]\nepochs: 2\n"),
     ],
@@ -97,8 +62,7 @@ def test_impossible_settings_are_refused():
     for load, change, message in [
         (load_response_settings, {"worth": "fame"}, "worth is 'fame'"),
         (load_response_settings, {"members": 0}, "members is 0"),
-        (load_robust_settings, {"pool_share": 1.1}, "pool_share is 1.1"),
-        (load_robust_settings, {"learner": "nobody"}, "'nobody' are unknown"),
+        (load_psro_settings, {"learner": "nobody"}, "'nobody' are unknown"),
         (load_psro_settings, {"rounds": 1}, "rounds is 1"),
         (load_self_play_settings, {"iterations": 0}, "iterations is 0"),
         (load_self_play_settings, {"weights": "square"}, "weights is 'square'"),

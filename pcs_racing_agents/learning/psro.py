@@ -1,0 +1,107 @@
+"""Policy-space response oracles (PSRO, Lanctot et al. 2017), made of learned responses.
+
+Each round learns a response to the equilibrium mixture of all responses so far, and races it against them; the
+equilibrium of the larger game is the next mixture. The first response is one to a pool of opponents.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Unpack
+
+import numpy as np
+
+from pcs_racing.base.settings import Settings, setting, text, whole
+from pcs_racing.game.rules import RaceGame
+from pcs_racing_agents.agents.agent import Agent, Competitor
+from pcs_racing_agents.agents.from_network import network_agent
+from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.base.configurations import load_config
+from pcs_racing_agents.base.jobs import Job, Workers
+from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response, load_response_settings
+from pcs_racing_agents.networks import NetworkSet, RegretNetwork
+from pcs_racing_agents.tournament.fitting import MetaStrategy, TrainingRaces, fit_psro
+
+MIXING_SEED = 6_000_000
+"""Added to the settings' seed: other races than those that responses learn from."""
+
+
+@dataclass(frozen=True)
+class PSROSettings(Settings):
+    """Settings of policy-space response oracles."""
+
+    rounds: int = setting(6, whole(2, 32), "Responses that are learned.")
+    races: int = setting(200, whole(2, 2000), "Races of each two responses on each circuit, for the equilibrium; even.")
+    learner: str = setting(
+        "psro", text(), "Settings of each learned response (response configuration: a name or a YAML file)."
+    )
+    seed: int = setting(0, whole(0, 2**40), "Seed of the games and of the networks.")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.response(0)  # an unknown learner is refused here, not after hours of work
+
+    def response(self, number: int) -> ResponseSettings:
+        """Return the settings of one of the responses, each with a seed of its own."""
+        settings = load_response_settings(self.learner)
+        return replace(settings, seed=settings.seed + self.seed * 64 + number)
+
+
+def load_psro_settings(source: str | Path | PSROSettings | None = None, **changes: Any) -> PSROSettings:
+    """Return settings from a name, a YAML file or settings, with some fields changed; see :func:`load_config`."""
+    return load_config("psro", PSROSettings(), source, **changes)
+
+
+def learn_psro(
+    games: Sequence[RaceGame],
+    pool: Sequence[Competitor],
+    setting: Setting,
+    settings: PSROSettings,
+    job: Job,
+    *,
+    name: str = "psro",
+    **workers: Unpack[Workers],
+) -> NetworkSet:
+    """Learn responses to the equilibrium mixture of responses, round after round.
+
+    Parameters
+    ----------
+    games, setting
+        As for :func:`pcs_racing_agents.learning.responses.learn_response`.
+    pool : sequence of Competitor
+        Opponents of the first response.
+
+    Returns
+    -------
+    NetworkSet
+        The responses that the equilibrium plays, with their probabilities.
+    """
+    networks: list[RegretNetwork] = []
+    members: list[Agent] = []
+    opponents: Sequence[Competitor] = pool
+    weights = np.full(len(pool), 1.0 / max(len(pool), 1))
+    meta: MetaStrategy | None = None
+    training = TrainingRaces(
+        tuple(game.track for game in games), tuple(pool), setting, settings.races, settings.seed + MIXING_SEED
+    )
+    for round_ in range(settings.rounds):
+        network = learn_response(
+            games,
+            opponents,
+            setting,
+            settings.response(round_),
+            job,
+            shares=weights.tolist(),
+            name=f"{name}-{round_}",
+            part=f"response-{round_}-",
+            **workers,
+        )
+        networks.append(network)
+        members.append(network_agent(network, setting, settings.seed))
+        # A single response is its own equilibrium; what is known of earlier ones is not raced again.
+        if round_ > 0:
+            meta = fit_psro(training, members, known=meta, job=job, **workers)
+        opponents, weights = members, np.ones(1) if meta is None else meta.weights
+    played = np.flatnonzero(weights > 0.0)
+    facts = {"rounds": settings.rounds, "races": settings.races, "seed": settings.seed}
+    return NetworkSet(name, tuple(networks[int(i)] for i in played), weights[played], "argmax", facts)
