@@ -34,9 +34,9 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.sb3_files import load_sb3_policy
 from pcs_racing_agents.benchmark.card import read_cards
+from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.watch.person_race import PersonRaces, make_person_drive
 from pcs_racing_agents.watch.race_replays import RaceRepeater
-from pcs_racing_agents.watch.results_folder import open_results
 from pcs_racing_agents.watch.view_server import Answer, RaceService, make_server
 
 SECRET = "a-secret-of-another-folder"

@@ -61,12 +61,12 @@ from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_networ
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.config import load_archive_config
 from pcs_racing_agents.study.report_inputs import read_curves, read_losses
+from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.study.study import load_study_config
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.tournament.play import plan_tournament, tournament_settings
 from pcs_racing_agents.tournament.race_files import read_results
 from pcs_racing_agents.trees import build_trees, load_trees
-from pcs_racing_agents.watch.results_folder import open_results
 from pcs_racing_agents.watch.view_page import packed_races
 
 BOARD = Path(__file__).resolve().parents[1] / "benchmarks" / "bench_v2"

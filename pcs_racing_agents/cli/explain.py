@@ -100,8 +100,8 @@ def run(
 
 def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, out: Path | None) -> None:
     from pcs_racing_agents.agents.agent import Driver
+    from pcs_racing_agents.study.results import open_results
     from pcs_racing_agents.watch.explain import explain_game
-    from pcs_racing_agents.watch.results_folder import open_results
     from pcs_racing_agents.watch.words import story
 
     results = None
@@ -146,9 +146,9 @@ def _situations(folder: Path | None, planned: _Planned, agent: str, out: Path | 
     import numpy as np
 
     from pcs_racing_agents.base.progress import show_progress
+    from pcs_racing_agents.study.results import open_results
     from pcs_racing_agents.tournament.games import game_between
     from pcs_racing_agents.tournament.runner import play_pairings
-    from pcs_racing_agents.watch.results_folder import open_results
     from pcs_racing_agents.watch.situations import situations_text, summarise, write_situations
 
     if folder is not None:

@@ -117,7 +117,7 @@ def _page_file(path: Path, out: Path | None) -> Path:
 
 def _find(path: Path, agents: Sequence[str]) -> "tuple[ResultsFolder | None, Path]":
     """Return the folder of the races and their file; None for a file without a manifest."""
-    from pcs_racing_agents.watch.results_folder import open_results
+    from pcs_racing_agents.study.results import open_results
 
     folder = path
     if path.is_file():

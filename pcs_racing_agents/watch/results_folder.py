@@ -8,27 +8,40 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.agents.agent import competitor_hash
+from pcs_racing_agents.agents.agent import Competitor, competitor_hash
 from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.folders import read_job
-from pcs_racing_agents.study.study import Study, StudyConfig
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, draw_schedule, schedule_pairing
-from pcs_racing_agents.tournament.race_files import read_results
 from pcs_racing_agents.tournament.races import RaceRow, RaceTable
 
 MANIFEST = "job.yaml"
+
+
+class RacedStudy(Protocol):
+    """Archive, games and agents of a study (:class:`pcs_racing_agents.study.study.Study`)."""
+
+    @property
+    def archive(self) -> PolicyArchive:
+        """Archive of the agents' policies."""
+
+    def game(self, track: str) -> RaceGame:
+        """Return the game on a circuit."""
+
+    def agent(self, name: str) -> Competitor:
+        """Return an agent by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +51,7 @@ class ResultsFolder:
     folder: Path
     settings: Mapping[str, Any]  #: Settings of a tournament, from ``job.yaml``.
     races: RaceTable  #: Content of ``results.csv``.
-    study: Study | None  #: The study that they belong to, whose agents are used instead of the zoo's.
+    study: RacedStudy | None  #: The study that they belong to, whose agents are used instead of the zoo's.
     tournament: bool  #: Whether they are a tournament; else they are the races of a study's tables.
     code: Sequence[str] = ()  #: Names of agents that may be code, which is run.
 
@@ -91,7 +104,7 @@ class ResultsFolder:
                 if name == agent:
                     yield self.pairing(row), car
 
-    def _of_study(self, study: Study, row: RaceRow) -> Pairing:
+    def _of_study(self, study: RacedStudy, row: RaceRow) -> Pairing:
         # The variants and the number of lines of a pairing follow from all its races together.
         rows = self.pairs[row.track, row.ego, row.opponent, str(row.seed)]
         egos, opponents = (np.unique(self.races.variants[rows, car]).tolist() for car in range(2))
@@ -118,34 +131,7 @@ class ResultsFolder:
         return schedule_pairing(game, cars[0], cars[1], schedule, seed)
 
 
-def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
-    """Open the folder of a tournament or of a study; its agents named in ``code`` may be code, which is run."""
-    path = Path(folder)
-    manifest = _manifest(path)
-    if manifest is None or manifest["kind"] not in ("tournament", "study"):
-        raise InputError(
-            f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing study' wrote with "
-            "--out"
-        )
-    # A study keeps the races of its ratings in a folder of their own, and their lines beside it.
-    file, study = path / "results.csv", None
-    if manifest["kind"] == "study":
-        study = Study(_study_config(manifest["settings"]), path, quiet=True)
-    else:
-        above = _manifest(path.resolve().parent)
-        if above is not None and above["kind"] == "study":
-            study = Study(_study_config(above["settings"]), path.resolve().parent, quiet=True)
-            file = path.resolve().with_suffix(".csv")
-    if not file.exists():
-        raise InputError(f"there is no {file}; it is written when all races are driven")
-    races = read_results(file, ("ego_variant", "opponent_variant"))
-    results = ResultsFolder(path, manifest["settings"], races, study, manifest["kind"] == "tournament", code)
-    for name in code:
-        results.check_raced(name)
-    return results
-
-
-def _manifest(folder: Path) -> dict[str, Any] | None:
+def read_manifest(folder: Path) -> dict[str, Any] | None:
     """Return the manifest of a job's folder; None if there is none."""
     file = folder / MANIFEST
     try:
@@ -159,19 +145,13 @@ def _manifest(folder: Path) -> dict[str, Any] | None:
     return manifest
 
 
-def _study_config(values: Mapping[str, Any]) -> StudyConfig:
-    try:
-        return StudyConfig(**_tuples(values))
-    except TypeError as error:
-        raise InputError(f"the study's settings are of another version: {error}") from None
-
-
 def _game_config(values: Mapping[str, Any]) -> GameConfig:
     """Return the rules in a manifest; the move "stay" is reset, since every tournament adds it."""
-    return GameConfig(**{**_tuples(values), "race": RaceConfig(**_tuples(values["race"])), "stay": None})
+    return GameConfig(**{**tuples(values), "race": RaceConfig(**tuples(values["race"])), "stay": None})
 
 
-def _tuples(values: Any) -> dict[str, Any]:
+def tuples(values: Any) -> dict[str, Any]:
+    """Return settings of a manifest with tuples in place of lists."""
     if not isinstance(values, Mapping):
         raise InputError(f"{MANIFEST} holds {values!r:.80} where settings should be")
     return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}

@@ -54,10 +54,10 @@ from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.archive_run import stage_scenarios
 from pcs_racing_agents.policies.config import load_archive_config
+from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.study.run import stage_seconds
 from pcs_racing_agents.study.study import Study, StudyConfig, load_study_config
 from pcs_racing_agents.trees import load_trees
-from pcs_racing_agents.watch.results_folder import open_results
 
 EVIL = """
 import pathlib

@@ -52,11 +52,11 @@ from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.config import ArchiveConfig
+from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.study.study import StudyConfig, load_study_config
 from pcs_racing_agents.tournament.race_files import read_results, write_results
 from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays
-from pcs_racing_agents.watch.results_folder import open_results
 
 
 @pytest.mark.parametrize("load", [load_track, load_archive, load_network, load_race_config])

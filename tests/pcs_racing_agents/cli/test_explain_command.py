@@ -5,8 +5,8 @@ import csv
 import pytest
 
 from pcs_racing.race.replay import read_replay
+from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.tournament.play import record_row
-from pcs_racing_agents.watch.results_folder import open_results
 
 
 def test_every_race_of_a_tournament_is_found_again(tournament_folder):

@@ -14,9 +14,9 @@ from refusal import refused
 
 from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
 from pcs_racing_agents.watch.race_replays import RaceRepeater, RepeatedRace
-from pcs_racing_agents.watch.results_folder import open_results
 from pcs_racing_agents.watch.view_server import MOST_KEPT, Answer, RaceService, make_server
 
 

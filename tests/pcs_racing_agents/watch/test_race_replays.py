@@ -10,12 +10,12 @@ from refusal import refused
 
 from pcs_racing.base.packing import unpack
 from pcs_racing.race.replay import read_replay
+from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.tournament.play import record_row
 from pcs_racing_agents.tournament.race_files import race_table, read_results
 from pcs_racing_agents.tournament.races import Categorical
 from pcs_racing_agents.watch.race_choice import SelectedRace
 from pcs_racing_agents.watch.race_replays import RaceRepeater, RepeatedRace, circuit_values, race_values, space_values
-from pcs_racing_agents.watch.results_folder import open_results
 from pcs_racing_agents.watch.view_page import ViewContent, packed_races, view_page
 
 

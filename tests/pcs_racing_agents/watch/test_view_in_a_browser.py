@@ -7,10 +7,10 @@ import pytest
 from toy_races import toy_races
 
 from pcs_racing.base.packing import unpack
+from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.tournament.race_files import race_table, read_results
 from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
 from pcs_racing_agents.watch.race_replays import RaceRepeater
-from pcs_racing_agents.watch.results_folder import open_results
 from pcs_racing_agents.watch.view_page import ViewContent, packed_races, view_page
 from pcs_racing_agents.watch.view_server import RaceService
 

@@ -1,0 +1,44 @@
+"""Opening the results of a tournament or of a study, to repeat and watch their races."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pcs_racing.base.errors import InputError
+from pcs_racing_agents.study.study import Study, StudyConfig
+from pcs_racing_agents.tournament.race_files import read_results
+from pcs_racing_agents.watch.results_folder import ResultsFolder, read_manifest, tuples
+
+
+def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
+    """Open the folder of a tournament or of a study; its agents named in ``code`` may be code, which is run."""
+    path = Path(folder)
+    manifest = read_manifest(path)
+    if manifest is None or manifest["kind"] not in ("tournament", "study"):
+        raise InputError(
+            f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing study' wrote with "
+            "--out"
+        )
+    # A study keeps the races of its ratings in a folder of their own, and their lines beside it.
+    file, study = path / "results.csv", None
+    if manifest["kind"] == "study":
+        study = Study(_study_config(manifest["settings"]), path, quiet=True)
+    else:
+        above = read_manifest(path.resolve().parent)
+        if above is not None and above["kind"] == "study":
+            study = Study(_study_config(above["settings"]), path.resolve().parent, quiet=True)
+            file = path.resolve().with_suffix(".csv")
+    if not file.exists():
+        raise InputError(f"there is no {file}; it is written when all races are driven")
+    races = read_results(file, ("ego_variant", "opponent_variant"))
+    results = ResultsFolder(path, manifest["settings"], races, study, manifest["kind"] == "tournament", code)
+    for name in code:
+        results.check_raced(name)
+    return results
+
+
+def _study_config(values: Mapping[str, Any]) -> StudyConfig:
+    try:
+        return StudyConfig(**tuples(values))
+    except TypeError as error:
+        raise InputError(f"the study's settings are of another version: {error}") from None
