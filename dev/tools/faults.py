@@ -29,8 +29,22 @@ _PAIRS = "min max, minimum maximum, argmin argmax, sin cos, any all, floor ceil,
 TWINS = {a: b for pair in _PAIRS.split(", ") for a, b in (pair.split(), pair.split()[::-1])}
 
 _LEFT_ALONE = (ast.Import, ast.ImportFrom, ast.Raise, ast.Assert, ast.JoinedStr)
-_STYLE = ("alpha", "aspect", "color", "dpi", "figsize", "fontsize", "labelsize", "linewidth", "lw", "mew", "ms", "pad")
-_STYLE += ("shrink", "zorder")
+_STYLE = (
+    "alpha",
+    "aspect",
+    "color",
+    "dpi",
+    "figsize",
+    "fontsize",
+    "labelsize",
+    "linewidth",
+    "lw",
+    "mew",
+    "ms",
+    "pad",
+    "shrink",
+    "zorder",
+)
 _NUMBERED = re.compile(r"(.*[A-Za-z_])([01])(.*)")
 
 
