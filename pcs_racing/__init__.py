@@ -40,7 +40,7 @@ _PLACES = {
     "track.maps": "list_tracks",
     "track.track": "Track build_track",
 }
-"""Public names by their file. It is imported when a name is asked for: all files together take a second."""
+"""Public names by file. A file is imported on first use: all files together take a second."""
 
 _FILES = {name: file for file, names in _PLACES.items() for name in names.split()}
 __all__ = sorted(_FILES)
@@ -50,7 +50,7 @@ register_old_environments()
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is asked for; ``__init__.pyi`` has their types."""
+    """Import a public name on first use; ``__init__.pyi`` has the types."""
     if name not in _FILES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return globals().setdefault(name, getattr(import_module(f"pcs_racing.{_FILES[name]}"), name))

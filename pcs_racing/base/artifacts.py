@@ -1,8 +1,8 @@
-"""Folders with a manifest: a file of data, and ``manifest.yaml``, which says what the data are and holds their SHA-256.
+"""Folders with a manifest: a data file, and ``manifest.yaml`` with their description and SHA-256.
 
-Archives of policies, networks and trained drivers are kept in such folders; a choice made on training races is a
-manifest alone. Whatever is read may have been written by anybody: it is limited in size, nothing in it is run, and
-what does not fit is one clear error.
+Policy archives, networks and trained policies are saved in such folders; a choice made on training
+races is a manifest alone. Files may come from untrusted sources: their size is limited, no content
+is executed, and invalid content raises one clear error.
 """
 
 import hashlib
@@ -24,9 +24,9 @@ MANIFEST = "manifest.yaml"
 
 
 def shipped_folder(package: Path, name: str) -> Path:
-    """Return the folder ``data/NAME`` of a package; in a checkout, circuits lie in ``maps`` at the top.
+    """Return the folder ``data/NAME`` of a package; in a checkout, tracks are in the top ``maps``.
 
-    The top folder has the drawings and the page of the circuits, and is the place where a reader looks for them.
+    The top folder also holds the drawings and the page of the tracks; readers look for them there.
     """
     inside = package / "data" / name
     return inside if inside.is_dir() else package.parent / name
@@ -34,16 +34,16 @@ def shipped_folder(package: Path, name: str) -> Path:
 
 @dataclass(frozen=True)
 class ManifestFormat:
-    """What a YAML manifest must hold, and how to write and read it."""
+    """Format of a YAML manifest, with its writer and reader."""
 
-    noun: str  #: What it describes, for messages: "archive".
-    keys: tuple[str, ...]  #: All fields, beside ``format`` ("pcs-racing NOUN") and ``version``.
-    writer: str  #: The function that writes it, for messages.
-    version: int = 1  #: Manifests of other versions are refused.
+    noun: str  #: Name of the described object in messages: "archive".
+    keys: tuple[str, ...]  #: Fields in addition to ``format`` ("pcs-racing NOUN") and ``version``.
+    writer: str  #: Name of the writing function, for messages.
+    version: int = 1  #: Version of the format; manifests of other versions are refused.
 
     @property
     def a_noun(self) -> str:
-        """The noun with its article: "an archive"."""
+        """Noun with its article: "an archive"."""
         return f"{'an' if self.noun[0] in 'aeiou' else 'a'} {self.noun}"
 
     def write(self, file: Path, fields: Mapping[str, Any]) -> None:
@@ -84,18 +84,19 @@ class ManifestFormat:
 
 @dataclass(frozen=True)
 class ArtifactFormat(ManifestFormat):
-    """A kind of folder: what its manifest holds, which file of data is beside it, and where the shipped ones lie."""
+    """Format of a folder: its manifest, its data file, and the folder of the shipped artifacts."""
 
-    data_file: str = "data"  #: Name of the file of data.
-    digest_key: str = "sha256"  #: Field of the manifest that holds the SHA-256 of the data; one of ``keys``.
-    max_bytes: int = 32_000_000  #: Largest size of the data.
-    shipped: Path = Path()  #: Folder of those that come with the package, a folder for each name.
+    data_file: str = "data"  #: Name of the data file.
+    digest_key: str = "sha256"  #: Manifest field with the SHA-256 of the data; in ``keys``.
+    max_bytes: int = 32_000_000  #: Maximum size of the data.
+    shipped: Path = Path()  #: Folder of the shipped artifacts, with a folder for each name.
 
     def save(self, folder: str | Path, fields: Mapping[str, Any], data: bytes) -> Path:
-        """Write data and manifest (``fields`` beside the digest) into a folder, which is made if need be; return it.
+        """Write data and manifest (``fields`` and the digest) into a folder; return the folder.
 
-        A new folder appears whole or not at all. In one that exists the manifest is written last: until then its digest
-        belongs to other data, which :meth:`load` notices.
+        A missing folder is made, and appears whole or not at all. In an existing folder the
+        manifest is written last: until then its digest belongs to other data, and :meth:`load`
+        detects the mismatch.
         """
         folder = Path(check_path(f"the folder of {self.a_noun}", folder))
         manifest = self._manifest({**fields, self.digest_key: hashlib.sha256(data).hexdigest()})
@@ -109,18 +110,18 @@ class ArtifactFormat(ManifestFormat):
                 temporary.rename(folder)
                 return folder
             except OSError as error:
-                # Where there is a folder now, another process was faster: write into that.
+                # A folder that exists by now comes from another process: write into it.
                 if not folder.is_dir():
                     raise OSError(error.errno, error.strerror, str(folder)) from None
             finally:
                 shutil.rmtree(temporary, ignore_errors=True)
-        # The manifest last: if the process ends between the two, the digest tells that they don't belong together.
+        # The manifest last: if the process ends in between, the digest reveals the mismatch.
         write_atomically(folder / self.data_file, lambda stream: stream.write(data))
         write_atomically(folder / MANIFEST, lambda stream: stream.write(manifest))
         return folder
 
     def load(self, folder: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:
-        """Return the fields of the manifest and the data, whose digest has been compared with the manifest's."""
+        """Return the fields of the manifest and the data, after a check of the data's digest."""
         folder = Path(folder)
         fields = self.read(folder / MANIFEST)
         file = folder / self.data_file
@@ -130,11 +131,11 @@ class ArtifactFormat(ManifestFormat):
         return fields, data
 
     def shipped_names(self) -> list[str]:
-        """Names of those that come with the package, sorted."""
+        """Return the names of the shipped artifacts, sorted."""
         return sorted(path.parent.name for path in self.shipped.glob(f"*/{MANIFEST}"))
 
     def find(self, source: str | os.PathLike[str]) -> Path:
-        """Return the folder of a shipped one, by its name, or a folder as it is."""
+        """Return the folder of a shipped artifact, given its name, or a given folder unchanged."""
         if not isinstance(source, str | os.PathLike):
             raise InputError(f"{self.noun} {source!r} must be a name or a folder")
         names = self.shipped_names()

@@ -1,15 +1,17 @@
-"""Numba's cache on disk: deleted when sources change or a file is broken, and written by one process at a time.
+"""Numba's disk cache: deleted if sources change or a file is damaged, with one writer at a time.
 
-Numba looks at the file of the function that it loads, but not at the files of the functions which that one calls: after
-an edit or an update it would go on running parts of the old code. Here the cached code of a folder has a digest of all
-sources that it may be made of beside it, and is deleted when that digest is another one.
+Numba checks the file of the loaded function, but not the files of the functions that it calls:
+after an edit or an update it would continue to run parts of the old code. This module saves a
+digest of all possible sources next to a folder's cached code, and deletes the code when the digest
+changes.
 
-Numba ends with an error if it can't read a cached file (after a full disk or a power cut), in every later run, and
-runs machine code in which bits have changed. Here each file ends with a digest of its name and content. If it is wrong,
-the files of that function are deleted, and it is compiled again.
+After a full disk or a power cut, numba fails in every later run on an unreadable cached file, and
+runs machine code with changed bits. Here each file ends with a digest of its name and content. If
+the digest is wrong, the files of that function are deleted, and the function is compiled again.
 
-Numba reads the index of a function's code, adds a line and writes it back. Two processes that do so at the same time
-may end with a line of one that points to the code of the other. Here they take turns.
+Numba reads the index of a function's code, adds a line and writes it back. If two processes do so
+at the same time, a line of one process may point to the code of the other. Here a lock admits one
+process at a time.
 """
 
 import glob
@@ -27,17 +29,17 @@ from numba.core.caching import FunctionCache, IndexDataCacheFile
 from pcs_racing.base.errors import say_once
 
 SIMULATOR = ("base", "track", "car", "planners", "race")
-"""The lowest floors of ``pcs_racing``, which import nothing from the others: they have a digest of their own, so that
-an edit of an environment does not compile the race kernel again."""
+"""Lowest floors of ``pcs_racing``, without imports from the others. Their digest is separate: an
+edit of an environment does not recompile the race kernel."""
 
 NOTE = "sources.sha256"
-"""Name of the file beside cached code that says which sources it is made of."""
+"""Name of the file with the digest of the sources, next to the cached code."""
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 class _CheckedFiles(IndexDataCacheFile):
-    """Numba's files of one function. What follows a pickle is not read by numba: there the digest stands."""
+    """Numba's files of one function. Numba ignores bytes after a pickle: the digest is there."""
 
     @contextmanager
     def _open_for_write(self, path: str) -> Iterator[IO[bytes]]:
@@ -75,10 +77,10 @@ class CodeCache(FunctionCache):
         forget_stale_code(os.path.dirname(function.__code__.co_filename), self.cache_path)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the code for a signature; None if there is none that can be read."""
+        """Return the code for a signature, or None without readable code."""
         try:
             return super().load_overload(sig, target_context)
-        except Exception:  # damaged pickles raise a dozen kinds
+        except Exception:  # damaged pickles raise a dozen types of errors
             say_once("cached code can't be read; it is compiled again")
             for file in Path(self.cache_path).glob(f"{glob.escape(self._impl.filename_base)}.*"):
                 with suppress(OSError):
@@ -86,8 +88,8 @@ class CodeCache(FunctionCache):
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Store the code for a signature, one process at a time in each folder."""
-        from filelock import FileLock  # only where something is compiled
+        """Save the code for a signature; one process at a time writes to a folder."""
+        from filelock import FileLock  # needed only for compilation
 
         with ExitStack() as turn:
             with suppress(OSError):  # a file system without locks
@@ -100,27 +102,28 @@ class CodeCache(FunctionCache):
 
 @cache
 def forget_stale_code(sources: str, code: str) -> None:
-    """Delete the cached code in the folder ``code`` if anything has changed of which it may be made.
+    """Delete the cached code in the folder ``code`` if any of its possible sources has changed.
 
-    ``sources`` is the folder of the modules whose code it is.
+    ``sources`` is the folder of the compiled modules.
     """
     note, digest = Path(code, NOTE), digest_of(Path(sources).resolve())
-    with suppress(OSError):  # nowhere to write to: then numba keeps nothing either
+    with suppress(OSError):  # without a writable folder numba saves nothing either
         if note.is_file() and note.read_bytes() == digest:
             return
         for file in Path(code).glob("*.nb[ci]"):
             file.unlink(missing_ok=True)
-        # The note comes after the deletion: a process that ends between the two leaves nothing old under a new note.
+        # The note comes after the deletion: an interruption leaves no old code with a new note.
         temporary = note.with_suffix(f".{os.getpid()}.tmp")
         temporary.write_bytes(digest)
         os.replace(temporary, note)
 
 
 def digest_of(folder: Path) -> bytes:
-    """Digest, in hexadecimal, of all sources that compiled code of the modules in a folder may be made of.
+    """Return the hexadecimal digest of all possible sources of the compiled code of a folder.
 
-    Those are the simulator for modules of the simulator, and the whole of ``pcs_racing`` for its other modules. For all
-    others they are the files beside them, and both packages.
+    For modules of the simulator, the sources are the simulator; for other modules of
+    ``pcs_racing``, the whole of ``pcs_racing``. For all other modules they are the files in the
+    folder, and both packages.
     """
     if any(folder.is_relative_to(_PACKAGE / floor) for floor in SIMULATOR):
         parts = [sources_digest(_PACKAGE / floor) for floor in SIMULATOR]
@@ -133,11 +136,11 @@ def digest_of(folder: Path) -> bytes:
 
 @cache
 def sources_digest(folder: Path, deep: bool = True) -> bytes:
-    """Digest of the Python files in a folder, and in those below it."""
+    """Return the digest of the Python files in a folder and, if ``deep``, in its subfolders."""
     found = hashlib.sha256()
     for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
         if entry.name.endswith(".py"):
-            # With its length, so that a line can't move from one file to the next unnoticed.
+            # With the length, so that moving a line from one file to the next changes the digest.
             content = Path(entry.path).read_bytes()
             found.update(f"{entry.name} {len(content)}\n".encode() + content)
         elif deep and entry.is_dir() and entry.name != "__pycache__":

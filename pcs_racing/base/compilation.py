@@ -17,23 +17,24 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function with numba: cached on disk if it has a file, without the GIL, with IEEE division.
 
     Division by zero gives infinity, as in numpy; a check for it would prevent vector instructions. Leave ``fastmath``
-    off, and use the elementary functions of :mod:`pcs_racing.base.elementary`. Then a function computes the same bits
-    on every processor, and in every copy that the compiler inlines into its callers.
+    off, and use the elementary functions of :mod:`pcs_racing.base.elementary`. Then a function
+    computes the same bits on every processor, and in every copy inlined into its callers.
 
-    Without a function it returns a decorator. Further options are those of :func:`numba.njit`.
+    Without a function, return a decorator. All other options go to :func:`numba.njit`.
     """
-    # Stated even where it is the default: otherwise a function compiled for a kernel would inherit the kernel's choice.
+    # Explicit even for the default: otherwise a function compiled for a kernel would inherit the
+    # kernel's choice.
     options.setdefault("_nrt", True)
 
     def decorate(function: Callable[..., Any]) -> Any:
-        # Nobody calls these functions from C: the wrappers for that would be a tenth of the compilation.
+        # These functions are not called from C: C wrappers would take a tenth of the compilation.
         options.setdefault("no_cfunc_wrapper", True)
         dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
-        if not hasattr(dispatcher, "enable_caching"):  # without compilation it is the function itself
+        if not hasattr(dispatcher, "enable_caching"):  # without compilation: the function itself
             return dispatcher
         try:
-            dispatcher._cache = CodeCache(function)  # what `enable_caching` does, with a cache of ours
-        except RuntimeError:  # numba finds no place for the code; of a function typed at a prompt nothing is said
+            dispatcher._cache = CodeCache(function)  # as in `enable_caching`, with our cache
+        except RuntimeError:  # no folder for the code; no message for a function typed at a prompt
             if Path(function.__code__.co_filename).is_file():
                 say_once("compiled code can't be kept: no folder for it can be written; NUMBA_CACHE_DIR names one")
         return dispatcher
@@ -44,30 +45,31 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function like :func:`compiled`, but without reference counts for its arrays.
 
-    Only for functions that neither allocate nor return arrays (allocating in one is an error when it is compiled).
-    Numba offers no public option for that. Without this one (``_nrt=False``) a scan of 108 beams takes 21 us or more
-    instead of 4 us, and two threads count the references of the same arrays (dev/benchmarks/scan_speed.py).
+    Only for functions that neither allocate nor return arrays (an allocation is an error at
+    compilation). Numba has no public option for this. Without the private option ``_nrt=False`` a
+    scan of 108 beams takes 21 us or more instead of 4 us, and two threads count the references of
+    the same arrays (dev/benchmarks/scan_speed.py).
     """
     return compiled(function, _nrt=False, **options)
 
 
 class _Inner(CPUDispatcher):
-    """A compiled function that only compiled functions can call."""
+    """Compiled function, callable from compiled functions only."""
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         raise TypeError(f"{self.py_func.__qualname__} is an inner kernel: only compiled functions can call it")
 
 
 def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function as :func:`kernel` does, for other compiled functions alone.
+    """Compile a function like :func:`kernel`, for calls from compiled functions only.
 
-    It is left without the wrapper through which Python would call it, half the time of compiling a small one. Python
-    gets a TypeError.
+    The wrapper for calls from Python is left out: it takes half the compilation time of a small
+    function. A call from Python raises a TypeError.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher = kernel(function, no_cpython_wrapper=True, **options)
-        if isinstance(dispatcher, CPUDispatcher):  # without compilation it is the function itself
+        if isinstance(dispatcher, CPUDispatcher):  # without compilation: the function itself
             dispatcher.__class__ = _Inner
         return dispatcher
 
@@ -77,8 +79,9 @@ def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> 
 def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., None]:
     """Return the machine code of a compiled function for arguments of these types.
 
-    Calling it spares looking up the types of all arguments, which takes longer than a step of one race.
-    All later arguments must have exactly these types. Without compilation (``NUMBA_DISABLE_JIT``) it is the function.
+    A call skips the lookup of all argument types, which takes longer than a step of one race. All
+    later arguments must have exactly these types. Without compilation (``NUMBA_DISABLE_JIT``),
+    return the function itself.
     """
     if not hasattr(function, "typeof_pyval"):
         return function
@@ -86,40 +89,40 @@ def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Non
 
 
 _begun: set[str] = set()
-"""What this process has looked for: compiled, loaded or waited for."""
+"""Names of the functions that this process has compiled, loaded or waited for."""
 
 
 def first_call(dispatcher: Any, what: str, seconds: int) -> AbstractContextManager[bool]:
-    """Surround the first call of a compiled function, so that one process compiles it and the others wait.
+    """Surround the first call of a compiled function: one process compiles it, and the others wait.
 
-    Prints a line to stderr if the function is neither in memory nor in numba's cache on disk: that ``what`` is compiled
-    in about so many seconds, or that another process does so.
+    Print a line to stderr if the function is neither in memory nor in numba's cache on disk:
+    ``what`` is compiled in about ``seconds`` seconds, or another process compiles it.
 
-    Yields whether the function is about to be compiled. A caller whose work takes long can then call it without any
-    work, so that other processes wait for the compilation alone.
+    Yield True if the function is about to be compiled. A caller with long work can then call it
+    without any work, so that other processes wait for the compilation alone.
     """
-    if what in _begun:  # asking numba what it has compiled costs more than a short race
+    if what in _begun:  # a query of numba costs more than a short race
         return _LATER_CALL
     return _first_call(dispatcher, what, seconds)
 
 
-# One object for all later calls: a race of a step should not make one each time.
+# One object for all later calls: a one-step race should not make an object each time.
 _LATER_CALL = nullcontext(False)
 
 
 @contextmanager
 def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
     _begun.add(what)
-    # Without compilation (NUMBA_DISABLE_JIT) it is an ordinary function.
+    # Without compilation (NUMBA_DISABLE_JIT) the dispatcher is an ordinary function.
     if not hasattr(dispatcher, "signatures") or dispatcher.signatures or _on_disk(dispatcher):
         yield False
         return
     with ExitStack() as turn:
         kept = dispatcher.stats.cache_path is not None
-        with suppress(OSError):  # nowhere to write to: then nothing is kept either, and every process compiles
+        with suppress(OSError):  # without a writable folder every process compiles
             if kept:
                 _wait_for_turn(turn, dispatcher, what)
-        # Asked once more: another process may have compiled it while this one waited.
+        # Check again: another process may have compiled the function during the wait.
         if not _on_disk(dispatcher):
             say(f"compiling {what} (about {seconds} s, {'once; it is cached on disk' if kept else 'in each process'})")
         turn.enter_context(_without_collecting_garbage())
@@ -128,7 +131,10 @@ def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
 
 @contextmanager
 def _without_collecting_garbage() -> Iterator[None]:
-    """Numba makes millions of objects that all stay in use: looking through them takes a tenth of a compilation."""
+    """Disable garbage collection: scanning numba's live objects takes a tenth of a compilation.
+
+    They are millions, and all stay in use.
+    """
     collects = gc.isenabled()
     gc.disable()
     try:
@@ -139,7 +145,7 @@ def _without_collecting_garbage() -> Iterator[None]:
 
 
 def _wait_for_turn(turn: ExitStack, dispatcher: Any, what: str) -> None:
-    from filelock import FileLock, Timeout  # only where something is compiled
+    from filelock import FileLock, Timeout  # needed only for compilation
 
     cache = Path(dispatcher.stats.cache_path)
     cache.mkdir(parents=True, exist_ok=True)
@@ -159,5 +165,5 @@ def _on_disk(dispatcher: Any) -> bool:
 
 
 def _cached_name(dispatcher: Any) -> str:
-    """How the names of a function's cached files begin."""
+    """Return the prefix of the names of a function's cached files."""
     return f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__qualname__}-"

@@ -1,8 +1,8 @@
 """Dense networks: their weights as one value, the compiled forward pass, and their tensors in files.
 
-The forward pass computes one row at a time, so that a row's outputs are the same to the bit in a batch of any size. A
-matrix product of numpy would be shorter, but its rounding depends on the number of rows, and a driver must not decide
-otherwise because it raced in a larger batch.
+The forward pass computes one row at a time, so that a row's outputs are bit-identical in a batch of
+any size. A matrix product of numpy would be shorter, but its rounding depends on the number of
+rows, and a policy's decisions must not depend on the batch size.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -31,9 +31,9 @@ MOST_LAYERS = 16
 class DenseLayers:
     """Weights and biases of fully connected layers."""
 
-    #: shape (out, in), float32, of each layer; read-only.
+    #: shape (out, in), float32: Weights of each layer; read-only.
     weights: tuple[NDArray[np.floating[Any]], ...]  # float32; other numbers are converted
-    biases: tuple[NDArray[np.floating[Any]], ...]  #: shape (out,), float32
+    biases: tuple[NDArray[np.floating[Any]], ...]  #: shape (out,), float32: Biases.
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.weights) <= MOST_LAYERS or len(self.biases) != len(self.weights):
@@ -41,7 +41,7 @@ class DenseLayers:
                 f"there are weights of {len(self.weights)} layers and biases of {len(self.biases)}; give both of 1 to "
                 f"{MOST_LAYERS} layers"
             )
-        inputs = None  # of the next layer; the first may have any number
+        inputs = None  # inputs of the next layer; any number for the first layer
         weights, biases = [], []
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             shape = np.shape(weight)
@@ -57,7 +57,7 @@ class DenseLayers:
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Numbers that go in, and that come out of each layer."""
+        """Number of inputs, then the number of outputs of each layer."""
         return (self.weights[0].shape[1], *(len(bias) for bias in self.biases))
 
     @property
@@ -66,7 +66,10 @@ class DenseLayers:
         return self.sizes[1:-1]
 
     def flat(self) -> Floats:
-        """All numbers as one vector: of each layer its biases, then for each input the weights to all outputs."""
+        """Return all numbers as one vector.
+
+        For each layer: its biases, then for each input the weights to all outputs.
+        """
         return flat_layers(zip(self.weights, self.biases, strict=True))
 
 
@@ -76,7 +79,7 @@ def flat_layers(layers: Iterable[tuple[Floats, Floats]]) -> Floats:
 
 
 def weight_count(sizes: Sequence[int]) -> int:
-    """Return how many numbers layers of these sizes (:attr:`DenseLayers.sizes`) have."""
+    """Return the number of weights and biases for layer sizes (:attr:`DenseLayers.sizes`)."""
     return sum((below + 1) * above for below, above in pairwise(sizes))
 
 
@@ -96,10 +99,11 @@ def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
 
 @kernel
 def dense_forward(flat, sizes, x, y, tanh):  # type: ignore[no-untyped-def]
-    """Pass ``x[:sizes[0]]`` through all layers, whose numbers are ``flat`` (:meth:`DenseLayers.flat`).
+    """Pass ``x[:sizes[0]]`` through all layers with numbers ``flat`` (:meth:`DenseLayers.flat`).
 
-    ``x`` and ``y``, each as long as the largest of ``sizes``, are overwritten. The outputs stand in ``y`` if the number
-    of layers is odd, else in ``x``. Either a tanh follows each layer, or ReLUs stand between the layers.
+    ``x`` and ``y``, each of length ``max(sizes)``, are overwritten. The outputs are in ``y`` if the
+    number of layers is odd, else in ``x``. Either a tanh follows each layer, or a ReLU follows each
+    layer but the last.
     """
     at = 0
     layers = len(sizes) - 1
@@ -109,8 +113,8 @@ def dense_forward(flat, sizes, x, y, tanh):  # type: ignore[no-untyped-def]
         for j in range(width):
             y[j] = flat[at + j]
         at += width
-        # Four inputs at a time, so that the sums in ``y`` are loaded and stored once; one after the other, so that the
-        # rounding is that of one input at a time.
+        # Four inputs at a time: the sums in ``y`` are loaded and stored once. Their products are
+        # added in order: the rounding is the same as for one input at a time.
         whole = count - count % 4
         for i in range(0, whole, 4):
             a, b, c, d = x[i], x[i + 1], x[i + 2], x[i + 3]
@@ -131,15 +135,16 @@ def dense_forward(flat, sizes, x, y, tanh):  # type: ignore[no-untyped-def]
         elif layer < layers - 1:
             for j in range(width):
                 y[j] = max(y[j], np.float32(0.0))
-        # What came out of this layer goes into the next one.
+        # The outputs of this layer are the inputs of the next layer.
         x, y = y, x
 
 
 @kernel
 def dense_rows(rows, flat, sizes, scratch, out):  # type: ignore[no-untyped-def]
-    """Compute ``out = W_L relu(... relu(W_1 x + b_1) ...) + b_L`` for each row; says whether all inputs are finite.
+    """Compute ``out = W_L relu(... relu(W_1 x + b_1) ...) + b_L`` for each row.
 
-    ``rows`` has shape (R, D), ``out`` (R, A) and ``scratch`` (2, largest of ``sizes``), all float32.
+    Return whether all inputs are finite. ``rows`` has shape (R, D), ``out`` (R, A) and ``scratch``
+    (2, ``max(sizes)``), all float32.
     """
     finite = True
     last = (len(sizes) - 1) % 2
@@ -167,10 +172,10 @@ def layers_to_bytes(layers: DenseLayers, others: Mapping[str, Floats] | None = N
 def layers_from_bytes(
     file: Path, content: bytes, hidden: Any, others: Collection[str] = ()
 ) -> tuple[DenseLayers, dict[str, Floats]]:
-    """Read what :func:`layers_to_bytes` wrote: the layers, and the other tensors by name.
+    """Read the output of :func:`layers_to_bytes`: the layers, and the other tensors by name.
 
-    ``hidden`` are the widths of the hidden layers as the manifest says, and ``others`` the names of the other tensors:
-    the file must have just these. Its name is for messages.
+    ``hidden`` lists the widths of the hidden layers in the manifest, and ``others`` the names of
+    the other tensors: the file must have exactly these. ``file`` is for messages.
     """
     if not isinstance(hidden, list) or not all(type(width) is int for width in hidden):
         raise InputError(f"{file.parent}: hidden is {hidden!r:.80}; it must be a list of whole numbers")
@@ -195,7 +200,7 @@ def layers_from_bytes(
         )
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
-    # The names fit, and yet the widths may be others.
+    # Matching names do not imply matching widths.
     if list(layers.hidden) != hidden:
         raise InputError(f"{file} has hidden layers {list(layers.hidden)}; its manifest says {hidden}")
     return layers, {key: tensors[key] for key in others}

@@ -1,11 +1,12 @@
 """Elementary functions (sine, arctangent, exponential and others) with the same bits on every processor.
 
 The C library and numpy select their code for these functions by the processor (fused multiply-add, width of vectors).
-The versions differ in the last bit, and a race amplifies such a difference. The functions here use only additions,
-multiplications, divisions and square roots in a fixed order, for which IEEE 754 defines the rounding.
+The versions differ in the last bit, and a race amplifies such a difference. The functions here use
+only additions, multiplications, divisions and square roots in a fixed order; IEEE 754 defines their
+rounding.
 
-Reductions and coefficients are those of fdlibm (sine and cosine) [1]_ and Cephes (the others) [2]_. The errors named
-below are checked against long double in the tests.
+Reductions and coefficients come from fdlibm (sine and cosine) [1]_ and Cephes (other functions)
+[2]_. Tests check the errors named below against long double.
 
 References
 ----------
@@ -22,9 +23,9 @@ _ROUNDER = 6755399441055744.0  # 1.5 * 2**52: added to a number it leaves the ne
 
 @kernel(forceinline=True)
 def sine_cosine(angle):  # type: ignore[no-untyped-def]
-    """Sine and cosine of an angle in rad, |angle| < 1000, with an error below 1.5e-16.
+    """Return the sine and cosine of an angle in rad, |angle| < 1000, with an error below 1.5e-16.
 
-    No branch and no table, so that loops over many angles use vector instructions.
+    There is no branch and no table, so that loops over many angles use vector instructions.
     """
     # The number of quarter turns, rounded by an addition: a call of ``floor`` could not be vectorised everywhere.
     shifted = angle * 0.6366197723675814 + _ROUNDER
@@ -51,16 +52,19 @@ def sine_cosine(angle):  # type: ignore[no-untyped-def]
 
 @kernel(forceinline=True)
 def tangent(angle):  # type: ignore[no-untyped-def]
-    """Tangent of an angle in rad, |angle| < 1000, to 3 ulp (away from its zeros and poles beyond the first)."""
+    """Return the tangent of an angle in rad, |angle| < 1000.
+
+    The error is at most 3 ulp, away from zeros and poles beyond the first.
+    """
     sine, cosine = sine_cosine(angle)
     return sine / cosine
 
 
 @kernel
 def arctangent(x):  # type: ignore[no-untyped-def]
-    """Angle in [-pi/2, pi/2] whose tangent is x, in rad, to 1 ulp."""
-    # Large arguments are turned by a quarter or an eighth of a circle, to where the fraction below is exact enough;
-    # ``rest`` is what the number for that turn lacks.
+    """Return the angle in [-pi/2, pi/2] with the tangent x, in rad, to 1 ulp."""
+    # Large arguments are turned by a quarter or an eighth of a circle, into the range of sufficient
+    # accuracy of the fraction below; ``rest`` is the rounding error of that turn.
     a = abs(x)
     begin = 0.0
     rest = 0.0
@@ -80,7 +84,7 @@ def arctangent(x):  # type: ignore[no-untyped-def]
 
 @kernel
 def arctangent2(y, x):  # type: ignore[no-untyped-def]
-    """Angle in [-pi, pi] of the direction (x, y), in rad, to 2 ulp; 0 of no direction."""
+    """Return the angle in [-pi, pi] of the direction (x, y), in rad, to 2 ulp; 0 at the origin."""
     if x == 0.0 and y == 0.0:
         return 0.0
     # The quotient of the smaller by the larger: it can't overflow.
@@ -95,37 +99,37 @@ def arctangent2(y, x):  # type: ignore[no-untyped-def]
 
 @kernel
 def arcsine(x):  # type: ignore[no-untyped-def]
-    """Angle in [-pi/2, pi/2] whose sine is x in [-1, 1], in rad, to 3 ulp."""
+    """Return the angle in [-pi/2, pi/2] with the sine x in [-1, 1], in rad, to 3 ulp."""
     return arctangent2(x, np.sqrt((1.0 - x) * (1.0 + x)))
 
 
 @inner_kernel(forceinline=True)
 def _power_of_two(n):  # type: ignore[no-untyped-def]
-    """2.0**n for whole n in [-1022, 1023]."""
+    """Return 2.0**n for whole n in [-1022, 1023]."""
     return np.int64((n + 1023) << 52).view(np.float64)
 
 
 @kernel
 def exponential(x):  # type: ignore[no-untyped-def]
-    """e**x to 2 ulp; 0 below -745.2 and infinity above 709.8."""
+    """Return e**x to 2 ulp; 0 below -745.2 and infinity above 709.8."""
     if not -746.0 < x < 710.0:
         return x + np.inf if not x <= -746.0 else 0.0
     n = np.floor(x * 1.4426950408889634 + 0.5)
-    # The logarithm of 2 in two parts, of which the product with the first is exact.
+    # The logarithm of 2 in two parts; the product with the first is exact.
     r = (x - n * 6.93145751953125e-1) - n * 1.42860682030941723212e-6
     q = r * r
     p = r * ((1.26177193074810590878e-4 * q + 3.02994407707441961300e-2) * q + 1.0)
     below = ((3.00198505138664455042e-6 * q + 2.52448340349684104192e-3) * q + 2.27265548208155028766e-1) * q + 2.0
-    # In two steps: the power itself may be out of range where the result is not.
+    # In two steps: the power alone may be out of range although the result is not.
     half = np.int64(n) >> 1
     return (1.0 + 2.0 * (p / (below - p))) * _power_of_two(half) * _power_of_two(np.int64(n) - half)
 
 
 @kernel
 def hyperbolic_tangent(x):  # type: ignore[no-untyped-def]
-    """Hyperbolic tangent, to 2 ulp."""
+    """Return the hyperbolic tangent, to 2 ulp."""
     a = abs(x)
-    # Near 0 the exponentials would cancel, so a fraction takes their place there.
+    # Near 0 the exponentials would cancel; a fraction replaces them there.
     if a >= 0.625:
         a = 1.0 - 2.0 / (exponential(2.0 * a) + 1.0)
         return -a if x < 0.0 else a
@@ -137,7 +141,7 @@ def hyperbolic_tangent(x):  # type: ignore[no-untyped-def]
 
 @compiled
 def sines_cosines(angles):  # type: ignore[no-untyped-def]
-    """Sines and cosines of many angles, shape (N,), in rad, each within 1000 of 0."""
+    """Return the sines and cosines of many angles, shape (N,), in rad, each within 1000 of 0."""
     sines = np.empty(angles.shape[0])
     cosines = np.empty(angles.shape[0])
     for k in range(angles.shape[0]):
@@ -147,7 +151,7 @@ def sines_cosines(angles):  # type: ignore[no-untyped-def]
 
 @compiled
 def headings(vectors):  # type: ignore[no-untyped-def]
-    """Angles in [-pi, pi] of plane vectors, shape (N, 2), in rad."""
+    """Return the angles in [-pi, pi] of plane vectors, shape (N, 2), in rad."""
     out = np.empty(vectors.shape[0])
     for k in range(vectors.shape[0]):
         out[k] = arctangent2(vectors[k, 1], vectors[k, 0])
@@ -155,6 +159,6 @@ def headings(vectors):  # type: ignore[no-untyped-def]
 
 
 def lengths(vectors: np.ndarray) -> np.ndarray:
-    """Lengths of plane vectors of moderate size, shape (..., 2)."""
+    """Return the lengths of plane vectors of moderate size, shape (..., 2)."""
     x, y = vectors[..., 0], vectors[..., 1]
     return np.asarray(np.sqrt(x * x + y * y), np.float64)

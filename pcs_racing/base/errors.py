@@ -1,23 +1,23 @@
-"""Errors for bad input, and the rule which of them is raised where.
+"""Errors for bad input, and the rule for their use.
 
-A message is one line that names the value and the correct form, and it comes before any long work. All functions of
-both packages follow one rule, which their docstrings do not repeat.
+A message is one line that names the value and the correct form; it comes before any long work. All
+functions of both packages follow the same rule, without repeating it in their docstrings.
 
 =============================  =========================================================================================
-what is wrong                  error
+problem                        error
 =============================  =========================================================================================
 an argument, an array or a     :class:`InputError`. It names the argument, and the index of the first wrong race, game
 file                           or car; or the file that is missing, too large, damaged or of another kind.
 a setting or its value         :class:`ConfigError`
-a map or a circuit             :class:`MapError`
-a name in a registry           :class:`UnknownNameError`, with the names that there are
-a keyword argument             :class:`UnknownArgumentError`, with the nearest known one
+a map or a track               :class:`MapError`
+a name in a registry           :class:`UnknownNameError`, with the known names
+a keyword argument             :class:`UnknownArgumentError`, with the nearest known name
 an optional library            ``ModuleNotFoundError``, with the extra that installs it
-a disk that is full, a file    ``OSError``, with the path; a file that was there stays as it was
-without permission to write
+a full disk, a file without    ``OSError``, with the path; an existing file stays unchanged
+permission to write
 =============================  =========================================================================================
 
-A function that raises anything else says so in its docstring.
+A function's docstring names any other error that it raises.
 """
 
 import difflib
@@ -30,7 +30,7 @@ _LONGEST = 300
 
 
 class InputError(ValueError):
-    """An argument has a value that is not allowed; the message names the value and the correct form.
+    """Error for an invalid argument; the message names the value and the correct form.
 
     The value can be any text, so control characters in a message are escaped, and the middle of a message of more than
     300 characters is left out.
@@ -41,15 +41,15 @@ class InputError(ValueError):
 
 
 class MapError(InputError):
-    """A map folder, or a file in it, is not a valid map."""
+    """Error for a map folder, or a file in it, that is not a valid map."""
 
 
 class ConfigError(InputError):
-    """A configuration has an unknown key or a value that is not allowed."""
+    """Error for a configuration with an unknown key or an invalid value."""
 
 
 class UnknownNameError(InputError, KeyError):
-    """A name is not registered; the message lists the registered names."""
+    """Error for an unregistered name; the message lists the registered names."""
 
     def __str__(self) -> str:
         """Show the message itself (``KeyError`` would show its repr)."""
@@ -57,7 +57,7 @@ class UnknownNameError(InputError, KeyError):
 
 
 class UnknownArgumentError(InputError, TypeError):
-    """A function or class has no argument of this name."""
+    """Error for an unknown argument of a function or class."""
 
 
 def unknown_argument(function: str, name: str, known: Iterable[str]) -> UnknownArgumentError:
@@ -66,14 +66,14 @@ def unknown_argument(function: str, name: str, known: Iterable[str]) -> UnknownA
 
 
 def choices(name: str, known: Iterable[str]) -> str:
-    """Return the end of an error message about an unknown name: the nearest known one, and all of them."""
+    """Return the end of an error message about an unknown name: the nearest and all known names."""
     names = list(known)
     near = difflib.get_close_matches(str(name), names, n=1)
     return f"{f'did you mean {near[0]!r}? ' if near else ''}there are: {', '.join(names)}"
 
 
 def say(line: str) -> None:
-    """Tell whoever waits what takes so long, or what is done again; on stderr, so that output stays output."""
+    """Print a status message to stderr: the cause of a wait or of repeated work."""
     print(f"pcs-racing: {line}", file=sys.stderr, flush=True)
 
 
@@ -84,7 +84,7 @@ def say_once(line: str) -> None:
 
 
 def require(*modules: str, extra: str = "mapping") -> None:
-    """Raise an error that names the extra of this distribution to install if a module is missing; import nothing."""
+    """Raise an error that names the extra to install if a module is missing; import nothing."""
     for name in modules:
         if find_spec(name) is None:
             raise ModuleNotFoundError(f'{name} is needed for this: pip install "pcs-racing[{extra}]"', name=name)
@@ -92,7 +92,7 @@ def require(*modules: str, extra: str = "mapping") -> None:
 
 def _shortened(message: str) -> str:
     line = _ends(message)
-    # What a terminal would take for a command: the cursor's, colours, the direction of writing.
+    # Escape terminal commands: cursor, colours, writing direction.
     return _ends("".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line))
 
 

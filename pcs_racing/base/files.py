@@ -1,4 +1,4 @@
-"""Files are written completely or not at all, and untrusted ones are read safely: nothing in them is executed.
+"""Atomic writing of files, and safe reading of untrusted files: no content is executed.
 
 A few bytes can request much memory: YAML with aliases of aliases, an array header with a size of terabytes, a zip file
 that unpacks to terabytes. The readers here check the size before they build the content.
@@ -26,11 +26,11 @@ MAX_YAML = 200_000
 """Maximum size of a YAML file in bytes; larger files would take seconds to parse."""
 
 _FLOATS = yaml.SafeLoader("")
-_MOST_VALUES = 2_000_000  # of a YAML text, names written out; letters count as a tenth
+_MOST_VALUES = 2_000_000  # in a YAML text, aliases expanded; a letter counts as a tenth
 _DEEPEST = 50
 _LONGEST_NUMBER = 100  # characters
-_MOST_MEMBERS = 1000  # of a file of arrays
-_KINDS = "biufcUS"  # of arrays: booleans, numbers and texts
+_MOST_MEMBERS = 1000  # arrays in a file
+_KINDS = "biufcUS"  # types of arrays: booleans, numbers and texts
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
@@ -40,7 +40,8 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         raise InputError(f"can't write {path}: there is no folder {path.parent}")
     if path.is_dir():
         raise InputError(f"can't write {path}: it is a folder")
-    # In the same folder, because a file can only be renamed within one file system; cut, because names have a limit.
+    # In the same folder, because a file can only be renamed within one file system; shortened,
+    # because names have a limit.
     temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
     try:
         with open(temporary, "xb") as file:
@@ -55,9 +56,10 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 
 
 def read_limited(path: str | os.PathLike[str], limit: int, kind: str, error: type[InputError] | None = None) -> bytes:
-    """Return the content of a regular file of at most ``limit`` bytes; ``kind`` ("an archive") is for the message.
+    """Return the content of a regular file of at most ``limit`` bytes.
 
-    Whatever is wrong is an ``error``; without one, an :class:`OSError` stays what it is.
+    ``kind`` ("an archive") is for the message. All problems raise ``error``; without ``error``, an
+    :class:`OSError` is passed on.
     """
     refused = error or InputError
     check_path("the path of a file", path, refused)
@@ -67,7 +69,7 @@ def read_limited(path: str | os.PathLike[str], limit: int, kind: str, error: typ
             # A pipe or a device may never end.
             if not stat.S_ISREG(status.st_mode):
                 raise refused(f"{path} is no ordinary file")
-            # Not the limit: room for all that is asked for is made at once.
+            # Not the limit alone: ``read`` allocates the requested size at once.
             content = file.read(min(status.st_size, limit) + 1)
     except OSError as problem:
         if error is None:
@@ -79,14 +81,14 @@ def read_limited(path: str | os.PathLike[str], limit: int, kind: str, error: typ
 
 
 def _open_at_once(path: str, flags: int) -> int:
-    """Open a file; a pipe that nobody writes to would be waited for."""
+    """Open a file without blocking on a pipe that has no writer."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def plain_yaml(data: bytes | str) -> Any:
     """Parse a YAML text of mappings, lists, texts and numbers."""
     try:
-        # As a stream: of a text PyYAML's errors would quote the line, which a link may have led to.
+        # As a stream: for a text, PyYAML's errors would quote the line, possibly of a linked file.
         loader = yaml.SafeLoader(io.StringIO(data.decode("utf-8") if isinstance(data, bytes) else data))
         node = loader.get_single_node()
         if node is None:
@@ -98,7 +100,7 @@ def plain_yaml(data: bytes | str) -> Any:
         raise
     except RecursionError:
         raise InputError("it is nested too deeply") from None
-    # Values that only look like dates and numbers fail in a dozen ways.
+    # Values that look like dates or numbers but are not fail in a dozen ways.
     except Exception as error:
         raise InputError(" ".join(str(error).split())[:200] or type(error).__name__) from None
 
@@ -112,7 +114,7 @@ def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputEr
 
 
 def parse_json(file: str | os.PathLike[str], content: bytes | str) -> Any:
-    """Parse a JSON text; NaN, Infinity and numbers beyond those of a float are refused."""
+    """Parse a JSON text; NaN, Infinity and numbers beyond the range of a float are refused."""
 
     def finite(number: str) -> float:
         value = float(number)
@@ -124,7 +126,7 @@ def parse_json(file: str | os.PathLike[str], content: bytes | str) -> Any:
         return json.loads(content, parse_float=finite, parse_constant=finite)
     except InputError:
         raise
-    # Bytes of another encoding, integers of thousands of digits, brackets in brackets.
+    # Bytes of another encoding, integers of thousands of digits, deep nesting.
     except (ValueError, RecursionError) as error:
         raise InputError(f"{file} is not valid JSON: {' '.join(str(error).split()):.100}") from None
 
@@ -141,7 +143,7 @@ def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:
     if id(node) not in sizes:
         if depth > _DEEPEST:
             raise InputError(f"it is nested more than {_DEEPEST} levels deep")
-        # For one that contains itself: its size is asked for while it is being worked out.
+        # For a node that contains itself: its size is requested during its own computation.
         sizes[id(node)] = math.inf
         pairs = isinstance(node, yaml.MappingNode)
         children = [child for pair in node.value for child in pair] if pairs else node.value
@@ -150,25 +152,25 @@ def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:
 
 
 def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArray[Any]]:
-    """Return the arrays of the content of an ``.npz`` file by name, ``limit`` bytes at most; objects are refused."""
+    """Return the arrays of an ``.npz`` file by name, ``limit`` bytes at most; refuse objects."""
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as file:
             members = file.infolist()
-            # The announced sizes are checked before a single member is unpacked.
+            # Check the announced sizes before unpacking any member.
             if len(members) > _MOST_MEMBERS or sum(member.file_size for member in members) > limit:
                 raise InputError(f"it unpacks to more than {limit} bytes or {_MOST_MEMBERS} arrays")
             return {member.filename.removesuffix(".npy"): _array(file.read(member)) for member in members}
     except InputError:
         raise
-    # zipfile and zlib raise a dozen kinds for damaged files.
+    # zipfile and zlib raise a dozen types of errors for damaged files.
     except Exception as error:
         raise InputError(" ".join(str(error).split())[:200] or type(error).__name__) from None
 
 
 def _array(content: bytes) -> NDArray[Any]:
-    """Return the array of an ``.npy`` file, of numbers or texts and nothing behind it."""
+    """Return the array of an ``.npy`` file: numbers or texts, without trailing bytes."""
     stream = io.BytesIO(content)
-    # Numpy reserves the memory that a header announces, but touches no more of it than there is content.
+    # Numpy reserves the announced memory, but touches no more of it than the content fills.
     array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
     if array.dtype.kind not in _KINDS or array.dtype.itemsize == 0 or max(array.shape, default=0) > 2**40:
         raise InputError(f"an array is of type {array.dtype} and shape {array.shape}; there may be numbers and texts")

@@ -1,10 +1,11 @@
 """Compression of arrays to short text, for the JSON of a replay.
 
-An array is rounded to whole multiples of a unit and differenced along given axes, which leaves mostly small integers.
-Each integer is written as one or more characters of the base-64 alphabet. A character holds five bits, lowest first,
-and a sixth bit that marks whether more characters follow. Negative integers are interleaved with positive ones
-(0, -1, 1, -2, ...), as in Google's polyline format. A JSON list of the same integers is about twice as long and slower
-to parse.
+An array is rounded to whole multiples of a unit and differenced along given axes; most of the
+resulting integers are small. Each integer is written as one or more characters of the base-64
+alphabet. A character holds five bits, lowest first, and a sixth bit that marks whether more
+characters follow. Negative and positive integers are interleaved (0, -1, 1, -2, ...), as in
+Google's polyline format. A JSON list of the same integers is about twice as long and slower to
+parse.
 """
 
 import math
@@ -16,7 +17,8 @@ import numpy as np
 from pcs_racing.base.checks import check_number, check_wholes
 from pcs_racing.base.errors import InputError
 
-# Steps per unit: millimetres and milliradians for what is interpolated, centimetres for what is only looked at.
+# Steps per unit: millimetres and milliradians for interpolated data, centimetres for data that is
+# only drawn.
 FINE = 1000
 COARSE = 100
 
@@ -24,7 +26,8 @@ _CODES = np.frombuffer(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz012
 _VALUES = np.full(256, 255, np.uint8)
 _VALUES[_CODES] = np.arange(64, dtype=np.uint8)
 
-# Ten characters hold 50 bits: all that eight differences can make of 2^40, and exact in JavaScript's numbers too.
+# Ten characters hold 50 bits: the maximum after eight differences of 2^40, and exact in numbers of
+# JavaScript too.
 _MOST_CHARACTERS = 10
 _MOST_DIFFERENCES = 8
 _LARGEST = 2.0**40
@@ -34,8 +37,9 @@ _MOST_NUMBERS = 10_000_000
 def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -> dict[str, Any]:
     """Return an array as compressed text: ``shape``, ``per_unit``, ``differences`` and ``data``, ready for JSON.
 
-    ``per_unit`` is the number of steps per unit: 1000 keeps three decimals. Differences are taken along the axes
-    ``differences``, in this order; an axis may occur twice. Values must be finite, and at most 2^40 steps in size.
+    ``per_unit`` is the number of steps per unit: 1000 preserves three decimals. Differences are
+    taken along the axes ``differences``, in this order; an axis may occur twice. Values must be
+    finite, and at most 2^40 steps in size.
     """
     values = np.asarray(values, float)
     if not np.all(np.abs(values * per_unit) < _LARGEST):  # also false for NaN
@@ -43,7 +47,7 @@ def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -
     whole = np.rint(values * per_unit).astype(np.int64)
     for axis in differences:
         whole = np.diff(whole, axis=axis, prepend=0)
-    # Small numbers of either sign become small numbers without one.
+    # Small signed numbers become small unsigned numbers.
     folded = np.where(whole < 0, -2 * whole - 1, 2 * whole).ravel()
     lengths = np.ones(folded.shape, np.int64)
     for place in range(1, _MOST_CHARACTERS):
@@ -59,7 +63,7 @@ def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -
 
 
 def unpack(packed: object, name: str = "array") -> np.ndarray:
-    """Return the array of a text that `pack` wrote, after a check of all its fields: numbers below 1e15 in size."""
+    """Return an array packed by `pack`, after a check of all fields: numbers below 1e15 in size."""
     fields = _parts(packed, name, ("shape", "per_unit", "differences", "data"))
     shape, per_unit, differences, data = fields
     shape = check_wholes(f"{name}.shape", shape, 0, _MOST_NUMBERS, (0, 6))
@@ -83,7 +87,7 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
         raise InputError(f"{name}.data holds a number of more than {_MOST_CHARACTERS} characters")
     place = np.arange(len(digits)) - np.repeat(starts, lengths)
     folded = np.add.reduceat((digits & 31).astype(np.int64) << (5 * place), starts)
-    # Odd numbers stood for negative ones.
+    # Odd numbers encode negative numbers.
     whole = np.where(folded & 1, -(folded >> 1) - 1, folded >> 1).reshape(shape)
     for axis in differences:
         whole = np.cumsum(whole, axis=axis)
@@ -96,7 +100,8 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
 def join_segments(segments: np.ndarray) -> list[np.ndarray]:
     """Join segments (S, 4) into polylines (n, 2), rounded to 1 cm; a closed polyline ends with its first point."""
     ends = [tuple(row) for row in (np.rint(segments * COARSE) / COARSE + 0.0).tolist()]
-    # Backwards, so that of several segments that begin at a point the first is taken from the end of the list.
+    # Backwards, so that the first of several segments that begin at a point is taken from the end
+    # of the list.
     following: dict[tuple[float, ...], list[int]] = {}
     for i in range(len(ends) - 1, -1, -1):
         following.setdefault(ends[i][:2], []).append(i)
@@ -140,7 +145,7 @@ def unpack_segments(packed: object, name: str) -> np.ndarray:
 
 
 def pack_paths(paths: np.ndarray, per_unit: float) -> dict[str, Any]:
-    """Return packed paths (..., P, columns), of which each may end in rows of NaN.
+    """Return packed paths, shape (..., P, columns); each path may end in rows of NaN.
 
     The rows of NaN are replaced by copies of the last point, and the number of points of each path is stored. Second
     differences along a path are small because its points are evenly spaced. Neighbouring paths (along the axis before
@@ -165,7 +170,7 @@ def unpack_paths(packed: object, name: str) -> np.ndarray:
 
 
 def pack_costs(costs: np.ndarray) -> dict[str, Any]:
-    """Return packed costs as steps of 1/1000 above the smallest one; 0 stands for infinity."""
+    """Return packed costs as steps of 1/1000 above the minimum; 0 means infinity."""
     finite = np.isfinite(costs)
     offset = float(costs[finite].min()) if finite.any() else 0.0
     steps = np.where(finite, 1.0 + np.rint((np.where(finite, costs, offset) - offset) * FINE), 0.0)

@@ -17,32 +17,33 @@ from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, interpol
 EQUAL_SHARES = 0.05
 EQUAL_SPEEDS = 1e-3
 
-# The distance field agrees with the wall segments to this many cells: it is interpolated, and the segments run through
-# the middles of the cells' faces.
+# The distance field agrees with the wall segments to this many cells: it is interpolated, and the
+# segments run through the middles of the cells' faces.
 FIELD_ERROR = 1.5
 
-# Contact axes whose penetration lies this near the least (in m) count as equally good, so that the order of the cars
-# can't decide which one is taken.
+# Contact axes with a penetration this close to the minimum (in m) count as equal, so that the order
+# of the cars does not decide the axis.
 _SAME_AXIS = 1e-3
 
 
 class Rectangle(NamedTuple):
-    """The outline of a car."""
+    """Outline of a car."""
 
-    x: float  #: Of the centre, m.
-    y: float
+    x: float  #: x of the centre, m.
+    y: float  #: y of the centre, m.
     psi: float  #: Direction of the length, rad.
-    half_length: float  #: m
-    half_width: float
+    half_length: float  #: Half of the length, m.
+    half_width: float  #: Half of the width, m.
 
 
 @kernel
 def rectangles_overlap(a, b):  # type: ignore[no-untyped-def]
-    """Whether two rectangles share a positive area, by their four separating axes."""
-    # Cars are mostly far apart: settled without a sine.
+    """Return whether two rectangles share a positive area, by their four separating axes."""
+    # Most cars are far apart: decided without a sine.
     dx = b.x - a.x
     dy = b.y - a.y
-    reach = a.half_length + a.half_width + b.half_length + b.half_width  # no less than the two half diagonals together
+    # No less than the sum of the two half diagonals.
+    reach = a.half_length + a.half_width + b.half_length + b.half_width
     if dx * dx + dy * dy >= reach * reach:
         return False
     s0, c0 = sine_cosine(a.psi)
@@ -60,7 +61,7 @@ def rectangles_overlap(a, b):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ignore[no-untyped-def]
-    """Whether a segment, given in the rectangle's own frame, passes through its inside."""
+    """Return whether a segment, in a rectangle's own frame, passes through its inside."""
     if max(ax, bx) <= -half_length or min(ax, bx) >= half_length:
         return False
     if max(ay, by) <= -half_width or min(ay, by) >= half_width:
@@ -73,7 +74,7 @@ def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ign
 
 @kernel
 def inside_wall(track, x, y):  # type: ignore[no-untyped-def]
-    """Whether a point lies in a wall cell, off the track or outside the map."""
+    """Return whether a point lies in a wall cell, off the track or outside the map."""
     row = np.floor((y - track.origin_y) / track.cell)
     column = np.floor((x - track.origin_x) / track.cell)
     rows, columns = track.distance.shape
@@ -84,14 +85,14 @@ def inside_wall(track, x, y):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _wall_in_rectangle(near, stretch, body):  # type: ignore[no-untyped-def]
-    """Whether a wall that can be seen from a stretch passes through the inside of a rectangle."""
+    """Return whether a wall visible from a stretch passes through the inside of a rectangle."""
     s, c = sine_cosine(body.psi)
     dx = body.x - near.seen_middle[stretch, 0]
     dy = body.y - near.seen_middle[stretch, 1]
     half_length, half_width = body.half_length, body.half_width
     reach = np.sqrt(dx * dx + dy * dy) + np.sqrt(half_length * half_length + half_width * half_width)
     for k in range(near.seen_start[stretch], near.seen_start[stretch + 1]):
-        # The list is sorted: nothing behind this one can reach into the rectangle.
+        # The list is sorted: no later segment can reach into the rectangle.
         if near.seen_distance[k] >= reach:
             break
         i = np.uint32(near.seen[k])
@@ -118,7 +119,7 @@ def hits_wall(near, s, body):  # type: ignore[no-untyped-def]
     radius = np.sqrt(half_length * half_length + half_width * half_width)
     if clearance > radius + error:
         return False
-    # Three circles along the car cover it more closely than the one around it.
+    # Three circles along the car cover it more closely than one circle around it.
     step = half_length * (2.0 / 3.0)
     part = np.sqrt(0.25 * step * step + half_width * half_width) + error
     if clearance > part:
@@ -132,7 +133,7 @@ def hits_wall(near, s, body):  # type: ignore[no-untyped-def]
             return False
     if clearance <= min(half_length, half_width) - error:
         return True
-    # A body whose centre is in a wall may be too small to touch the wall's face.
+    # A body with its centre in a wall may be too small to touch the wall's face.
     if clearance < error:
         rows, columns = near.distance.shape
         if not (0.0 <= v < rows and 0.0 <= u < columns) or near.distance[int(v), int(u)] <= 0.0:
@@ -142,12 +143,13 @@ def hits_wall(near, s, body):  # type: ignore[no-untyped-def]
 
 @kernel
 def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore[no-untyped-def]
-    """Whether the rectangle of a car at arc length ``s`` (m) reaches into a wall; everything outside the map is wall.
+    """Return whether the rectangle of a car at arc length ``s`` (m) reaches into a wall.
 
-    The distance field settles the clear cases. Else the rectangle is tested against the wall segments that can be seen
-    from the car's stretch of track. These suffice: of all points of walls inside the rectangle, nothing hides the one
-    nearest to the centre from it, because the straight way there stays inside the rectangle. A car whose centre is in a
-    wall has hit it, too, even if it is too small to touch the wall's face.
+    Everything outside the map is wall. The distance field settles the clear cases. Otherwise the
+    rectangle is tested against the wall segments visible from the car's stretch of track. These
+    suffice: the wall point inside the rectangle nearest to the centre is visible from the centre,
+    because the straight line between them stays inside the rectangle. A car with its centre in a
+    wall has hit it, too, even if the car is too small to touch the wall's face.
     """
     near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
     return hits_wall(near, wrap_s(track, s), Rectangle(x, y, psi, half_length, half_width))
@@ -155,10 +157,10 @@ def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore
 
 @compiled
 def _clip(polygon, count, a, b, limit, out):  # type: ignore[no-untyped-def]
-    """Keep the part of a convex polygon where a x + b y <= limit (Sutherland and Hodgman 1974); returns its size."""
+    """Clip a convex polygon to a x + b y <= limit; return its size (Sutherland, Hodgman 1974)."""
     kept = 0
     for i in range(count):
-        # Number by number: numba takes seconds to compile the copying of rows.
+        # Number by number: numba takes seconds to compile a copy of rows.
         px, py = polygon[i, 0], polygon[i, 1]
         following = i + 1 if i + 1 < count else 0
         qx, qy = polygon[following, 0], polygon[following, 1]
@@ -178,7 +180,10 @@ def _clip(polygon, count, a, b, limit, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def _middle_of_overlap(a, b):  # type: ignore[no-untyped-def]
-    """Centroid of the area two rectangles share, relative to the first's centre; half way to the second's if none."""
+    """Return the centroid of the shared area of two rectangles, relative to the first's centre.
+
+    Without a shared area, return the point half way to the second's centre.
+    """
     polygon = np.empty((8, 2))
     other = np.empty((8, 2))
     s, c = sine_cosine(b.psi)
@@ -188,7 +193,7 @@ def _middle_of_overlap(a, b):  # type: ignore[no-untyped-def]
         polygon[i, 0] = b.x - a.x + u * c - v * s
         polygon[i, 1] = b.y - a.y + u * s + v * c
     s, c = sine_cosine(a.psi)
-    count = polygon.shape[0] // 2  # of the corners
+    count = polygon.shape[0] // 2  # number of corners
     count = _clip(polygon, count, c, s, a.half_length, other)
     count = _clip(other, count, -c, -s, a.half_length, polygon)
     count = _clip(polygon, count, -s, c, a.half_width, other)
@@ -210,7 +215,10 @@ def _middle_of_overlap(a, b):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
-    """The axis of direction psi, turned to point along (dx, dy), and how deep shapes of this reach overlap on it."""
+    """Return the axis of direction psi, oriented along (dx, dy), and the penetration along it.
+
+    ``reach`` is the sum of the two shapes' half extents on the axis.
+    """
     ay, ax = sine_cosine(psi)
     apart = dx * ax + dy * ay
     if apart < 0.0:
@@ -220,13 +228,15 @@ def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
 
 @compiled
 def contact_fault(state0, state1, a, b):  # type: ignore[no-untyped-def]
-    """Decide which car is at fault for a contact of two, by their vehicle states and rectangles; at least one is.
+    """Decide which car is at fault for a contact, from two vehicle states and rectangles.
 
-    The contact direction is the axis of least penetration of the two rectangles, from the first car to the second. Each
-    car's share is the speed with which its own body moves into the other one: the velocity of its material point in the
-    middle of the overlap, along that direction, nothing if it moves away. The car with the larger share is at fault;
-    both are when the shares lie within ``EQUAL_SHARES`` or ``EQUAL_SPEEDS`` of each other. So the follower is at fault
-    for a rear-end contact, however hard the leader braked, and of two parallel cars the one that moved over.
+    At least one car is at fault. The contact direction is the axis of minimum penetration of the
+    two rectangles, from the first car to the second. Each car's share is the speed of its own body
+    into the other body: the velocity of its material point in the middle of the overlap, along the
+    contact direction, or 0 if it moves away. The car with the larger share is at fault; both cars
+    are at fault if the shares lie within ``EQUAL_SHARES`` or ``EQUAL_SPEEDS`` of each other. So the
+    follower is at fault for a rear-end contact, however hard the leader braked. Of two parallel
+    cars, the car that moved over is at fault.
     """
     v0, rate0, v1, rate1 = state0[3], state0[5], state1[3], state1[5]
     dx = b.x - a.x
@@ -245,7 +255,7 @@ def contact_fault(state0, state1, a, b):  # type: ignore[no-untyped-def]
         psi = (a.psi if i < 2 else b.psi) + 0.5 * np.pi * (i % 2)
         axes[i, 0], axes[i, 1], axes[i, 2] = _axis(dx, dy, psi, reaches[i])
         least = min(least, axes[i, 2])
-    # Two cars corner to corner may be as deep in each other along two axes: the contact lies between them.
+    # Corner to corner, two axes may have the same penetration: the contact lies between them.
     nx = 0.0
     ny = 0.0
     for i in range(4):

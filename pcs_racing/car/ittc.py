@@ -1,10 +1,11 @@
-"""The minimum instantaneous time to collision of a car, exact over all directions and without a scan.
+"""Minimum instantaneous time to collision of a car, exact over all directions and without a scan.
 
-A beam that hits a point p (relative to the lidar) which approaches with the relative velocity v has the range |p|, the
-range rate -(v . p) / |p| and so the instantaneous time to collision |p|^2 / (v . p). The points of equal time t form
-the circle through the lidar with the diameter |v| t along v, and the minimum over infinitely many beams is the smallest
-such circle that touches a wall or the opponent. What a nearer thing of the same velocity hides lies farther out on its
-beam, so that nothing has to be tested for being visible.
+A beam hits a point p (relative to the lidar) that approaches with the relative velocity v. The beam
+has the range |p|, the range rate -(v . p) / |p| and so the instantaneous time to collision
+|p|^2 / (v . p). The points of equal time t form the circle through the lidar with the diameter
+|v| t along v. The minimum over infinitely many beams is the smallest such circle that touches a
+wall or the opponent. A point hidden by a nearer object of the same velocity lies farther out on its
+beam, so that no point needs a test of visibility.
 """
 
 import numpy as np
@@ -13,10 +14,10 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, wrap_s
 
-# A segment may end this far, in m, before the point that was computed on it.
+# Tolerance, in m, for a computed point beyond the end of its segment.
 _ROUNDING = 1e-9
 
-# A segment that stays this far, in m, outside the circle of a time can't have a smaller time, however it is rounded.
+# A segment this far, in m, outside the circle of a time can't have a smaller time after rounding.
 _OUTSIDE = 1e-8
 
 
@@ -24,9 +25,10 @@ _OUTSIDE = 1e-8
 def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untyped-def]
     """Return the smaller of ``best`` and the minimum time to collision (s) with the points of a segment.
 
-    The ends a and b (m) and the velocity (m/s), whose norm ``speed`` is positive, are those seen from the lidar.
+    The ends a and b (m) and the velocity (m/s) are relative to the lidar. ``speed``, the norm of
+    the velocity, is positive.
     """
-    # Both ends lie behind, so the whole segment does.
+    # Both ends lie behind, so the whole segment lies behind.
     if max(vx * ax + vy * ay, vx * bx + vy * by) <= 0.0:
         return best
     ex = bx - ax
@@ -49,7 +51,7 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
         foot = (0.5 * time * (vx + speed * nx) - ax) * ux + (0.5 * time * (vy + speed * ny) - ay) * uy
         if -_ROUNDING <= foot <= length + _ROUNDING:
             return time
-        # Along the line the time has a single minimum, so the end nearer to it is the best point of the segment.
+        # The time has a single minimum along the line, so the nearer end is the best point.
         if foot > length:
             ax = bx
             ay = by
@@ -62,7 +64,10 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
 
 @inner_kernel(forceinline=True)
 def _outside_circle(ax, ay, bx, by, cx, cy, square):  # type: ignore[no-untyped-def]
-    """Whether the segment from a to b lies outside the circle about c; ``square`` is that of its radius."""
+    """Return whether the segment from a to b lies outside the circle about c.
+
+    ``square`` is the square of the radius.
+    """
     wx = cx - ax
     wy = cy - ay
     ex = bx - ax
@@ -71,7 +76,7 @@ def _outside_circle(ax, ay, bx, by, cx, cy, square):  # type: ignore[no-untyped-
     length = ex * ex + ey * ey
     cross = wx * ey - wy * ex
     end = min(wx * wx + wy * wy, (cx - bx) * (cx - bx) + (cy - by) * (cy - by))
-    # Without branches, which nobody could predict: both ends are outside, and what is between them if it is nearer.
+    # Without unpredictable branches: both ends are outside, and so is a nearer point between them.
     return (end > square) & ((along <= 0.0) | (along >= length) | (cross * cross > square * length))
 
 
@@ -83,15 +88,15 @@ def walls_ittc(near, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-de
         return best
     k, last = near.seen_start[stretch], near.seen_start[stretch + 1]
     while k < last:
-        # The circle of the best time so far, about (cx, cy) as seen from the lidar. What is so far from the stretch's
-        # middle lies outside it, as do all later segments.
+        # The circle of the best time so far, about (cx, cy) relative to the lidar. A segment beyond
+        # ``reach`` from the stretch's middle lies outside, and so do all later segments.
         cx = 0.5 * best * vx
         cy = 0.5 * best * vy
         radius = 0.5 * best * speed + _OUTSIDE
         dx = x + cx - near.seen_middle[stretch, 0]
         dy = y + cy - near.seen_middle[stretch, 1]
         reach = np.sqrt(dx * dx + dy * dy) + radius
-        # As soon as the best time falls, the circle is smaller, and more of the list is beyond it.
+        # When the best time falls, the circle shrinks, and more of the list is beyond it.
         known = best
         while k < last and not best < known:
             if near.seen_distance[k] >= reach:
@@ -102,7 +107,7 @@ def walls_ittc(near, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-de
             ay = near.walls[i, 1] - y
             bx = near.walls[i, 2] - x
             by = near.walls[i, 3] - y
-            # Most segments lie outside: seen here without a root or a quotient.
+            # Most segments lie outside: rejected here without a root or a quotient.
             if not _outside_circle(ax, ay, bx, by, cx, cy, radius * radius):
                 best = segment_ittc(ax, ay, bx, by, vx, vy, speed, best)
     return best
@@ -112,7 +117,7 @@ def walls_ittc(near, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-de
 def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: ignore[no-untyped-def]
     """Return the smaller of ``best`` and the minimum time to collision with a rectangle at (x, y) from the lidar."""
     speed = np.sqrt(vx * vx + vy * vy)
-    nearest = np.sqrt(x * x + y * y) - half_length - half_width  # no point of it is nearer
+    nearest = np.sqrt(x * x + y * y) - half_length - half_width  # lower bound
     if speed == 0.0 or nearest >= best * speed:
         return best
     s, c = sine_cosine(psi)
@@ -130,11 +135,12 @@ def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: i
 def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, ovx, ovy, use_opponent, horizon):  # type: ignore[no-untyped-def]
     """Return the minimum instantaneous time to collision of a lidar with the walls and, optionally, the opponent.
 
-    Walls hidden by the opponent count too. Rotation of either car is left out: a beam is taken to keep its direction.
+    Walls hidden by the opponent count too. Rotation of either car is ignored: the direction of a
+    beam is taken as constant.
 
-    (x, y), (vx, vy) and s are the position (m), the velocity in the frame of the map (m/s) and the arc length (m) of
-    the lidar; (ox, oy, opsi) and (ovx, ovy) the pose (m and rad) of the opponent's centre and its velocity (m/s). The
-    result is at most the horizon, s.
+    (x, y), (vx, vy) and s are the lidar's position (m), velocity in the frame of the map (m/s) and
+    arc length (m); (ox, oy, opsi) and (ovx, ovy) are the pose (m and rad) of the opponent's centre
+    and its velocity (m/s). The result is at most ``horizon`` (s).
     """
     stretch = int(wrap_s(track, s) / track.seen_stretch) % track.seen_middle.shape[0]
     best = walls_ittc(WallArrays(*track[WALLS_BEGIN:WALLS_END]), stretch, x, y, vx, vy, horizon)

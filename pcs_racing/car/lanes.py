@@ -1,8 +1,8 @@
-"""Several cars that are driven in lockstep, one in each lane of the processor's vectors.
+"""Several cars driven in lockstep, one in each lane of the processor's vectors.
 
-A *lanes* array is flat: rows of ``LANES`` numbers, one for each car. As the length of a row is fixed when the code is
-compiled, loops over the lanes use vector instructions; a lane that holds no car costs nothing more. Each lane computes
-what :func:`pcs_racing.car.vehicle.step` does, to the bit.
+A *lanes* array is flat: rows of ``LANES`` numbers, one for each car. The length of a row is fixed
+at compilation, so that loops over the lanes use vector instructions; a lane without a car costs
+nothing extra. Each lane is bit-identical to :func:`pcs_racing.car.vehicle.step`.
 """
 
 from pcs_racing.base.compilation import inner_kernel, kernel
@@ -12,7 +12,7 @@ from pcs_racing.car.vehicle import Handling, handling, runge_kutta, step_to_targ
 LANES = 8
 
 VECTOR = 4
-"""Lanes that are driven at a time: a single race has two cars, for which a loop over all lanes would do too much."""
+"""Number of lanes computed at a time: a loop over all lanes is too long for a race of two cars."""
 
 # Rows: the state, the target, and the handling.
 _STATE = 0
@@ -41,14 +41,14 @@ def store_car(lanes, lane, state):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def set_target(lanes, lane, steer, speed):  # type: ignore[no-untyped-def]
-    """Give the car in a lane a target steering angle (rad) and speed (m/s)."""
+    """Set the target steering angle (rad) and speed (m/s) of the car in a lane."""
     lanes[_STEER + lane] = steer
     lanes[_SPEED + lane] = speed
 
 
 @inner_kernel(forceinline=True)
 def step_slow_car(lanes, lane, state, p, dt):  # type: ignore[no-untyped-def]
-    """Advance ``state`` alone if the car in the lane is too slow for `step_lanes`; returns whether it was."""
+    """Advance ``state`` alone and return True if the lane's car is too slow for `step_lanes`."""
     if lanes[LANES * _vehicle.V + lane] >= _vehicle.KINEMATIC_BELOW + p[_vehicle.A_MAX] * dt:
         return False
     store_car(lanes, lane, state)
@@ -60,10 +60,10 @@ def step_slow_car(lanes, lane, state, p, dt):  # type: ignore[no-untyped-def]
 def step_lanes(lanes, cars, dt):  # type: ignore[no-untyped-def]
     """Advance the cars in the first ``cars`` lanes by one step of ``dt`` seconds towards their targets.
 
-    ``VECTOR`` of them at a time: the lanes beyond the cars up to the next multiple are computed as well and may hold
-    anything, best no numbers so small (below 1e-307) that arithmetic with them is slow.
+    ``VECTOR`` lanes are computed at a time. The lanes beyond the cars, up to the next multiple, are
+    computed as well and may hold any numbers; numbers below 1e-307 would slow down the arithmetic.
 
-    Cars that are so slow that they may roll without slip within the step come out wrong (`step_slow_car`).
+    Results are wrong for cars slow enough to roll without slip within the step (`step_slow_car`).
     """
     for first in range(0, cars, VECTOR):
         part = lanes[first:]
@@ -92,7 +92,7 @@ def step_lanes(lanes, cars, dt):  # type: ignore[no-untyped-def]
             psi_dot = part[LANES * _vehicle.PSI_DOT + i]
             beta = part[LANES * _vehicle.BETA + i]
             rate, acceleration = target_inputs(delta, v, part[_STEER + i], part[_SPEED + i], car, dt)
-            # Never the slow branch here: a branch would keep the loop from being vectorised.
+            # No slow branch here: a branch would prevent vectorisation of the loop.
             x, y, delta, v, psi, psi_dot, beta = runge_kutta(
                 x, y, delta, v, psi, psi_dot, beta, rate, acceleration, car, dt, False
             )

@@ -1,4 +1,4 @@
-"""A 2D lidar that measures ranges to walls and to the opponent."""
+"""2D lidar that measures ranges to walls and to the opponent."""
 
 from dataclasses import MISSING, dataclass
 from functools import cached_property
@@ -48,12 +48,12 @@ def _track(name: str, value: Any) -> Track:
 
 
 BEAMS, FIELD_OF_VIEW, MAX_RANGE = whole(1, MOST_BEAMS), number(1e-6, 2.0 * np.pi), number(1e-3, 1e6)
-"""Rules of the settings of a lidar."""
+"""Rules for the settings of a lidar."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lidar(Settings):
-    """A scanning lidar at the pose of a car, on one track."""
+    """Scanning lidar at the pose of a car, on one track."""
 
     track: Track = setting(MISSING, Rule(_track), "The circuit.")
     beams: int = setting(1080, BEAMS, "Number of beams; a single beam points straight ahead.")
@@ -63,14 +63,14 @@ class Lidar(Settings):
 
     @cached_property
     def angles(self) -> NDArray[np.float64]:
-        """Return the angles of the beams relative to the heading, shape (beams,), rad, counter-clockwise; read-only."""
+        """Beam angles from the heading, shape (beams,), rad, counter-clockwise; read-only."""
         angles = np.linspace(-0.5 * self.fov, 0.5 * self.fov, self.beams) if self.beams > 1 else np.zeros(1)
         angles.flags.writeable = False
         return angles
 
     @cached_property
     def kernel(self) -> Beams:
-        """Return the beams in the form that `scan_into` takes."""
+        """Beams in the form for `scan_into`."""
         step = self.fov / (self.beams - 1) if self.beams > 1 else 2.0 * np.pi
         sin, cos = sines_cosines(self.angles)
         cos.flags.writeable = sin.flags.writeable = False
@@ -93,9 +93,9 @@ class Lidar(Settings):
         opponents : array_like, shape (..., 3), optional
             Pose of one other car for each scan; broadcast to the shape of ``poses``.
         opponent_size : tuple of float
-            Its length and width, m.
+            Length and width of the other car, m.
         rng : numpy.random.Generator, optional
-            Source of the noise; needed if ``noise`` is positive, else not used.
+            Source of the noise; required if ``noise`` is positive, else unused.
 
         Returns
         -------

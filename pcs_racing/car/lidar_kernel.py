@@ -1,10 +1,11 @@
 """One lidar scan in compiled code, without ray marching.
 
-The wall segments that can be seen from the car's stretch of track are projected into polar coordinates and drawn into a
-depth buffer of beams, the nearest winning. Along a segment the inverse range is linear in the cosine and sine of the
-beam's angle, so drawing needs a product and a maximum per beam. The walls are polylines within about half a cell of the
-grid. At the edge of something near, this half cell may put a beam on the wrong side of the edge; the beams beside such
-a jump, and those that no listed segment fills, are settled by following them through the cells of the grid.
+The wall segments visible from the car's stretch of track are projected into polar coordinates and
+drawn into a depth buffer of beams; the nearest segment wins. Along a segment the inverse range is
+linear in the cosine and sine of the beam's angle, so drawing needs a product and a maximum per
+beam. The walls are polylines within about half a cell of the grid. At the edge of a near object,
+this half cell may put a beam on the wrong side of the edge. The beams next to such a jump, and
+beams without a listed segment, are settled by following them through the cells of the grid.
 """
 
 from typing import NamedTuple
@@ -18,37 +19,43 @@ from pcs_racing.car.collision import inside_wall
 from pcs_racing.track.frenet import wrap_s
 from pcs_racing.track.grid import cast
 
-# Neighbouring beams lie on two sides of an edge if their ranges differ by this much in m and as a share of the nearer.
+# Neighbouring beams lie on two sides of an edge if their ranges differ by this much, in m and as a
+# share of the nearer range.
 JUMP = 1.0
 JUMP_SHARE = 0.2
 
-RUN = 64  # beams that are searched for jumps at once
+RUN = 64  # beams searched for jumps at once
 
-# How well the grid and the buffer must agree, in m, for the search beside an edge to end.
+# Maximum difference of grid and buffer, in m, that ends the search next to an edge.
 AGREEMENT = 0.5
 
-# Segments are drawn this much longer at both ends, in rad, to leave no gap where they meet: more than `_angle` errs.
+# Extension of segments at both ends, in rad, that closes the gaps between them: more than the error
+# of `_angle`.
 _OVERLAP = 1e-7
 
-_RECTANGLE = 16  # corners of a rectangle in both directions, NaN between them, and more of it to fill the vectors
+# Corners of a rectangle in both directions, NaN between them, and more NaN to fill the vectors.
+_RECTANGLE = 16
 
-# Shape of the working memory of `scan_into`: longer lists of segments are worked off in parts.
+# Shape of the working memory of `scan_into`: longer lists of segments are drawn in parts.
 WORK_SHAPE = (4, 512)
 
 
 class Beams(NamedTuple):
-    """The beams of a lidar, in the form that compiled kernels read."""
+    """Beams of a lidar, in the form for compiled kernels."""
 
     first: float  #: Angle of the first beam relative to the car's heading, counter-clockwise, rad.
     step: float  #: Angle from each beam to the next, rad.
-    max_range: float  #: Longest range that is reported, m.
-    cos: NDArray[np.float64]  #: shape (beams,): Of the beams' angles.
-    sin: NDArray[np.float64]  #: shape (beams,)
+    max_range: float  #: Maximum reported range, m.
+    cos: NDArray[np.float64]  #: shape (beams,): Cosines of the beams' angles.
+    sin: NDArray[np.float64]  #: shape (beams,): Sines of the beams' angles.
 
 
 @inner_kernel(forceinline=True)
 def _angle(x, y):  # type: ignore[no-untyped-def]
-    """Direction of (x, y) in rad to 2e-8 (Abramowitz and Stegun 1964, 4.4.49); free of branches, to be vectorised."""
+    """Return the direction of (x, y) in rad to 2e-8 (Abramowitz and Stegun 1964, 4.4.49).
+
+    There is no branch, for vectorisation.
+    """
     ax = abs(x)
     ay = abs(y)
     r = min(ax, ay) / max(ax, ay)
@@ -63,9 +70,12 @@ def _angle(x, y):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _faces_lidar(ax, ay, bx, by):  # type: ignore[no-untyped-def]
-    """Whether a segment has the lidar on its left and spans an angle (3e-7 rad) well above the error of `_angle`."""
+    """Return whether a segment has the lidar on its left and spans more than 3e-7 rad.
+
+    This angle is well above the error of `_angle`.
+    """
     across = ax * by - ay * bx
-    # Both are computed: half of all segments face away, and nobody can predict which.
+    # Both terms are computed: half of all segments face away, unpredictably.
     return (across > 0.0) & (across * across > 1e-13 * (ax * ax + ay * ay) * (bx * bx + by * by))
 
 
@@ -73,7 +83,7 @@ def _faces_lidar(ax, ay, bx, by):  # type: ignore[no-untyped-def]
 def _find_angles(beams, x, y, cos, sin, px, py, angles):  # type: ignore[no-untyped-def]
     """Write the angle of each corner, counted counter-clockwise from the first beam, rad in [0, 2 pi].
 
-    Written for the compiler to vectorise, as is `_choose`: no branch, no look-up.
+    Vectorisable, like `_choose`: no branch, no lookup.
     """
     zero = beams.first
     for k in range(np.uint64(px.shape[0])):
@@ -85,7 +95,10 @@ def _find_angles(beams, x, y, cos, sin, px, py, angles):  # type: ignore[no-unty
 
 @inner_kernel(forceinline=True)
 def _span(beams, begin, end):  # type: ignore[no-untyped-def]
-    """Span of a segment between two angles, in beams from the first one; below 0 if it crosses the first direction."""
+    """Return the span of a segment between two angles, in beams from the first beam.
+
+    The begin is below 0 if the segment crosses the first direction.
+    """
     per_step = 1.0 / beams.step
     margin = _OVERLAP * per_step
     begin = begin - 2.0 * np.pi if begin > end else begin
@@ -94,10 +107,10 @@ def _span(beams, begin, end):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _choose(beams, x, y, px, py, angles, last, chosen):  # type: ignore[no-untyped-def]
-    """Mark, by the corner that it begins at, each segment that faces the lidar and is met by a beam.
+    """Mark, by its first corner, each segment that faces the lidar and is met by a beam.
 
-    Half of all segments face away or fall between two beams, and nobody can predict which. What ends or begins at NaN
-    is no segment.
+    Half of all segments face away or fall between two beams, unpredictably. A pair of corners with
+    a NaN is no segment.
     """
     for k in range(np.uint64(chosen.shape[0])):
         after = k + np.uint64(1)
@@ -110,7 +123,7 @@ def _choose(beams, x, y, px, py, angles, last, chosen):  # type: ignore[no-untyp
 @inner_kernel
 def _fill(cos, sin, p, q, first, last, out):  # type: ignore[no-untyped-def]
     """Draw an inverse range into a run of beams; the larger wins."""
-    # Unsigned: an index that might be negative (counted from the end, in Python) keeps the loop from being vectorised.
+    # Unsigned: a possibly negative index (counted from the end, in Python) prevents vectorisation.
     for k in range(np.uint64(first), np.uint64(last + 1)):
         before = out[k]
         inverse = p * cos[k] + q * sin[k]
@@ -129,7 +142,8 @@ def _draw(beams, x, y, cos, sin, px, py, work, out):  # type: ignore[no-untyped-
     angles, chosen = work[0], work[1]
     _find_angles(beams, x, y, cos, sin, px, py, angles[: count + 1])
     _choose(beams, x, y, px, py, angles, last, chosen[:count])
-    # The chosen ones are moved to the front without a branch: every one is written, and only some are kept.
+    # Move the chosen segments to the front without a branch: write every index, but advance the
+    # position only for chosen segments.
     kept = 0
     for k in range(np.uint64(count)):
         is_chosen = chosen[k] > 0.0
@@ -160,7 +174,7 @@ def _draw(beams, x, y, cos, sin, px, py, work, out):  # type: ignore[no-untyped-
 
 @inner_kernel
 def _draw_list(corners, beams, x, y, cos, sin, first, end, work, out):  # type: ignore[no-untyped-def]
-    """Draw a list of corners, in parts for which the working memory is large enough."""
+    """Draw a list of corners, in parts that fit into the working memory."""
     for begin in range(first, end - 1, work.shape[1] - 1):
         stop = min(begin + work.shape[1], end)
         _draw(beams, x, y, cos, sin, corners[0, begin:stop], corners[1, begin:stop], work, out)
@@ -168,7 +182,7 @@ def _draw_list(corners, beams, x, y, cos, sin, first, end, work, out):  # type: 
 
 @inner_kernel
 def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-untyped-def]
-    """Draw the walls and obstacles that can be seen from arc length s into a buffer of inverse ranges."""
+    """Draw the walls and obstacles visible from arc length s into a buffer of inverse ranges."""
     corners, start = track.corners, track.corners_start
     lists = start.shape[0] - 1
     stretch = int(wrap_s(track, s) / track.seen_stretch) % lists
@@ -185,7 +199,8 @@ def draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, ou
     for k in range(5):
         u = half_length if k % 4 in (0, 3) else -half_length
         v = half_width if k % 4 in (0, 1) else -half_width
-        # In both directions: near sides run clockwise around a lidar outside, all counter-clockwise around one inside.
+        # In both directions: near sides run clockwise around a lidar outside, all sides run
+        # counter-clockwise around a lidar inside.
         for at in (k, 10 - k):
             px[at] = x + u * c - v * s
             py[at] = y + u * s + v * c
@@ -194,7 +209,7 @@ def draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, ou
 
 @inner_kernel
 def _follow(track, beams, x, y, cos, sin, k, reach):  # type: ignore[no-untyped-def]
-    """Range of beam k in m, at most ``reach``, by following it through the cells of the grid."""
+    """Follow beam k through the cells of the grid; return its range in m, at most ``reach``."""
     c = cos * beams.cos[k] - sin * beams.sin[k]
     s = sin * beams.cos[k] + cos * beams.sin[k]
     u = (x - track.origin_x) / track.cell
@@ -205,7 +220,10 @@ def _follow(track, beams, x, y, cos, sin, k, reach):  # type: ignore[no-untyped-
 
 @inner_kernel(forceinline=True)
 def _stands_out(out, k):  # type: ignore[no-untyped-def]
-    """Whether the jump behind beam k is no mere slope: along a wall seen at a grazing angle ranges grow steadily."""
+    """Return whether the jump behind beam k is more than a slope.
+
+    Along a wall at a grazing angle, ranges grow steadily.
+    """
     before = abs(out[k] - out[max(k - 1, 0)])
     after = abs(out[min(k + 2, out.shape[0] - 1)] - out[k + 1])
     return abs(out[k + 1] - out[k]) > 2.0 * max(before, after)
@@ -213,7 +231,7 @@ def _stands_out(out, k):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _jumps(out, k):  # type: ignore[no-untyped-def]
-    """Whether there is a jump behind beam k."""
+    """Return whether there is a jump behind beam k."""
     before = np.uint64(k)  # as in `_fill`
     after = before + np.uint64(1)
     far = min(out[before], out[after])
@@ -223,7 +241,7 @@ def _jumps(out, k):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _smooth(out, first, last):  # type: ignore[no-untyped-def]
-    """Whether there is no jump behind any of a run of beams. Written for the compiler to vectorise."""
+    """Return whether a run of beams has no jump; vectorisable."""
     jumps = 0
     for k in range(np.uint64(first), np.uint64(last)):
         jumps += _jumps(out, k)
@@ -232,9 +250,9 @@ def _smooth(out, first, last):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _settle_jump(track, beams, x, y, cos, sin, k, out):  # type: ignore[no-untyped-def]
-    """Follow the beams on both sides of the jump behind beam k; returns the last beam that needs no more search.
+    """Follow the beams on both sides of the jump behind beam k; return the last settled beam.
 
-    A beam that passes the nearer thing has agreed: how far it goes then was not in doubt.
+    A beam that passes the nearer object agrees: its range beyond that object was not in doubt.
     """
     last = out.shape[0] - 1
     passed = min(1.0 / max(out[k], out[k + 1]) + JUMP, beams.max_range)
@@ -272,14 +290,15 @@ def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped
 
 @kernel
 def scan_walls(track, beams, x, y, psi, s, work, out):  # type: ignore[no-untyped-def]
-    """Begin a scan: write the inverse ranges of the walls, 1/m; returns whether the lidar stands in none of them.
+    """Begin a scan: write the inverse ranges of the walls, 1/m; return False for a lidar in a wall.
 
-    `scan_car` adds cars; the inverse of what is then there are ranges. In a wall all ranges are 0 already.
+    `scan_car` adds cars; inverting the buffer then gives the ranges. In a wall all ranges are 0
+    already.
     """
     if inside_wall(track, x, y):
         out[:] = 0.0
         return False
-    # The buffer holds inverse ranges until the end; 0 means that nothing was drawn.
+    # The buffer holds inverse ranges until the end; 0 marks a beam without a segment.
     out[:] = 0.0
     sin, cos = sine_cosine(psi)
     _draw_walls(track, beams, x, y, cos, sin, s, work, out)
@@ -290,7 +309,7 @@ def scan_walls(track, beams, x, y, psi, s, work, out):  # type: ignore[no-untype
         for k in range(out.shape[0]):
             if out[k] <= 0.0:
                 out[k] = 1.0 / _follow(track, beams, x, y, cos, sin, k, beams.max_range)
-    # Before the edges: a jump to what lies beyond the longest range is none.
+    # Before the edges: a jump to a range beyond the maximum does not count.
     least = 1.0 / beams.max_range
     for k in range(out.shape[0]):
         out[k] = out[k] if out[k] > least else least
@@ -310,11 +329,12 @@ def scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out)
 
 @kernel
 def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out):  # type: ignore[no-untyped-def]
-    """Write one scan, without allocating anything: ranges in m, in [0, max_range], into ``out`` of shape (beams,).
+    """Write one scan without allocation into ``out``, shape (beams,): ranges in [0, max_range], m.
 
-    A lidar inside a wall or off the map reads 0 everywhere. The working memory, one for each thread, may have any shape
-    (4, n) with n >= 16; ``np.empty(WORK_SHAPE)`` will do. The lidar is at (x, y, psi) and arc length ``s``, the
-    opponent's rectangle around (ox, oy, opsi), in m and rad.
+    A lidar inside a wall or off the map reads 0 everywhere. The working memory, one for each
+    thread, may have any shape (4, n) with n >= 16, such as ``np.empty(WORK_SHAPE)``. The lidar is
+    at (x, y, psi) and arc length ``s``; the opponent's rectangle is around (ox, oy, opsi), in m and
+    rad.
     """
     if scan_walls(track, beams, x, y, psi, s, work, out):
         if has_opponent:

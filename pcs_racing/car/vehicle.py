@@ -1,4 +1,4 @@
-"""The single-track vehicle model of CommonRoad [1]_ and the controllers that turn commands into its inputs.
+"""Single-track vehicle model of CommonRoad [1]_, and controllers from commands to its inputs.
 
 A vehicle's state is a row of seven numbers: x, y (m), steering angle delta (rad), speed v (m/s), heading psi (rad),
 yaw rate psi_dot (rad/s) and slip angle beta (rad), all at the centre of gravity. Its inputs are the steering rate
@@ -6,9 +6,8 @@ yaw rate psi_dot (rad/s) and slip angle beta (rad), all at the centre of gravity
 
 References
 ----------
-.. [1] M. Althoff, M. Koschi and S. Manzinger, "CommonRoad: Composable benchmarks for motion planning on roads", IV
-2017,
-   single-track model with load transfer.
+.. [1] M. Althoff, M. Koschi and S. Manzinger, "CommonRoad: Composable benchmarks for motion
+   planning on roads", IV 2017, single-track model with load transfer.
 """
 
 import os
@@ -36,7 +35,7 @@ KINEMATIC_BELOW = 0.5  # m/s; the dynamic branch divides by the speed
 ControlMode = Literal["rates", "target"]
 
 COMMAND_PERIOD = 0.02  # s between two steering commands of a race
-MOST_DELAYED = 25  # of them
+MOST_DELAYED = 25  # commands
 
 
 def _steer_delay(value: Any) -> float:
@@ -50,7 +49,7 @@ def _steer_delay(value: Any) -> float:
 class VehicleParams(Settings):
     """Parameters of one car; the defaults are the 1:10 F1TENTH car.
 
-    The last two concern races, where the car is steered by commands at 50 Hz: `simulate` knows neither.
+    The last two apply to races, with steering commands at 50 Hz. `simulate` ignores both.
     """
 
     mu: float = setting(1.0489, number(0.01, 10.0), "Friction coefficient.")
@@ -101,7 +100,7 @@ F1TENTH = VehicleParams()
 
 
 def load_vehicle(source: VehicleParams | Mapping[str, Any] | str | os.PathLike[str]) -> VehicleParams:
-    """Return a car: its parameters, a mapping of those that differ from F1TENTH's, "f1tenth", or a YAML file of them.
+    """Return a car from parameters, a mapping of changes to F1TENTH, "f1tenth", or a YAML file.
 
     Examples
     --------
@@ -112,10 +111,10 @@ def load_vehicle(source: VehicleParams | Mapping[str, Any] | str | os.PathLike[s
 
 
 def load_vehicles(source: Any, cars: int = 2) -> tuple[VehicleParams, ...]:
-    """Return the cars of a race: one source of :func:`load_vehicle` for all, or a list of as many, car 0's first."""
+    """Return a race's cars: one source of :func:`load_vehicle` for all, or a list, car 0 first."""
     if not isinstance(source, list | tuple):
         return (load_vehicle(source),) * cars
-    if len(source) != max(2, cars):  # alone, the other one of two stays away
+    if len(source) != max(2, cars):  # a single-car race ignores the second entry
         wanted = "both, or two" if cars <= 2 else f"all, or {cars}"
         raise ConfigError(f"vehicle lists {len(source)} cars; give one for {wanted}")
     return tuple(map(load_vehicle, source))[:cars]
@@ -126,7 +125,7 @@ def load_vehicles(source: Any, cars: int = 2) -> tuple[VehicleParams, ...]:
     range(16)
 )
 STEER_DELAY = 16  # in commands
-STEER_NOISE = 17  # rad; below 0 where the race's rules say it
+STEER_NOISE = 17  # rad; below 0: set by the race's rules
 PARAMS_SIZE = 18
 RULES_NOISE = -1.0
 
@@ -134,10 +133,10 @@ _physical = attrgetter(*(field.name for field in fields(VehicleParams)[:STEER_DE
 
 
 class Handling(NamedTuple):
-    """What the equations of motion need of a car's parameters.
+    """Coefficients of the equations of motion, computed from a car's parameters.
 
-    The tyres' stiffness times the load on them is ``front - front_shift a`` and ``rear + rear_shift a`` under the
-    longitudinal acceleration a.
+    The tyres' stiffness times their load is ``front - front_shift a`` and ``rear + rear_shift a``
+    under the longitudinal acceleration a.
     """
 
     steer_max: float
@@ -158,7 +157,7 @@ class Handling(NamedTuple):
 
 @inner_kernel(forceinline=True)
 def handling(p):  # type: ignore[no-untyped-def]
-    """Work out :class:`Handling` from a row of parameters."""
+    """Compute :class:`Handling` from a row of parameters."""
     slip_gain = p[MU] / (p[LF] + p[LR])
     return Handling(
         p[STEER_MAX],
@@ -195,7 +194,7 @@ def _limited_acceleration(v, a, car):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):  # type: ignore[no-untyped-def]
-    """Right-hand side of the model at low speed, where the tyres roll without slip."""
+    """Return the right-hand side of the model at low speed, with tyres rolling without slip."""
     sin_delta, cos_delta = sine_cosine(delta)
     tan_delta = sin_delta / cos_delta
     slip = arctangent(tan_delta * lr / wheelbase)
@@ -212,7 +211,7 @@ def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):  # type:
 
 @inner_kernel(forceinline=True)
 def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  # type: ignore[no-untyped-def]
-    """Right-hand side of the model for (x, y, delta, v, psi, psi_dot, beta)."""
+    """Return the right-hand side of the model for (x, y, delta, v, psi, psi_dot, beta)."""
     rate = _limited_rate(delta, rate, car)
     a = _limited_acceleration(v, acceleration, car)
     if slow and v < KINEMATIC_BELOW:
@@ -236,11 +235,11 @@ def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  # 
 
 @kernel(forceinline=True)
 def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow):  # type: ignore[no-untyped-def]
-    """One classic Runge-Kutta step of ``dt`` seconds of a car with its inputs held; returns its new state.
+    """Return a car's state after a classic Runge-Kutta step of ``dt`` s with constant inputs.
 
-    Steering rate (rad/s) and longitudinal acceleration (m/s^2) are limited inside the derivative, in all four stages.
-    ``slow`` says whether the speed may be below ``KINEMATIC_BELOW`` in one of the stages. Without it there is no
-    branch, so that loops over many cars use vector instructions.
+    Steering rate (rad/s) and longitudinal acceleration (m/s^2) are limited inside the derivative,
+    in all four stages. ``slow``: the speed may be below ``KINEMATIC_BELOW`` in a stage. Without
+    ``slow`` there is no branch, so that loops over many cars use vector instructions.
     """
     h = 0.5 * dt
     a0, a1, a2, a3, a4, a5, a6 = derivative(delta, v, psi, r, beta, rate, acceleration, car, slow)
@@ -269,7 +268,10 @@ def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow)
 
 @kernel
 def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
-    """Advance one vehicle with the parameter row ``p`` in place by one step with its inputs held (`runge_kutta`)."""
+    """Advance one vehicle with parameter row ``p`` in place by one step (`runge_kutta`).
+
+    The inputs are constant within the step.
+    """
     state[X], state[Y], state[DELTA], state[V], state[PSI], state[PSI_DOT], state[BETA] = runge_kutta(
         state[X],
         state[Y],
@@ -288,10 +290,10 @@ def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def target_inputs(delta, v, steer, speed, car, dt):  # type: ignore[no-untyped-def]
-    """Inputs that lead to a target steering angle and speed without chatter or overshoot.
+    """Return inputs that reach a target steering angle and speed without chatter or overshoot.
 
-    The steering moves at its full rate and arrives exactly; the speed error decays with a time constant of 0.1 s
-    where the engine and the brakes allow it.
+    The steering moves at its full rate and arrives exactly; the speed error decays with a time
+    constant of 0.1 s, within the limits of the engine and the brakes.
     """
     steer = min(max(steer, -car.steer_max), car.steer_max)
     rate = (steer - delta) / dt
@@ -314,7 +316,7 @@ def _simulate(states, controls, mode, dt, params):  # type: ignore[no-untyped-de
     for b in range(states.shape[0]):
         p = params[b]
         for k in range(controls.shape[1]):
-            # Driven in place in the next row, so that no state is allocated.
+            # Advanced in place in the next row, without allocating a state.
             states[b, k + 1] = states[b, k]
             state = states[b, k + 1]
             first = controls[b, k, 0]
@@ -345,12 +347,12 @@ def simulate(
     dt : float
         Length of a step in s, in (0, 0.05].
     params : VehicleParams or list of B VehicleParams
-        One set for all vehicles, or one for each.
+        One set for all vehicles, or one set for each.
 
     Returns
     -------
     ndarray, shape (T + 1, 7) or (B, T + 1, 7)
-        The states, the initial one first; psi is brought into [0, 2 pi) after each step.
+        States, with the initial state first; psi is wrapped to [0, 2 pi) after each step.
 
     Examples
     --------

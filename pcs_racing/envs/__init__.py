@@ -1,7 +1,7 @@
-"""Environments for reinforcement learning: strategy level, single agent, and control level.
+"""Environments for reinforcement learning at the strategy level and the control level.
 
-Importing :mod:`pcs_racing` registers them with Gymnasium and PettingZoo; the code behind a name is imported when an
-environment is made.
+Importing :mod:`pcs_racing` registers them with Gymnasium and PettingZoo. The module of an
+environment is imported when the environment is made.
 """
 
 import gymnasium
@@ -12,20 +12,21 @@ PETTINGZOO_IDS = {
     "pcs_racing/drive_head_to_head-v0": "pcs_racing.envs.drive",
     "pcs_racing/head_to_head_match-v0": "pcs_racing.envs.match",
 }
-"""The module with ``parallel_env`` and ``env``, by name."""
+"""Modules with ``parallel_env`` and ``env``, by id."""
 
 GYMNASIUM_IDS = {
     "pcs_racing/Duel-v1": ("pcs_racing.envs.duel:DuelEnv", "pcs_racing.envs.duel:DuelVectorEnv"),
     "pcs_racing/Match-v0": ("pcs_racing.envs.match:MatchEnv", "pcs_racing.envs.match:MatchVectorEnv"),
     "pcs_racing/Drive-v1": ("pcs_racing.envs.drive:DriveEnv", "pcs_racing.envs.drive:DriveVectorEnv"),
 }
-"""Where the environment and its vector environment are, by name."""
+"""Entry points of each environment and its vector environment, by id."""
 
 
 def register_environments() -> None:
-    """Make the environments known to ``gymnasium.make``, ``gymnasium.make_vec`` and ``pettingzoo.make``.
+    """Register the environments with Gymnasium and PettingZoo.
 
-    Names that are known already are left as they are, so that it can be called any number of times.
+    Afterwards ``gymnasium.make``, ``gymnasium.make_vec`` and ``pettingzoo.make`` find them.
+    Registered names are left unchanged, so repeated calls are safe.
     """
     for name, (single, vector) in GYMNASIUM_IDS.items():
         if name not in gymnasium.registry:

@@ -1,11 +1,12 @@
-"""What batches of episodes have in common, over which all environments are written.
+"""Common parts of the batches of episodes below all environments.
 
-:class:`pcs_racing.envs.drive_batch.DriveBatch` and :class:`pcs_racing.envs.game_batch.GameBatch` have the same methods,
-and an environment takes either. A batch advances E episodes at once, each with one or more players: an environment is
-one player's view of an episode. Environment ``i`` belongs to player ``i % players`` of episode ``i // players``. Each
-episode draws from a generator of its own, so a batch of any size gives the same numbers. What happens when an episode
-ends is not the batch's business: :class:`pcs_racing.envs.single.SingleEnv` and
-:class:`pcs_racing.envs.vector.BatchVectorEnv` see to that.
+:class:`pcs_racing.envs.drive_batch.DriveBatch` and
+:class:`pcs_racing.envs.game_batch.GameBatch` have the same methods, and an environment takes
+either. A batch advances E episodes at once, each with one or more players. An environment is one
+player's view of an episode: environment ``i`` belongs to player ``i % players`` of episode
+``i // players``. Each episode draws from its own generator, so a batch of any size gives the same
+numbers. :class:`pcs_racing.envs.single.SingleEnv` and
+:class:`pcs_racing.envs.vector.BatchVectorEnv`, not the batch, handle the end of an episode.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,21 +26,21 @@ from pcs_racing.race.state import CAR_CRASH, RaceState, empty_state
 from pcs_racing.track.frenet import X, Y
 
 Rows = NDArray[np.int64]
-"""Numbers of episodes, or a number for each."""
+"""Indices of episodes, or a number for each episode."""
 
 Generators = Sequence[np.random.Generator]
-"""A generator for each episode."""
+"""Random generators, one for each episode."""
 
 MOST_EPISODES = 100_000
 
 MAX_STEPS = 2**62
 
 FREE: Any = object()
-"""In the model of a state: a part that may be anything."""
+"""Part of a state's template that matches any value."""
 
 
 class BatchStep(NamedTuple):
-    """What a step of n environments returns, in fresh arrays."""
+    """Results of a step of n environments, in fresh arrays."""
 
     observations: NDArray[np.float32]  #: shape (n, D)
     rewards: NDArray[np.float64]  #: shape (n,)
@@ -48,14 +49,17 @@ class BatchStep(NamedTuple):
 
 
 def check_batch_size(episodes: int, threads: int | None) -> None:
-    """Check the number of environments of a batch, and of threads."""
+    """Check the numbers of environments and threads of a batch."""
     check_whole("num_envs", episodes, 1, MOST_EPISODES)
     if threads is not None:
         check_whole("threads", threads, 1)
 
 
 def read_numbers(options: Mapping[str, Any], name: str, shapes: Sequence[tuple[int | None, ...]], meaning: str) -> Any:
-    """An option as finite numbers of one of some shapes, in which None stands for any size; None if it is not given."""
+    """Return an option as finite numbers of one of the shapes, or None if it is not given.
+
+    None in a shape matches any size.
+    """
     if options.get(name) is None:
         return None
     try:
@@ -72,7 +76,10 @@ def read_numbers(options: Mapping[str, Any], name: str, shapes: Sequence[tuple[i
 
 
 def start_option(options: Mapping[str, Any], episodes: int, cars: int = 2) -> Starts | None:
-    """Read the option "start": arc length of the start line (m) and place of car 0, of each episode or for all."""
+    """Read the option "start", for all episodes or for each.
+
+    It holds the arc length of the start line (m) and the place of car 0.
+    """
     places = places_of_grid(cars)
     sides = "side 0 or 1" if places == 2 else f"place 0 to {places - 1}"
     meaning = f"(arc length in m, {sides}), for all episodes or for each of the {episodes}"
@@ -86,9 +93,9 @@ def start_option(options: Mapping[str, Any], episodes: int, cars: int = 2) -> St
 
 
 def poses_option(options: Mapping[str, Any], episodes: int, cars: int = 2) -> NDArray[np.float64] | None:
-    """Read the option "poses": x, y (m), heading (rad) and optionally speed (m/s) of all cars, shape (B, N, 4).
+    """Read the option "poses": x, y (m), heading (rad) and optionally speed (m/s) of all cars.
 
-    For a car alone it may hold a second pose, which nobody takes.
+    The result has the shape (B, N, 4). In a single-car race a second pose is ignored.
     """
     rows = (1, 2) if cars == 1 else (cars,)
     shapes = [(*first, row, size) for first in ((), (episodes,)) for row in rows for size in (3, 4)]
@@ -107,7 +114,10 @@ def poses_option(options: Mapping[str, Any], episodes: int, cars: int = 2) -> ND
 
 
 def place_poses(setup: RaceSetup, poses: NDArray[np.float64]) -> RaceState:
-    """Races whose cars stand at given poses, shape (B, N, 4); progress is counted from the front car."""
+    """Return races with the cars at given poses, shape (B, N, 4).
+
+    Progress is counted from the front car.
+    """
     state = empty_state(len(poses), setup.memory_size, len(setup.vehicles))
     state.cars[:, :, X], state.cars[:, :, Y] = poses[..., 0], poses[..., 1]
     state.cars[:, :, _vehicle.PSI] = np.mod(poses[..., 2], 2.0 * np.pi)
@@ -123,11 +133,11 @@ def place_poses(setup: RaceSetup, poses: NDArray[np.float64]) -> RaceState:
     return state
 
 
-# Checks of a state that is to be continued from: all of them come before anything is written.
+# Checks of a state to restore: all of them run before anything is written.
 
 
 def check_part(name: str, given: Any, like: Any) -> None:
-    """Refuse a part of a state that is not built as another one: of its types and shapes, with finite numbers."""
+    """Refuse a part of a state with other types or shapes than ``like``, or numbers not finite."""
     if like is FREE:
         return
     found, wanted = type(given).__name__, type(like).__name__
@@ -150,7 +160,7 @@ def check_part(name: str, given: Any, like: Any) -> None:
 
 
 def check_within(name: str, values: NDArray[Any], low: float, high: ArrayLike) -> None:
-    """Refuse numbers of a state that are out of a range, both ends included."""
+    """Refuse numbers of a state outside a range, both ends included."""
     wrong = (values < low) | (values > high)
     if wrong.any():
         most = float(np.max(high))
@@ -158,7 +168,7 @@ def check_within(name: str, values: NDArray[Any], low: float, high: ArrayLike) -
 
 
 def check_races(name: str, races: RaceState, config: RaceConfig, lengths: NDArray[np.float64]) -> None:
-    """Refuse races with a number out of its range; ``lengths`` are the lengths of their circuits, m."""
+    """Refuse races with a number out of its range; ``lengths`` are the track lengths, m."""
     for part, low, high in (
         ("tick", 0, config.ticks),
         ("crash", 0, CAR_CRASH),
@@ -172,11 +182,11 @@ def check_races(name: str, races: RaceState, config: RaceConfig, lengths: NDArra
 
 
 def generator_of(name: str, state: Any) -> np.random.Generator:
-    """Return a generator of its own in a state."""
+    """Return a new generator with a given state."""
     generator = np.random.default_rng()
     try:
         generator.bit_generator.state = state
-        # numpy cuts off numbers that do not fit in a field.
+        # NumPy truncates numbers that do not fit in a field.
         if generator.bit_generator.state != dict(state):
             raise ValueError(f"{state!r:.200}")
     except (TypeError, ValueError, KeyError, OverflowError, AttributeError) as error:

@@ -1,4 +1,4 @@
-"""Which circuit each episode of a batch is driven on: always the same, one of several, or a generated one."""
+"""Choice of the track of each episode: a fixed track, one of several, or a generated track."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -18,10 +18,11 @@ RANDOM = "random"
 
 
 class Circuits:
-    """The circuits of a batch of episodes, from the argument ``track`` of an environment.
+    """Tracks of a batch of episodes, from the argument ``track`` of an environment.
 
-    A random circuit follows from the number that the environment's generator draws when it begins, and from how many
-    episodes it has had since; the next one is built while this one is driven.
+    A random track is a function of a key and the number of episodes since the key was drawn. The
+    environment's generator draws the key when it begins. The next track is built during the
+    current episodes.
     """
 
     def __init__(self, source: Any, episodes: int) -> None:
@@ -33,8 +34,8 @@ class Circuits:
                 f"track is {source!r:.200}; it must be a circuit's name, its folder, a Track, a list of these, "
                 f"{RANDOM!r} or RandomCircuits"
             )
-        #: shape (episodes,), int: Number of each episode's circuit: its index in the list, or that of the random
-        #: circuit.
+        #: shape (episodes,), int: Number of each episode's track: its index in the list, or the
+        #: number of the random track.
         self.number = np.zeros(episodes, np.int64)
         self._keys = np.zeros(episodes, np.uint64)
         self._past = np.full(episodes, -1)  # episodes since the key was drawn
@@ -43,66 +44,69 @@ class Circuits:
 
     @property
     def several(self) -> bool:
-        """Whether episodes may be on different circuits."""
+        """True if episodes may be on different tracks."""
         return len(self._listed) != 1
 
     @property
     def codes(self) -> Mapping[int, str]:
-        """Names of the circuits by their numbers."""
+        """Names of the tracks by number."""
         return _RandomNames() if self._builder else {i: track.name for i, track in enumerate(self._listed)}
 
     def track(self, number: int) -> Track:
-        """Return a circuit by its number."""
+        """Return a track by its number."""
         return self._listed[number] if self._builder is None else self._builder.get(int(number))
 
     def forget(self, rows: NDArray[np.int64]) -> None:
-        """Let the circuits of some episodes begin anew, as their generators do."""
+        """Restart the track sequences of some episodes, with their generators."""
         self._past[rows] = -1
 
     def draw(self, rows: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> None:
-        """Draw the circuits of new episodes, each from its own generator; with a single circuit nothing is drawn."""
+        """Draw the tracks of new episodes, each from its own generator.
+
+        With a single track nothing is drawn.
+        """
         if self._builder is None:
             if self.several:
                 self.number[rows] = [generator.integers(len(self._listed)) for generator in generators]
             return
-        # The generator is asked once; later circuits follow from the key, so that they can be built ahead of time.
+        # The generator is used once. Later tracks follow from the key, so they can be built early.
         for row, generator in zip(rows, generators, strict=True):
             if self._past[row] < 0:
                 self._keys[row] = generator.integers(2**63)
             self._past[row] += 1
             self.number[row] = self._nth(row, 0)
-        for shift in (0, 1):  # all that are needed now, before any that will be
+        for shift in (0, 1):  # all current tracks before any next track
             for row in rows:
                 self._builder.ahead(self._nth(row, shift))
 
     def _nth(self, row: int, shift: int) -> int:
-        """Number of the circuit that an environment is on, or of one that follows it."""
+        """Return the number of an environment's current track, or of a later track."""
         settings = self._builder.settings  # type: ignore[union-attr]
         turn = int(self._past[row]) // settings.episodes + shift
         return int(random_bits(self._keys[row : row + 1], turn)[0, 0] % np.uint64(settings.count))
 
     def get_state(self) -> tuple[NDArray[Any], ...]:
-        """Return copies of all that changes."""
+        """Return copies of all variables."""
         return self.number.copy(), self._keys.copy(), self._past.copy()
 
     def check_state(self, state: tuple[NDArray[Any], ...]) -> None:
-        """Refuse what `get_state` can't have returned, in arrays of its shapes."""
+        """Refuse a state that `get_state` can't have returned; its shapes are checked before."""
         last = len(self._listed) - 1 if self._builder is None else self._builder.settings.count - 1
         check_within("the state's circuits", state[0], 0, last)
         check_within("the state's episodes on a circuit", state[2], -1, MAX_STEPS)
 
     def set_state(self, state: tuple[NDArray[Any], ...]) -> None:
-        """Continue from what `get_state` returned."""
+        """Continue from a state of `get_state`."""
         self.number[:], self._keys[:], self._past[:] = state
 
     def close(self) -> None:
-        """Stop building circuits."""
+        """Stop building tracks."""
         if self._builder is not None:
             self._builder.close()
 
 
 class _RandomNames(dict[int, str]):
-    """Names of random circuits by their numbers, of which there are too many to list."""
+    """Names of random tracks by number; there are too many to list."""
 
     def __missing__(self, number: int) -> str:
         return f"random-{number}"

@@ -1,4 +1,4 @@
-"""The environments at the level of steering and speed: one car alone or against others, or an agent in each car."""
+"""Control-level environments: one car alone or against others, or an agent in each car."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,14 +21,15 @@ from pcs_racing.race.state import MOST_CARS
 
 
 class DriveEnv(ScalarEnv, observation_table=observation_table(drive_elements(DriveOptions(beams=1)))):
-    """Drive one car against motion planners, or alone.
+    """Control of one car against motion planners, or alone on the track.
 
     ## Description
 
-    Two cars race on a closed circuit, or up to eight. The agent steers car 0; each other car is driven by a policy of a
-    motion planner at its own rate (plans at 10 Hz, steering at 50 Hz). A step lasts ``time_step`` s with one action:
-    0.1 s by default, at which a discount of 0.99 looks ten seconds ahead; 0.02 s is the rate at which the planners
-    steer, and 0.01 s that of the simulation, at which places along the race line are 0.01 s old in every second step.
+    Two to eight cars race on a closed track. The agent steers car 0. A policy of a motion planner
+    drives each other car at its own rate (plans at 10 Hz, steering at 50 Hz). A step applies one
+    action for ``time_step`` s. With the default of 0.1 s, a discount of 0.99 looks ten seconds
+    ahead. With 0.02 s, the agent steers at the rate of the planners. With 0.01 s, the rate of the
+    simulation, positions along the race line are 0.01 s old in every second step.
 
     ## Action Space
 
@@ -39,60 +40,77 @@ class DriveEnv(ScalarEnv, observation_table=observation_table(drive_elements(Dri
     | 0 | target steering angle | -0.4189 rad (right) | 0 | 0.4189 rad (left) |
     | 1 | target speed | `min_speed`, 0 m/s | half of their sum | `top_speed`, 8 m/s |
 
-    The steering moves to its target at 3.2 rad/s at most; the speed error decays with a time constant of 0.1 s where
-    engine and brakes allow it. Braking beyond about 6 m/s^2 unloads the rear axle, and the car spins.
+    The steering moves to its target at up to 3.2 rad/s. The speed error decays with a time constant
+    of 0.1 s, within the limits of engine and brakes. Braking beyond about 6 m/s^2 unloads the rear
+    axle, and the car spins.
 
     ## Observation Space
 
-    A flat ``Box`` of float32. ``env.unwrapped.elements`` holds the name, unit, bounds and meaning of every element;
-    values are clipped to the bounds. With ``normalize=True`` the bounds are mapped to -1 and 1. With the defaults there
-    are 41 elements, and one more for each beam, up to ``max_range``:
+    A flat ``Box`` of float32. ``env.unwrapped.elements`` holds the name, unit, bounds and meaning
+    of every element. Values are clipped to the bounds. With ``normalize=True`` the bounds are
+    mapped to -1 and 1. The default has 41 elements. Each lidar beam adds one, up to ``max_range``:
 
     {observation_table}
 
-    Nothing in it tells where on the circuit the car is, so what is learned on one circuit can drive on another. Beams
-    see all opponents. With several opponents the nine elements about the opponent are repeated for each of them, the
-    nearest along the track first ("opponent 2 gap" ...).
+    The observation does not contain the position on the track, so a policy trained on one track can
+    drive on another. Beams see all opponents. With several opponents the nine elements about the
+    opponent ("opponent 2 gap" ...) are repeated for each opponent, the nearest along the track
+    first.
 
     ## Rewards
 
-    ``progress_reward`` (1) for every metre of progress along the race line in the step, less ``rivalry`` (0) times the
-    progress of the opponent (the mean of several), and ``-crash_penalty`` (-10) in the step in which the agent crashes
-    by its own fault, into a wall or a car. ``rivalry=1`` makes the return the lead. ``win_reward`` (0) is added at
-    the end of a race that was won, and subtracted after a defeat; the preset says who wins after a crash, alone nobody.
+    The reward of a step is ``progress_reward`` (1) for every metre of progress along the race line,
+    minus ``rivalry`` (0) times the progress of the opponent (the mean of several opponents). In the
+    step of a crash by the agent's own fault, into a wall or a car, ``-crash_penalty`` (-10) is
+    added. With ``rivalry=1`` the return is the lead. At the end of a race, ``win_reward`` (0) is
+    added for a win and subtracted for a defeat. The preset determines the winner after a crash. A
+    single car gets no ``win_reward``.
 
     ## Starting State
 
-    A start line and the side (or, where the preset staggers the cars, the order) are drawn from the environment's
-    generator, and so are the opponent, if there are several, and the key of the race's noise: the steering disturbance
-    of the preset "contest" and the noise of the lidar. Cars start at up to 4 m/s.
+    The environment's generator draws a start line and the side (or the order, if the preset
+    staggers the cars), the opponent if there are several, and the key of the race's noise: the
+    steering disturbance of the preset "contest" and the noise of the lidar. Cars start at up to
+    4 m/s.
 
-    ``reset(options=...)`` takes ``obstacles`` (boxes: x, y, heading, length and width in m and rad, shape (K, 5));
-    ``start``, (arc length of the line in m, side: 0 puts the agent on the left or in
-    front); or ``poses``, (x, y, heading) or (x, y, heading, speed) of all cars, in m, rad and m/s; ``opponent`` and
-    ``track``, which replace the arguments from then on; and ``state``, what ``get_state()`` returned. Others are
-    refused.
+    ``reset(options=...)`` takes these options and refuses others:
+
+    - ``obstacles``: boxes (x, y, heading, length and width in m and rad), shape (K, 5);
+    - ``start``: arc length of the line in m, and side (0 puts the agent on the left or in front);
+    - ``poses``, in place of ``start``: (x, y, heading) or (x, y, heading, speed) of all cars, in m,
+      rad and m/s;
+    - ``opponent`` and ``track``: new values of these arguments, also for later episodes;
+    - ``state``: a state returned by ``get_state()``.
 
     ## Episode End
 
-    *Terminated* by a crash of any car, unless the rules' ``contact`` lets cars drive on, and when a car has driven
-    ``laps`` from the start line.
-    *Truncated* after the preset's duration (40 s); with a ``win_reward`` that is
-    a termination, too, since the race is decided and nothing follows (take ``time_left`` then).
+    *Terminated* by a crash of any car, unless the rules' ``contact`` lets cars drive on, and when a
+    car has driven ``laps`` from the start line.
+    *Truncated* after the preset's duration (40 s). With a ``win_reward`` the episode is terminated
+    instead, because the race is decided then (use ``time_left`` in this case).
 
     ## Information
 
-    Numbers: ``time`` (s), ``progress`` and ``lead`` (m), ``crash`` and ``opponent_crash``
-    (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall, 2 car), ``fault`` (1 if the agent is to blame for a crash;
-    how many were its fault, where they do not end the race),
-    ``overtakes``, ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss, 4 a no-contest
-    crash; alone 1 at the end, or 4), ``opponent``, the index of the episode's opponent (-1 if there is none), ``laps``
-    (complete ones, counted from the start line; the first begins with the race), ``lap_time`` and ``best_lap`` (s, of
-    the last and the shortest of them; -1 if there is none), and where episodes differ in it, ``track`` (its number),
-    ``obstacles`` (how many) and what ``randomize`` drew.
-    Arrays: ``poses`` (x, y, heading) and ``velocities`` (speed, yaw rate, slip) of all cars in m, rad and s, the own
-    one first, shape (N, 3).
-    ``env.unwrapped.metadata["codes"]`` holds the words of all codes; ``env.unwrapped.outcome()`` is the info in words.
+    Numbers:
+
+    - ``time`` (s), ``progress`` and ``lead`` (m), ``overtakes``;
+    - ``crash`` and ``opponent_crash`` (:class:`pcs_racing.envs.infos.Crash`: 0 none, 1 wall,
+      2 car);
+    - ``fault``: 1 if the agent is to blame for a crash; the number of its faults if crashes do not
+      end the race;
+    - ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss,
+      4 no-contest crash; for a single car 1 at the end, or 4);
+    - ``opponent``: index of the episode's opponent (-1 if there is none);
+    - ``laps``: complete laps, counted from the start line; the first begins with the race;
+    - ``lap_time`` and ``best_lap``: times of the last and the shortest lap, s; -1 if there is none;
+    - ``track`` (number), ``obstacles`` (count) and the values drawn by ``randomize``, if episodes
+      differ in them.
+
+    Arrays: ``poses`` (x, y, heading) and ``velocities`` (speed, yaw rate, slip) of all cars in m,
+    rad and s, the own car first, shape (N, 3).
+
+    ``env.unwrapped.metadata["codes"]`` maps integer codes to labels. ``env.unwrapped.outcome()``
+    returns the info with labels in place of codes.
 
     ## Arguments
 
@@ -100,8 +118,9 @@ class DriveEnv(ScalarEnv, observation_table=observation_table(drive_elements(Dri
 
     ## Vectorized environment
 
-    ``gym.make_vec("pcs_racing/Drive-v1", num_envs=256)`` gives :class:`pcs_racing.envs.drive.DriveVectorEnv`:
-    one compiled call for all races, and the same numbers as this class gives with the same seeds.
+    ``gym.make_vec("pcs_racing/Drive-v1", num_envs=256)`` makes a
+    :class:`pcs_racing.envs.drive.DriveVectorEnv`: one compiled call for all races, with the same
+    numbers as this class for the same seeds.
 
     Examples
     --------
@@ -116,10 +135,11 @@ class DriveEnv(ScalarEnv, observation_table=observation_table(drive_elements(Dri
 
 
 class DriveVectorEnv(BatchVectorEnv):
-    """Many :class:`DriveEnv` in one, with the same numbers for the same seeds.
+    """Vector environment of :class:`DriveEnv`, with the same numbers for the same seeds.
 
-    The arguments are those of :class:`DriveEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`. Fewer threads
-    are used where a step is short (``env.batch.threads``), and one where the opponent is plain Python.
+    It takes the arguments of :class:`DriveEnv` and
+    :class:`pcs_racing.envs.vector.BatchVectorEnv`. Short steps use fewer threads
+    (``env.batch.threads``), and an opponent in plain Python uses one thread.
 
     Examples
     --------
@@ -141,7 +161,7 @@ class HeadToHeadOptions(DriveOptions):
 
 
 class _SeveralAgents:
-    """Agents drive the cars that opponents leave."""
+    """Mixin of environments with an agent in each car without an opponent."""
 
     def _players(self, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
         own = {name: value for name, value in arguments.items() if name != "cars"}
@@ -155,65 +175,72 @@ class _SeveralAgents:
 
 
 class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
-    """Two to eight cars race each other; each agent steers one, fifty times a second.
+    """Races of two to eight cars; each agent steers one car, fifty times a second.
 
     ## Description
 
-    :class:`pcs_racing.envs.drive.DriveEnv` with an agent in every car: the same vehicles, circuits and rules. All
-    agents act in every step, at the same moment. A step lasts `time_step` seconds (0.02 s, the rate at which the motion
-    planners steer), in which the actions are held; 0.1 s is easier to learn with. A race belongs to its seed, whatever
-    the interface: with the same seed, `DriveEnv` starts on the same line.
+    :class:`pcs_racing.envs.drive.DriveEnv` with an agent in every car: the same vehicles, tracks
+    and rules. All agents act in every step, at the same moment. A step holds the actions for
+    `time_step` seconds (default: 0.02 s, the steering period of the motion planners). Learning is
+    easier with 0.1 s. A seed gives the same race through every interface: with the same seed,
+    `DriveEnv` starts on the same line.
 
     ## Action Space
 
-    `Box(-1, 1, (2,), float32)` for each agent: target steering angle and target speed, as in `DriveEnv`.
+    `Box(-1, 1, (2,), float32)` for each agent: target steering angle and target speed, as in
+    `DriveEnv`.
 
     ## Observation Space
 
-    A flat `Box` of float32 for each agent: the elements of `DriveEnv`, seen from the agent's own car; 41 by default.
-    `env.elements` holds name, unit, bounds and meaning of each one. Each part can be switched:
+    A flat `Box` of float32 for each agent: the elements of `DriveEnv`, seen from the agent's own
+    car; 41 by default. `env.elements` holds the name, unit, bounds and meaning of each element.
+    Each part can be switched:
 
     | part | numbers | switch |
     | --- | --- | --- |
     | own car: speeds, angles, place on the race line | 8 | `own_state` |
     | race line ahead: curvature, speed, free widths | 4 for each distance | `look_ahead`; `()` for none |
     | opponent: gap, position, heading, velocity, lead | 9 | `see_opponent`: `"always"`, `"in sight"`, `"never"` |
-    | share of the race that is left | 1 | `time_left` |
-    | lidar, which sees the opponent as well | `beams` | `beams`; 0 for none |
+    | remaining share of the race | 1 | `time_left` |
+    | lidar, including the opponent | `beams` | `beams`; 0 for none |
 
-    Of several opponents the nearest comes first. `state()` is the observation of `car_0` followed by those of all
-    others.
+    The nearest of several opponents comes first. `state()` is the observation of `car_0`, followed
+    by the observations of all other cars.
 
     ## Rewards
 
-    Those of `DriveEnv`, for each agent from its own side. With the defaults (`progress_reward=1`, `rivalry=1`) the
-    return is the lead that was gained, and the agents' rewards add up to zero but for the `crash_penalty` (10). The
-    reward of winning alone is `progress_reward=0, crash_penalty=0, win_reward=1`.
+    The rewards of `DriveEnv`, for each agent's own car. With the defaults (`progress_reward=1`,
+    `rivalry=1`) the return is the gained lead, and the agents' rewards add up to zero except for
+    the `crash_penalty` (10). For a reward of winning alone, use `progress_reward=0,
+    crash_penalty=0, win_reward=1`.
 
     ## Starting State
 
-    As in `DriveEnv`, and so are the options of `reset(options=...)`.
+    As in `DriveEnv`, with the same options of `reset(options=...)`.
 
     ## Episode End
 
-    As in `DriveEnv`, for all agents at once, and truncated after `max_cycles` steps. `agents` is empty from then on.
+    As in `DriveEnv`, for all agents at once, and truncated after `max_cycles` steps. `agents` is
+    empty afterwards.
 
     ## Information
 
-    `info` of each agent holds the numbers of `DriveEnv`, seen from its own car; `opponent` is -1: the other agent.
-    `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
+    `info` of each agent holds the numbers of `DriveEnv`, seen from its own car; `opponent` is -1:
+    the other agent. `env.metadata["codes"]` maps integer codes to labels. `env.outcome()` returns
+    the infos with labels in place of codes.
 
     ## Arguments
 
-    Agents are `car_0` to `car_7`. What opponents drive, no agent does: `opponent` takes the last car, and `opponents`
-    as many.
+    Agents are `car_0` to `car_7`. Opponents replace agents: `opponent` takes the last car,
+    `opponents` the last cars.
 
     {arguments}
 
     ## Vectorized environment
 
-    :class:`DriveHeadToHeadVectorEnv` drives any number of races in one compiled call, with the same numbers for the
-    same seeds. ``make_sb3_vec_env("drive-self-play", 64)`` is the same for Stable-Baselines3.
+    :class:`DriveHeadToHeadVectorEnv` drives any number of races in one compiled call, with the same
+    numbers for the same seeds. ``make_sb3_vec_env("drive-self-play", 64)`` makes the same for
+    Stable-Baselines3.
 
     Examples
     --------
@@ -232,12 +259,14 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
 
 
 class DriveHeadToHeadVectorEnv(_SeveralAgents, BatchVectorEnv):
-    """Many races of :class:`DriveHeadToHeadEnv` in one, with the same numbers for the same seeds.
+    """Vector environment of :class:`DriveHeadToHeadEnv`, with the same numbers for the same seeds.
 
-    Environment ``2 i`` is car 0 of race ``i``, and ``2 i + 1`` its car 1: one policy that acts in all of them races
-    against itself; with N agents in a race they are ``N i`` to ``N i + N - 1``. Seeds belong to races:
-    ``reset(seed=...)`` takes one for each race. The arguments are those of :class:`DriveHeadToHeadEnv`, without
-    ``opponent``, and of :class:`pcs_racing.envs.vector.BatchVectorEnv`.
+    Environments ``2 i`` and ``2 i + 1`` are cars 0 and 1 of race ``i``; N agents in a race have the
+    environments ``N i`` to ``N i + N - 1``. A policy acting in all environments races against
+    itself.
+    ``reset(seed=...)`` takes one seed for each race. The class takes the arguments of
+    :class:`DriveHeadToHeadEnv`, without ``opponent``, and of
+    :class:`pcs_racing.envs.vector.BatchVectorEnv`.
 
     Examples
     --------
@@ -253,9 +282,12 @@ class DriveHeadToHeadVectorEnv(_SeveralAgents, BatchVectorEnv):
 
 
 parallel_env = DriveHeadToHeadEnv
-"""PettingZoo's name for what makes an environment of its parallel interface."""
+"""PettingZoo's name for the constructor of a parallel environment."""
 
 
 def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], Any]:
-    """Make the same environment in PettingZoo's turn-by-turn interface: all agents act, then a step is driven."""
+    """Make the same environment with PettingZoo's AEC interface.
+
+    All agents act, then a step is driven.
+    """
     return parallel_to_aec(parallel_env(**arguments))

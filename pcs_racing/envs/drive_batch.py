@@ -1,4 +1,4 @@
-"""Many races at the level of steering and speed, advanced together: the batch behind the Drive environments."""
+"""Batch of control-level races, advanced together, for the Drive environments."""
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -58,16 +58,16 @@ from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
 
 EXTERNAL = Planner("external", (), leave_path, hold_command, memory_size=COMMAND_SLOTS)
-"""The planner of a car that is driven from outside: its memory holds the target steering angle and speed."""
+"""Planner of a car driven from outside; its memory holds the target steering angle and speed."""
 
-US_OF_A_THREAD = 250.0  # us of work in a step; to hand over less takes longer than to do it
-TICK_US, SCAN_US, BEAM_US = 0.5, 2.5, 0.005  # about what a simulation step, a scan and each of its beams take
-MOST_NUMBERS = 250_000_000  # of all observations together: 1 GB
-KEPT = 64  # circuits that no race is on
+US_OF_A_THREAD = 250.0  # min work of a thread in a step, us; less is not worth a handover
+TICK_US, SCAN_US, BEAM_US = 0.5, 2.5, 0.005  # approximate times of a tick, a scan and a beam
+MOST_NUMBERS = 250_000_000  # max size of all observations together: 1 GB
+KEPT = 64  # number of cached tracks without a race
 
 
 class KernelInputs(NamedTuple):
-    """What the kernel is handed for a run of races: the circuit, the rules, and what the players observe."""
+    """Inputs of the kernel for a run of races: track, rules, and the players' observation."""
 
     arrays: TrackArrays
     settings: KernelSettings
@@ -75,35 +75,35 @@ class KernelInputs(NamedTuple):
 
 
 class CircuitSetup(NamedTuple):
-    """A circuit with what all races on it share."""
+    """A track, with the data shared by all races on it."""
 
     setup: RaceSetup
-    grid: RaceState  #: Races at all places that episodes begin at.
-    inputs: KernelInputs  #: Of races without obstacles.
+    grid: RaceState  #: Races at all start places of episodes.
+    inputs: KernelInputs  #: Inputs of races without obstacles.
 
 
 class DriveBatch:
-    """Races side by side; the first cars of each are driven by agents, as many as ``players``, the others by opponents.
+    """Batch of races; agents drive the first ``players`` cars of each race, opponents the others.
 
-    ``threads`` may share a step, as many as there are cores by default. The arguments are those of
-    :class:`pcs_racing.envs.drive_options.DriveOptions`.
+    Up to ``threads`` threads share a step (default: the number of cores). The other arguments are
+    the fields of :class:`pcs_racing.envs.drive_options.DriveOptions`.
     """
 
-    reset_options: tuple[str, ...] = ("start", "poses", "obstacles")  #: That :meth:`restart` takes.
+    reset_options: tuple[str, ...] = ("start", "poses", "obstacles")  #: Options of :meth:`restart`.
 
     def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
         check_batch_size(episodes, threads)
         options = DriveOptions(**arguments)
         self.episodes, self.players, self.options = int(episodes), players, options
         given = rivals_of(options.opponent, options.opponents)
-        self.cars = players + len(given)  #: In each race.
+        self.cars = players + len(given)  #: Number of cars in each race.
         self.randomization = EpisodeRandomization(self.episodes, options, cars=self.cars)
         changes: dict[str, Any] = {"start_lines": options.start_lines}
         if options.duration is not None:
             changes["duration"] = options.duration
         config = load_race_config(options.race, **changes)
         self.alone = self.cars == 1
-        #: Of each car that no agent drives: the opponents of which one is drawn for an episode.
+        #: Opponents of each car without an agent; one is drawn for each episode.
         self.rivals = [drive_opponents(one, self._make_game, options, self.cars) for one in given]
         movers = [one for rivals in self.rivals for one in rivals if not one.policies]
         if self.cars > 2 and (movers or any(len(rivals) > 1 for rivals in self.rivals)):
@@ -112,25 +112,25 @@ class DriveBatch:
                 "and none makes moves"
             )
         self._moving = MovingOpponents(self.episodes, self._make_game()) if movers else None
-        #: Of the only one of these cars; with several of them nothing is drawn.
+        #: Opponents of the only such car; with several cars nothing is drawn.
         self.opponents = self.rivals[0] if len(self.rivals) == 1 else []
         game = self._moving.game if self._moving else None
         planners = [EXTERNAL] * players + [shared_planner(rivals, game) for rivals in self.rivals]
-        # The memory of late commands has one size for all episodes: that of the longest delay.
+        # The memory of late commands has the size of the longest delay, for all episodes.
         delay = self.randomization.ranges.most_delay
         self.setup = RaceSetup(
             self.randomization.circuits.track(0), config, tuple(planners), self.randomization.cars, delay
         )
-        #: Steps of an episode that does not end early.
+        #: Number of steps of an episode without an early end.
         self.horizon = -(-self.setup.config.ticks // options.ticks)
-        #: Steps in a second of racing.
+        #: Number of steps in a second of racing.
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
             **common_codes(opponent.name for opponent in self.opponents),
             **self.randomization.codes,
         }
         self.elements = drive_elements(options, self.cars)
-        # Refused before arrays of this size are made.
+        # Refuse before arrays of this size are made.
         environments = self.episodes * players
         if environments * len(self.elements) > MOST_NUMBERS:
             raise InputError(
@@ -139,7 +139,7 @@ class DriveBatch:
             )
         noise = self.randomization.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
         sight = make_sight(options, self.cars, players, self.setup.track)
-        # What the players observe; its ``ahead`` belongs to a circuit.
+        # Observation of the players; its ``ahead`` depends on the track.
         self._sight = sight._replace(end_tick=self.setup.config.ticks, noise=noise)
         self._prepare_races(threads)
         low, high = (bound * self._sight.gain + self._sight.shift for bound in (self._sight.low, self._sight.high))
@@ -150,14 +150,14 @@ class DriveBatch:
         self.action_space = spaces.Box(ends[0], ends[1], dtype=np.float32)
 
     def _make_game(self) -> RaceGame:
-        """The game of moves that an opponent plays which changes its policy while it drives."""
+        """Make the game of moves for opponents that change their policy during a race."""
         track, archive = self.randomization.circuits.track(0), load_archive(self.options.archive)
         rules = load_game_config(self.options.race)
         return RaceGame(track, archive, rules, ego_planner=EXTERNAL, vehicles=self.randomization.cars[:2])
 
     @property
     def track(self) -> Track:
-        """The circuit of the first race."""
+        """Track of the first race."""
         return self.randomization.track(0)
 
     def _make_circuit(self, number: int) -> CircuitSetup:
@@ -168,25 +168,25 @@ class DriveBatch:
         grid = start_races(setup, places, np.zeros(len(places), np.uint64))
         settings = setup.settings
         ahead = samples_ahead(self.options, setup.track)
-        # Time to collision costs time, and only opponents that observe characteristics need it.
+        # Time to collision is slow to compute; only opponents that observe characteristics need it.
         if self._moving is None:
             settings = settings._replace(ittc_horizon=0.0)
         return CircuitSetup(setup, grid, KernelInputs(setup.track.arrays, settings, self._sight._replace(ahead=ahead)))
 
     def _prepare_races(self, threads: int | None) -> None:
         setup, races, options = self.setup, self.episodes, self.options
-        #: Circuits by their numbers. As many can be in use at once as there are races.
+        #: Tracks by number. The number of tracks in use is at most the number of races.
         self.circuit = lru_cache(maxsize=KEPT + races)(self._make_circuit)
         circuit = self.circuit(0)
-        self._inputs = [circuit.inputs] * races  # of each race: what it is driven on, and what its players observe
-        #: All races; written to by `restart` and `step`.
+        self._inputs = [circuit.inputs] * races  # inputs of each race
+        #: State of all races; `restart` and `step` write to it.
         self.state = take(circuit.grid, np.zeros(races, np.intp))
         self.drawn = np.zeros(races, np.int64)  #: Index of each race's opponent.
-        # Equal weights draw a whole number, others a share: which of the two is part of what a seed means.
+        # Equal weights draw a whole number, others a share; the draw is part of a seed's meaning.
         weights = np.array([opponent.weight for opponent in self.opponents] or [1.0])
         self._edges = None if (weights == weights[0]).all() else np.cumsum(weights) / weights.sum()
         self.theta = np.zeros((races, self.cars, setup.theta_size))
-        #: shape (races, cars): Faults that agents have paid for, which one that ended a race never is.
+        #: shape (races, cars): Faults already penalised, except a race-ending fault.
         self._paid = np.zeros((races, self.cars), np.int8)
         self.vehicles = self.randomization.vehicles
         self._limits = max(car.steer_max for car in setup.vehicles[: self.players]), *options.limits[1:]
@@ -196,17 +196,17 @@ class DriveBatch:
         self._weights = (*(float(getattr(options, name)) for name in paid), fault_loses, laps)
         self._rows = np.arange(races)
         randomization = self.randomization
-        self._uniform = not randomization.circuits.several  # until an obstacle stands somewhere
+        self._uniform = not randomization.circuits.several  # False from the first obstacle on
         self._varied = bool(randomization.codes or randomization.drawn or randomization.obstacles)
         self._in_python = any(planner.drive is not None for planner in setup.planners)
         scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
         enough_for = int(races * (0.5 * max(2, self.cars) * TICK_US * options.ticks + scans) / US_OF_A_THREAD)
-        #: Threads that share a step: no more than have enough to do.
+        #: Number of threads that share a step; each has enough work.
         self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
         size = max(1, *(planner.scratch_size for planner in setup.planners))
         shapes: list[Any] = [size, WORK_SIZE, len(self.elements), SEEN_SHAPE, WORK_SHAPE]
         self._buffers = [tuple(np.zeros(shape) for shape in shapes) for _ in range(self.threads)]
-        self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # begins threads when there is work for them
+        self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # starts threads on demand
         self._compiled: Callable[..., None] | None = None
         with first_call(step_races, "the control-level environment", 20) as compiling:
             self._pointers = pointers_of(setup.planners)
@@ -215,7 +215,9 @@ class DriveBatch:
                 self._step_part(actions, 0, 0, 0, 0, results)
 
     def restart(self, rows: Rows, generators: Generators, options: Mapping[str, Any] = {}) -> None:
-        """Begin new episodes in some races, each drawn from its own generator, with options for each or for all.
+        """Begin new episodes in some races, with options for each or for all.
+
+        Each episode is drawn from its own generator.
 
         :class:`pcs_racing.envs.drive.DriveEnv` describes the options.
         """
@@ -228,7 +230,7 @@ class DriveBatch:
         groups = [(self.circuit(number), some) for number, some in self.randomization.groups(rows)]
         places, seeds, at = np.zeros(count, np.int64), np.zeros(count, np.uint64), np.zeros((count, self.cars))
         grids: list[RaceState] = []
-        # The draws of an episode come in this order whatever is given, so that one seed is one episode.
+        # The order of draws does not depend on the options, so a seed gives the same episode.
         for circuit, some in groups:
             grid = circuit.grid
             if starts is not None:
@@ -240,13 +242,13 @@ class DriveBatch:
                 places[i] = generator.integers(circuit.grid.races)
                 self._draw_opponent(int(rows[i]), generator)
                 seeds[i] = generator.integers(2**64, dtype=np.uint64)
-                # What stands where the options say has a row of its own instead of a place on the grid.
+                # Cars placed by options have their own row instead of a place on the grid.
                 if grid is not circuit.grid:
                     places[i] = k
             at[some] = grid.frenet[places[some], :, 0]
             grids.append(grid)
         self.randomization.place_obstacles(rows, at, generators, boxes)
-        # Before anything is written: a reset that is refused leaves the races as they were.
+        # Check before anything is written: a refused reset leaves the races unchanged.
         if boxes is not None:
             for (circuit, some), grid in zip(groups, grids, strict=True):
                 self._check_clear(circuit.setup, rows[some], take(grid, places[some]))
@@ -257,17 +259,17 @@ class DriveBatch:
             self._moving.restart(rows, self.state, self.theta)
 
     def _check_clear(self, setup: RaceSetup, rows: NDArray[np.int64], placed: RaceState) -> None:
-        """Refuse obstacles that a car would stand in."""
+        """Refuse obstacles that overlap a car at the start."""
         settle(setup.track, setup.vehicles, placed, self.randomization.conditions(rows))
         wrong = np.flatnonzero(placed.crashed)
         if len(wrong):
             raise InputError(f"episode {rows[wrong[0]]}: a car starts in one of the obstacles")
 
     def _set_inputs(self, rows: Rows, inputs: KernelInputs) -> None:
-        """Say what some races on the same circuit are driven on, from now on."""
+        """Set the kernel inputs of some races on the same track."""
         for row in rows:
             arrays = self.randomization.track(int(row)).arrays
-            # Races with obstacles have arrays of their own, and are stepped apart from the others.
+            # Races with obstacles have their own arrays and are stepped separately.
             own = arrays is not inputs.arrays
             self._inputs[row] = inputs._replace(arrays=arrays) if own else inputs
             self._uniform &= not own
@@ -278,7 +280,7 @@ class DriveBatch:
         else:
             self.drawn[row] = draw_opponent(self._edges, generator)
         for car, rivals in enumerate(self.rivals, self.players):
-            # Of several cars each has one opponent.
+            # With several opponent cars, each has a single opponent.
             opponent = rivals[self.drawn[row] if self.opponents else 0]
             policy = opponent.draw_policy(generator)
             if policy is not None:
@@ -287,11 +289,17 @@ class DriveBatch:
                 self._moving.draw(row, opponent, generator)
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
-        """Write the observations of the players of some races into their rows of ``out``, shape (B * players, n)."""
+        """Write the observations of some races' players to their rows of ``out``.
+
+        ``out`` has the shape (B * players, n).
+        """
         self._see(rows, self.players, out)
 
     def both_views(self) -> NDArray[np.float32]:
-        """What each car of every race observes, or would if it were driven by a player, shape (B, cars, n)."""
+        """Return the observation of each car of every race, shape (B, cars, n).
+
+        Cars of opponents are observed as if a player drove them.
+        """
         out = np.empty((self.cars * self.episodes, len(self.elements)), np.float32)
         self._see(self._rows, self.cars, out)
         return out.reshape(self.episodes, self.cars, -1)
@@ -304,7 +312,10 @@ class DriveBatch:
             observe_races(one.arrays, self.state, self.vehicles, sight, rows, first, last, *work, out)
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        """Return actions as float64 of shape (B, players, 2), or raise an error that says what is wrong, and where."""
+        """Return actions as float64 of shape (B, players, 2).
+
+        The error for invalid actions names the problem and the environment.
+        """
         wanted = (*shape, 2)
         try:
             if np.iscomplexobj(actions):
@@ -323,11 +334,11 @@ class DriveBatch:
         return values if self.options.normalized else shares(values, self._limits)
 
     def step(self, actions: NDArray[np.float64], generators: Generators = ()) -> BatchStep:
-        """Drive every race one step on."""
+        """Advance every race by one step."""
         races, ticks = self.episodes, self.options.ticks
         results = self._results()
         if self._in_python:
-            # The kernel then pays and observes, but does not drive: 0 ticks.
+            # The kernel then only computes rewards and observations: 0 ticks.
             set_commands(actions, self._limits, self.state, self.vehicles, 0, races)
             self._advance_in_python(ticks)
             ticks = 0
@@ -339,7 +350,7 @@ class DriveBatch:
                 self._pool.submit(self._step_part, actions, ticks, edges[k], edges[k + 1], k, results)
                 for k in range(1, self.threads)
             ]
-            # This thread does the first part itself: to wake another one takes as long as some races' step.
+            # This thread does the first part: waking another takes as long as stepping some races.
             self._step_part(actions, ticks, 0, edges[1], 0, results)
             for part in parts:
                 part.result()
@@ -359,7 +370,7 @@ class DriveBatch:
         self, actions: NDArray[np.float64], ticks: int, first: int, last: int, worker: int, results: StepResults
     ) -> None:
         """Step a part of the races, on one thread."""
-        # Races on the same circuit stand side by side, so that a call of the kernel takes a run of them.
+        # One kernel call steps a run of consecutive races on the same track.
         runs = [(0, last - first)] if self._uniform or first == last else runs_of(self._inputs[first:last])
         for low, high in runs:
             inputs = self._inputs[first + low]
@@ -381,7 +392,7 @@ class DriveBatch:
                 self._buffers[worker],
                 results,
             )
-            # Looked up once: to find the machine code by the types of all arguments takes longer than a step.
+            # Looked up once: finding the machine code by all argument types is slower than a step.
             if self._compiled is None:
                 self._compiled = compiled_for(step_races, arguments)
             try:
@@ -390,7 +401,7 @@ class DriveBatch:
                 raise driver_error(error, self.setup.planners, self._buffers[worker][1]) from error
 
     def _advance_in_python(self, ticks: int) -> None:
-        """Drive every race on against an opponent in plain Python."""
+        """Advance every race against an opponent in plain Python."""
         circuits = self.randomization.circuits.number
         for first, last in runs_of(circuits.tolist()):
             part = RaceState._make(array[first:last] for array in self.state)
@@ -400,7 +411,7 @@ class DriveBatch:
             drive(*fixed, part, self.theta[first:last], ticks, conditions=conditions)
 
     def infos(self) -> dict[str, NDArray[Any]]:
-        """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
+        """Return the infos of all players, described in :mod:`pcs_racing.envs.infos`."""
         of_races = {
             "opponent": self.drawn if self.opponents else np.full(self.episodes, -1),
             **self.randomization.infos(),
@@ -413,10 +424,13 @@ class DriveBatch:
         }
 
     def _outcomes(self) -> NDArray[np.int64]:
-        """How each race has ended for each player, shape (B, players); alone a car wins if it comes to the end."""
+        """Return the result of each race for each player, shape (B, players).
+
+        A single car wins if it reaches the end.
+        """
         state, config = self.state, self.setup.config
         result = np.zeros((self.episodes, self.players), np.int64)
-        # In most steps no race is over, and nobody need be asked who won.
+        # In most steps no race is over, and the winners are not needed.
         over = state.crashed | (state.tick >= config.ticks)
         if self.options.laps is not None:
             over |= state.lap_count.max(axis=1) >= self.options.laps
@@ -431,7 +445,7 @@ class DriveBatch:
         return result
 
     def info(self, environment: int) -> dict[str, Any]:
-        """Info of one player as plain numbers; faster than taking it from arrays of one."""
+        """Return the info of one player as plain numbers; faster than arrays of length one."""
         race, car = divmod(environment, self.players)
         info = race_info(self.state, race, car)
         over = any(self.state.crash[race].tolist()) or self.state.tick.item(race) >= self.setup.config.ticks
@@ -446,7 +460,7 @@ class DriveBatch:
         return info
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
-        """Draw a race as it stands."""
+        """Draw the current state of a race."""
         race = environment // self.players
         cars = self.state.cars[race]
         info = self.info(race * self.players)
@@ -460,12 +474,15 @@ class DriveBatch:
         return renderer.render(cars, plans=plans if self.rivals else None, names=names, text=text)
 
     def get_state(self) -> tuple[Any, ...]:
-        """Copies of the races, of the opponents' indices and parameters, and of the moves they made."""
+        """Return copies of the races and of the opponents' indices, parameters and moves."""
         moving = None if self._moving is None else self._moving.get_state()
         return self.state.copy(), self.drawn.copy(), self.theta.copy(), moving, self.randomization.get_state()
 
     def check_state(self, state: tuple[Any, ...]) -> list[Track]:
-        """Refuse what `get_state` can't have returned; returns the circuit of each race, with its obstacles."""
+        """Refuse a state that `get_state` can't have returned.
+
+        Return the track of each race, with its obstacles.
+        """
         moving = None if self._moving is None else FREE
         check_part("the state", state, (self.state, self.drawn, self.theta, moving, FREE))
         tracks = self.randomization.check_state(state[4])
@@ -477,13 +494,13 @@ class DriveBatch:
         return tracks
 
     def set_state(self, state: tuple[Any, ...]) -> None:
-        """Continue from what `get_state` returned, here or in an equal batch."""
+        """Continue from a state of `get_state`, from this or an equal batch."""
         tracks = self.check_state(state)
         races, drawn, theta, moving, randomization = state
         self.randomization.set_state(randomization, tracks)
         for number, rows in self.randomization.groups(self._rows):
             self._set_inputs(rows, self.circuit(number).inputs)
-        # Into the own arrays: the state that was given stays as it is.
+        # Copy into the own arrays: the given state stays unchanged.
         for name, own in self.state._asdict().items():
             own[...] = getattr(races, name)
         self.drawn[:], self.theta[:] = drawn, theta

@@ -1,7 +1,8 @@
-"""The compiled step of the control-level environments: commands in, races driven on, observations and rewards out.
+"""Compiled step of the control-level environments: from commands to observations and rewards.
 
-The first cars of a race, or all, belong to agents, its players. Rows of observations and rewards count the players of
-all races: with two, row ``2 i`` is car 0 of race ``i`` and row ``2 i + 1`` its car 1.
+The first cars of a race, or all, belong to agents: its players. Rows of observations and rewards
+count the players of all races: with two players, row ``2 i`` is car 0 of race ``i`` and row
+``2 i + 1`` its car 1.
 """
 
 from typing import Any, NamedTuple
@@ -23,46 +24,46 @@ from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_betwee
 from pcs_racing.track.grid import cast
 
 OWN_ELEMENTS = 8  # numbers about the own car
-STRETCH_ELEMENTS = 4  # numbers about each look-ahead distance; those about the opponent follow
-OPPONENT_ELEMENTS = 9
+STRETCH_ELEMENTS = 4  # numbers about each look-ahead distance
+OPPONENT_ELEMENTS = 9  # numbers about each opponent; they follow
 
-# Of each car of a race: its velocity, and how far it is ahead of the car that observes; and the order of the others.
+# Rows: velocity of each car of a race, its gap ahead of the observing car; order of the others.
 _VX, _VY, _GAP, _ORDER = range(4)
 SEEN_SHAPE = (4, MOST_CARS)
 
-# When the numbers about the opponent are filled in.
+# Conditions for the numbers about the opponent.
 NEVER, IN_SIGHT, ALWAYS = 0, 1, 2
 
-# Keeps the noise of the lidar apart from that of the steering, which has the same key.
+# Separates the noise of the lidar from the noise of the steering, which has the same key.
 _LIDAR_KEY = np.uint64(0x5851F42D4C957F2D)
 
 
 class Sight(NamedTuple):
-    """What the players of a race observe, in the form that the kernels read."""
+    """Observation of the players of a race, in the form used by the kernels."""
 
-    players: int  #: Cars that observe: the first ones.
-    own_state: bool  #: Whether the numbers about the own car are there.
-    own_pose: bool  #: Whether its place and heading are.
+    players: int  #: Number of observing cars: the first cars.
+    own_state: bool  #: Flag: the numbers about the own car are included.
+    own_pose: bool  #: Flag: place and heading of the own car are included.
     ahead: NDArray[Any]  #: int64: Look-ahead distances in samples of the race line, each in [0, N).
-    #: ``NEVER``: there are no numbers about the opponent; ``IN_SIGHT``: they are 0 where a wall hides it or it is too
-    #: far away; ``ALWAYS``.
+    #: Condition for the numbers about an opponent. ``NEVER``: there are no such numbers.
+    #: ``IN_SIGHT``: they are 0 if a wall hides the opponent or it is too far away. ``ALWAYS``.
     opponent: int
-    others: int  #: Opponents that there are numbers about.
-    time_left: bool  #: Whether the share of the race that is left is there.
-    end_tick: int  #: Steps of 0.01 s of a race.
-    beams: Beams  #: Of the lidar; with no beams there is no scan.
-    noise: NDArray[Any]  #: shape (B,): Standard deviation of its ranges in each race, m.
-    low: NDArray[Any]  #: shape (n,): Bounds of the elements, to which they are clipped.
-    high: NDArray[Any]
-    gain: NDArray[Any]  #: shape (n,): What is written is ``gain`` times the clipped value, plus ``shift``.
-    shift: NDArray[Any]
+    others: int  #: Number of observed opponents.
+    time_left: bool  #: Flag: the remaining share of the race is included.
+    end_tick: int  #: Duration of a race in steps of 0.01 s.
+    beams: Beams  #: Beams of the lidar; without beams there is no scan.
+    noise: NDArray[Any]  #: shape (B,): Standard deviation of the ranges in each race, m.
+    low: NDArray[Any]  #: shape (n,): Lower bounds of the elements; values are clipped.
+    high: NDArray[Any]  #: shape (n,): Upper bounds of the elements.
+    gain: NDArray[Any]  #: shape (n,): Factor; the output is ``gain * clipped value + shift``.
+    shift: NDArray[Any]  #: shape (n,): Offset of the output.
 
 
 class StepResults(NamedTuple):
-    """What a step overwrites, and the progress that it is paid from; the players of a race have rows side by side."""
+    """Outputs of a step, and its inputs for the reward; players of a race have adjacent rows."""
 
     before: NDArray[np.float64]  #: shape (B, N): Progress before the step, m.
-    faults: NDArray[np.int8]  #: shape (B, N): Faults that were paid for before.
+    faults: NDArray[np.int8]  #: shape (B, N): Faults already penalised.
     reward: NDArray[np.float64]  #: shape (B * players,)
     terminated: NDArray[np.bool_]  #: shape (B * players,)
     truncated: NDArray[np.bool_]  #: shape (B * players,)
@@ -71,7 +72,7 @@ class StepResults(NamedTuple):
 
 @inner_kernel
 def _see_own(line, ds, cars, frenet, memory, race, car, row, k):  # type: ignore[no-untyped-def]
-    """Write the numbers about the own car from ``row[k]`` on; single arrays, for speed."""
+    """Write the numbers about the own car from ``row[k]`` on; arguments are arrays, for speed."""
     s = frenet[race, car, 0]
     here = min(int(s / ds), line.shape[0] - 1)
     row[k] = cars[race, car, _vehicle.V]
@@ -104,7 +105,10 @@ def _see_line(line, ds, s, ahead, row, k):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _see_opponent(cars, frenet, progress, race, car, other, sn, c, seen, row, k):  # type: ignore[no-untyped-def]
-    """Write the numbers about an opponent from ``row[k]`` on; ``sn`` and ``c`` are those of the own heading."""
+    """Write the numbers about an opponent from ``row[k]`` on.
+
+    ``sn`` and ``c`` are the sine and cosine of the own heading.
+    """
     dx = cars[race, other, _vehicle.X] - cars[race, car, _vehicle.X]
     dy = cars[race, other, _vehicle.Y] - cars[race, car, _vehicle.Y]
     vx = seen[_VX, other] - seen[_VX, car]
@@ -122,13 +126,13 @@ def _see_opponent(cars, frenet, progress, race, car, other, sn, c, seen, row, k)
 
 @inner_kernel
 def _in_sight(track, cars, race, car, other, reach):  # type: ignore[no-untyped-def]
-    """Whether no wall stands between the centres of the cars, and they are ``reach`` m apart at most."""
+    """Return whether the cars are at most ``reach`` m apart and no wall separates their centres."""
     x = cars[race, car, _vehicle.X]
     y = cars[race, car, _vehicle.Y]
     dx = cars[race, other, _vehicle.X] - x
     dy = cars[race, other, _vehicle.Y] - y
     apart = np.sqrt(dx * dx + dy * dy)
-    # No ray has a direction between two cars at the same place; they see each other.
+    # Two cars at the same place define no ray direction; they see each other.
     if apart > reach or apart == 0.0:
         return apart == 0.0
     u = (x - track.origin_x) / track.cell
@@ -139,7 +143,7 @@ def _in_sight(track, cars, race, car, other, reach):  # type: ignore[no-untyped-
 
 @inner_kernel
 def _sort_opponents(length, frenet, race, car, seen):  # type: ignore[no-untyped-def]
-    """Write the gaps to the other cars, and the order in which they are observed: the nearest first."""
+    """Write the gaps to the other cars, and the order of observation: the nearest car first."""
     count = 0
     for other in range(frenet.shape[1]):
         gap = gap_to(length, frenet, race, car, other)
@@ -155,7 +159,7 @@ def _sort_opponents(length, frenet, race, car, seen):  # type: ignore[no-untyped
 
 @inner_kernel(forceinline=True)
 def _observe(track, state, vehicles, sight, race, car, row, seen, work):  # type: ignore[no-untyped-def]
-    """Write what a car observes, in the units of the elements."""
+    """Write the observation of a car, in the units of the elements."""
     cars, frenet = state.cars, state.frenet
     number = cars.shape[1]
     k = 0
@@ -216,10 +220,10 @@ def _write(row, sight, out):  # type: ignore[no-untyped-def]
     low, high, gain, shift = sight.low, sight.high, sight.gain, sight.shift
     count = row.shape[0]
     first_beam = count - sight.beams.cos.shape[0]
-    # Unsigned counters spare the test for negative indices.
+    # Unsigned counters avoid the test for negative indices.
     for k in range(np.uint64(first_beam)):
         out[k] = np.float32(min(max(row[k], low[k]), high[k]) * gain[k] + shift[k])
-    # The beams come last and share their bounds: read once, these leave room in the processor's cache.
+    # The beams come last and share their bounds: a single read leaves room in the CPU's cache.
     least, most, factor, offset = low[count - 1], high[count - 1], gain[count - 1], shift[count - 1]
     for k in range(np.uint64(first_beam), np.uint64(count)):
         out[k] = np.float32(min(max(row[k], least), most) * factor + offset)
@@ -227,10 +231,10 @@ def _write(row, sight, out):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _noisy(scan, seed, car, tick, noise, most):  # type: ignore[no-untyped-def]
-    """Add to each range noise that depends on the race's seed, the car, the time and the beam alone."""
+    """Add noise to each range, a function of the race's seed, the car, the time and the beam."""
     beams = scan.shape[0]
     for k in range(beams):
-        # A number of its own for each beam at each moment: no scan repeats the noise of another.
+        # Each beam has its own counter at each tick: no scan repeats the noise of another scan.
         draw = steering_noise(seed ^ _LIDAR_KEY, car, tick * beams + k)
         scan[k] = min(max(scan[k] + noise * draw, 0.0), most)
 
@@ -245,10 +249,10 @@ def _see_velocities(cars, race, seen):  # type: ignore[no-untyped-def]
 
 @kernel
 def observe_races(track, state, vehicles, sight, rows, first, last, row, seen, work, out):  # type: ignore[no-untyped-def]
-    """Write the observations of the players of the races ``rows[first:last]``, each into its player's row of ``out``.
+    """Write the observations of the players of the races ``rows[first:last]`` to ``out``.
 
-    The contents of ``row``, of shape (n,), ``seen``, of `SEEN_SHAPE`, and ``work``, of the lidar's ``WORK_SHAPE``, are
-    undefined afterwards.
+    Each player has its own row of ``out``. The scratch arrays ``row`` (shape (n,)), ``seen``
+    (`SEEN_SHAPE`) and ``work`` (the lidar's ``WORK_SHAPE``) are undefined afterwards.
     """
     for i in range(first, last):
         race = rows[i]
@@ -260,7 +264,10 @@ def observe_races(track, state, vehicles, sight, rows, first, last, row, seen, w
 
 @kernel
 def observe_car(track, state, vehicles, sight, rows, car, row, seen, work, out):  # type: ignore[no-untyped-def]
-    """Write what one car of the races ``rows`` observes, or would if a player drove it, into successive rows."""
+    """Write the observation of one car of the races ``rows`` to successive rows of ``out``.
+
+    The car is observed as if a player drove it.
+    """
     for i in range(rows.shape[0]):
         _see_velocities(state.cars, rows[i], seen)
         _observe(track, state, vehicles, sight, rows[i], car, row, seen, work)
@@ -269,30 +276,30 @@ def observe_car(track, state, vehicles, sight, rows, car, row, seen, work, out):
 
 @kernel
 def set_commands(actions, limits, state, vehicles, first, last):  # type: ignore[no-untyped-def]
-    """Turn actions in [-1, 1] into target steering angles and speeds, where the drivers of the players' cars read them.
+    """Convert actions in [-1, 1] to target steering angles and speeds in the planners' memory.
 
-    ``actions`` has the shape (B, players, 2); ``limits`` are the largest steering angle (rad), and the lowest and the
-    highest speed (m/s).
+    ``actions`` has the shape (B, players, 2). ``limits`` are the max steering angle (rad), and the
+    min and max speed (m/s).
     """
     steer_max, min_speed, top_speed = limits
     for race in range(first, last):
-        # Drivers are asked every second step; between two of them a command takes effect from here.
+        # Planners run every second tick; in the other ticks a command takes effect from here.
         now = state.tick[race] % CONTROL_EVERY != 0
         for car in range(actions.shape[1]):
-            # The driver of a player's car does nothing but hold what stands in its memory.
+            # The planner of a player's car only holds the command in its memory.
             memory, command = state.memory[race, car], state.command[race, car]
             memory[0] = steer_max * min(max(actions[race, car, 0], -1.0), 1.0)
             memory[1] = min_speed + 0.5 * (top_speed - min_speed) * (1.0 + min(max(actions[race, car, 1], -1.0), 1.0))
             if now:
                 command[1] = memory[1]
-                # Late commands keep to the beat of their queue.
+                # Late commands follow the period of their queue.
                 if vehicles[race, car, _vehicle.STEER_DELAY] == 0.0:
                     command[0] = memory[0] + state.disturbance[race, car]
 
 
 @compiled
 def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
-    """Put races ``rows`` back on the grid: at the places that ``grid``, a batch of fresh races, has them start from."""
+    """Reset the races ``rows`` to the start places ``places`` of ``grid``, a batch of new races."""
     for i in range(rows.shape[0]):
         race = rows[i]
         place = places[i]
@@ -317,19 +324,22 @@ def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _beats(state, race, one, two, crashed, fault_loses):  # type: ignore[no-untyped-def]
-    """Whether a car beats another one: the rule of :func:`pcs_racing.race.races.pair_scores`, compiled."""
+    """Return whether a car beats another car.
+
+    This is the compiled rule of :func:`pcs_racing.race.races.pair_scores`.
+    """
     progress, crash, fault = state.progress, state.crash, state.fault
     if crashed and fault_loses and fault[race, one] == 0 and fault[race, two] == 0:
         if (crash[race, one] == 0) != (crash[race, two] == 0):
             return crash[race, one] == 0
-        crashed = False  # for these two
+        crashed = False  # of these two cars
     lead = progress[race, one] - progress[race, two]
     return win_sign(lead, crashed, fault[race, one], fault[race, two], fault_loses) > 0.0
 
 
 @inner_kernel
 def _won(state, race, car, crashed, fault_loses):  # type: ignore[no-untyped-def]
-    """1.0 if a car beats all others, -1.0 if another one does, else 0.0."""
+    """Return 1.0 if a car beats all others, -1.0 if another car does, else 0.0."""
     number = state.progress.shape[1]
     for one in range(number):
         beaten = 0
@@ -342,7 +352,7 @@ def _won(state, race, car, crashed, fault_loses):  # type: ignore[no-untyped-def
 
 @inner_kernel
 def _end_step(state, end_tick, weights, sight, results, first, last):  # type: ignore[no-untyped-def]
-    """Rewards and ends after a step, from the progress before it and the state after it."""
+    """Write rewards and ends of a step, from the progress before it and the state after it."""
     per_metre, rivalry, penalty, win, fault_loses, goal = weights
     progress, crash, fault, before = state.progress, state.crash, state.fault, results.before
     number = progress.shape[1]
@@ -352,7 +362,7 @@ def _end_step(state, end_tick, weights, sight, results, first, last):  # type: i
             crashed |= crash[race, car] != 0
             finished |= state.laps[race, car, LAPS] >= goal
         late = state.tick[race] >= end_tick
-        # Where winning pays, nothing follows after the last moment of a race.
+        # With a reward for winning, the end of the time terminates a race.
         ended = crashed or finished or (late and win > 0.0)
         for car in range(sight.players):
             own = progress[race, car] - before[race, car]
@@ -373,14 +383,19 @@ def _end_step(state, end_tick, weights, sight, results, first, last):  # type: i
 
 @kernel
 def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions, limits, weights, sight, rows, first, last, buffers, results):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
-    """One step of races ``first`` to ``last - 1``: drive ``ticks`` steps on, pay, and observe.
+    """Step races ``first`` to ``last - 1``: drive for ``ticks`` ticks, then reward and observe.
 
-    What is not named here is as in :func:`pcs_racing.race.kernel.advance_races`. Actions, shape (B, players, 2), are
-    steering and speed, clipped to [-1, 1]; their limits are as in :func:`set_commands`. The weights are the reward for
-    a metre, the share of the opponent's progress that is taken off, the penalty
-    (:func:`pcs_racing.game.reward.step_reward`), the reward of a win, whether a fault loses the race, and the laps that
-    end it. Rows are the numbers from 0 to B - 1, buffers ``scratch`` and ``work`` of the races, ``row``, ``seen`` and
-    ``work`` of the observations, their contents undefined afterwards; results are :class:`StepResults`.
+    - ``actions``, shape (B, players, 2): steering and speed, clipped to [-1, 1];
+    - ``limits``: as in :func:`set_commands`;
+    - ``weights``: reward for a metre, subtracted share of the opponent's progress, penalty
+      (:func:`pcs_racing.game.reward.step_reward`), reward of a win, flag that a fault loses the
+      race, and number of laps of a race;
+    - ``rows``: numbers from 0 to B - 1;
+    - ``buffers``: ``scratch`` and ``work`` of the races, ``row``, ``seen`` and ``work`` of the
+      observations, undefined afterwards;
+    - ``results``: :class:`StepResults`.
+
+    The other arguments are as in :func:`pcs_racing.race.kernel.advance_races`.
     """
     scratch, work, row, seen, scan_work = buffers
     set_commands(actions, limits, state, vehicles, first, last)

@@ -1,4 +1,4 @@
-"""The environment at the level of strategy: moves of one car against an opponent, or of both cars by two agents."""
+"""Strategy-level environment: moves of one car against an opponent, or of both cars."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -20,31 +20,31 @@ from pcs_racing.game.observation import observation_elements, observation_table
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.rendering import MODES
 
-FILM = "rgb_array_list"  # render mode in which `render` returns all frames since it was last called
+FILM = "rgb_array_list"  # render mode where `render` returns all frames since its last call
 FILM_RATE = 25  # frames of a film for each second of racing
 FILM_TICKS = 4  # simulation steps between two frames of a film
-WINDOW_TICKS = 16  # the same in a window, which shows 25 frames a second as well: four times as fast
+WINDOW_TICKS = 16  # simulation steps between two frames of a window: 4 times real time at 25 fps
 
 AXES = get_characteristics(("aggressiveness", "restraint"))
-"""Those of the archive "default", which the tables of the classes' pages are made for."""
+"""Characteristics of the archive "default", for the tables in the class docstrings."""
 
 _MOVES = GameConfig().moves
 _TABLE = observation_table(observation_elements(AXES, _MOVES), _MOVES)
 
 
 class OverGames(OverBatch):
-    """What environments of the game of moves have in common; their steps are so long that they are filmed."""
+    """Common parts of environments of the game of moves; their long steps are filmed."""
 
     batch_type = GameBatch
     batch: GameBatch
 
     @property
     def game(self) -> RaceGame:
-        """The rules."""
+        """Rules of the game."""
         return self.batch.game
 
     def _show_step(self) -> None:
-        # A window shows what is drawn.
+        # A window shows each drawn frame.
         frames = len(list(self.batch.film(self._open_renderer(), self.batch.last_step(), WINDOW_TICKS)))
         if frames == 0:
             super()._show_step()
@@ -54,61 +54,68 @@ class OverGames(OverBatch):
 
 
 class DuelEnv(OverGames, ScalarEnv, observation_table=_TABLE):
-    """Play the game of moves in Policy Characteristic Space against an opponent.
+    """Game of moves in the Policy Characteristic Space against an opponent.
 
     ## Description
 
-    Each car is driven by a motion planner with a policy from an archive. A policy is a point in the Policy
-    Characteristic Space: its coordinates say how it drives, for instance how much lead it gains (aggressiveness, m)
-    and how much time it keeps to a collision (restraint, s). The players watch one step of 8 s, then make 4 moves;
-    each move asks for a bit more or less of one characteristic, the car continues with the nearest policy of the
-    archive, and 8 s are driven. This is the game of Section V of the paper, seen by the player of car 0. With the
-    rules ``contest`` players move 6 times: on the grid, at 2 s, and at 8, 16, 24 and 32 s.
+    A motion planner with a policy from an archive drives each car. A policy is a point in the
+    Policy Characteristic Space. Its coordinates describe its driving, for instance the gained lead
+    (aggressiveness, m) and the kept time to collision (restraint, s). The players watch one step of
+    8 s, then make 4 moves. Each move requests slightly more or less of one characteristic. Then the
+    car continues with the nearest policy of the archive, and 8 s are driven. This is the game of
+    Section V of the paper, seen by the player of car 0. With the rules ``contest`` players move
+    6 times: on the grid, at 2 s, and at 8, 16, 24 and 32 s.
 
     ## Action Space
 
-    ``Discrete(2 G)`` for G characteristics: move ``2 i`` asks for more of characteristic ``i``, move ``2 i + 1`` for
-    less. With the default archive: 0 ``aggressiveness +``, 1 ``aggressiveness -``, 2 ``restraint +``, 3 ``restraint
-    -``. With several step sizes (``epsilon``) the moves of each follow one another; with ``stay`` the last move keeps
-    the policy. A move may lead to the policy in use: then nothing changes. ``action_masks()`` and
-    ``info["action_mask"]`` leave out a move that leads where ``stay`` or an earlier one leads; it may be made all the
-    same.
+    ``Discrete(2 G)`` for G characteristics: move ``2 i`` requests more of characteristic ``i``,
+    move ``2 i + 1`` less. With the default archive: 0 ``aggressiveness +``, 1 ``aggressiveness -``,
+    2 ``restraint +``, 3 ``restraint -``. With several step sizes (``epsilon``) the moves of each
+    size follow one another. With ``stay`` the last move keeps the policy. A move may lead to the
+    policy in use; then nothing changes. ``action_masks()`` and ``info["action_mask"]`` mask a move
+    with the same target as ``stay`` or an earlier move; masked moves are still legal.
 
     ## Observation Space
 
-    ``Box(float32)`` with ``(moves + 1) (2 G + 2) + 1`` elements, 31 by default; ``env.unwrapped.elements`` holds name,
-    unit, bounds and meaning of each. Step 0 is the one in which the players only watch, step ``k`` follows move ``k``.
-    "Range" means that 0 is the archive's smallest and 1 its largest value; values beyond the bounds are clipped.
+    ``Box(float32)`` with ``(moves + 1) (2 G + 2) + 1`` elements, 31 by default;
+    ``env.unwrapped.elements`` holds the name, unit, bounds and meaning of each element. In step 0
+    the players only watch; step ``k`` follows move ``k``. "Range" means that 0 is the archive's
+    min value and 1 its max value. Values beyond the bounds are clipped.
 
     {observation_table}
 
     ## Rewards
 
-    0 until the game ends; then the utility: by default the own lead in m, and 0 after a crash (``utility="lead"``); or
-    the lead even after a crash (``"lead-at-crash"``); or 1 for a win and -1 for a defeat (``"win"``). A
-    ``fault_penalty`` goes from the car to blame for a crash to the other one. A ``discount`` multiplies the utility
-    once for each move that was made.
+    The reward is 0 until the end of the game, then the utility: by default the own lead in m, and 0
+    after a crash (``utility="lead"``); or the lead even after a crash (``"lead-at-crash"``); or 1
+    for a win and -1 for a defeat (``"win"``). The car to blame for a crash pays a ``fault_penalty``
+    to the other car. A ``discount`` multiplies the utility once for each move made.
 
     ## Starting State
 
-    Start line, side, both policies, the steering noise (none in "paper") and the opponent are drawn from the
-    environment's generator; then the first step is driven. Should it end in a crash, the game is drawn again; if
-    policies and start were given, the first call of ``step`` ends it instead.
+    The environment's generator draws the start line, the side, both policies, the steering noise
+    (none in "paper") and the opponent. Then the first step is driven. If it ends in a crash, the
+    game is drawn again; with given policies and start, the first call of ``step`` ends the game
+    instead.
 
-    ``reset(options=...)`` takes ``policies`` (two indices of the archive; -1 draws one), ``start`` (arc length of the
-    line in m, and side: 0 puts car 0 on the left or in front), ``obstacles`` (boxes: x, y, heading, length and width in
-    m and rad, shape (K, 5)), ``opponent`` and ``track``, which replace the arguments from then on, and ``state``, what
-    ``get_state()`` returned. Others are refused.
+    ``reset(options=...)`` takes these options and refuses others:
+
+    - ``policies``: two indices of the archive; -1 draws a policy;
+    - ``start``: arc length of the line in m, and side (0 puts car 0 on the left or in front);
+    - ``obstacles``: boxes (x, y, heading, length and width in m and rad), shape (K, 5);
+    - ``opponent`` and ``track``: new values of these arguments, also for later episodes;
+    - ``state``: a state returned by ``get_state()``.
 
     ## Episode End
 
-    *Terminated* after the last move has been driven, or when a car crashes; never truncated.
+    *Terminated* after the step of the last move, or when a car crashes; never truncated.
 
     ## Information
 
-    The numbers of :class:`pcs_racing.envs.drive.DriveEnv`, and ``move`` and ``opponent_move`` (-1 before the first, and
-    for a driver), ``policy`` (index in the archive) and ``action_mask``.
-    ``env.unwrapped.metadata["codes"]`` holds the words of all codes; ``env.unwrapped.outcome()`` is the info in words.
+    The numbers of :class:`pcs_racing.envs.drive.DriveEnv`, and ``move`` and ``opponent_move`` (-1
+    before the first move, and for a fixed policy), ``policy`` (index in the archive) and
+    ``action_mask``. ``env.unwrapped.metadata["codes"]`` maps integer codes to labels.
+    ``env.unwrapped.outcome()`` returns the info with labels in place of codes.
 
     ## Arguments
 
@@ -116,8 +123,9 @@ class DuelEnv(OverGames, ScalarEnv, observation_table=_TABLE):
 
     ## Vectorized environment
 
-    ``gym.make_vec("pcs_racing/Duel-v1", num_envs=256)`` gives :class:`pcs_racing.envs.duel.DuelVectorEnv`: one
-    compiled call for all games, and the same numbers as this class gives with the same seeds.
+    ``gym.make_vec("pcs_racing/Duel-v1", num_envs=256)`` makes a
+    :class:`pcs_racing.envs.duel.DuelVectorEnv`: one compiled call for all games, with the same
+    numbers as this class for the same seeds.
 
     Examples
     --------
@@ -129,40 +137,42 @@ class DuelEnv(OverGames, ScalarEnv, observation_table=_TABLE):
 
     metadata: dict[str, Any] = {**ScalarEnv.metadata, "render_modes": [*MODES, FILM]}  # noqa: RUF012
     declared = Declared(GameOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig)
-    _unseen: tuple[DrivenStep, ...] = ()  # steps that `render` has not returned the frames of
+    _unseen: tuple[DrivenStep, ...] = ()  # steps not yet returned by `render`
 
     @property
     def opponents(self) -> list[Opponent]:
-        """The opponents among which each episode's is drawn."""
+        """Opponents; one is drawn for each episode."""
         return list(self.batch.opponents)
 
     def render(self) -> Any:
-        """Return a frame (``"rgb_array"``), show it (``"human"``), or return a list of frames (``"rgb_array_list"``).
+        """Return a frame, show it, or return a list of frames.
 
-        The list holds all frames since it was last asked for, or since the reset, 25 for each second of racing; it is
-        empty if nothing was driven since.
+        The render mode ``"rgb_array"`` returns a frame, ``"human"`` shows it, and
+        ``"rgb_array_list"`` returns all frames since the last call or the reset, 25 for each second
+        of racing. The list is empty if nothing was driven since.
         """
         if self.render_mode != FILM:
             return super().render()
         renderer, batch = self._open_renderer(), self.batch
         steps, self._unseen = self._unseen, ()
         frames = [frame for step in steps for frame in batch.film(renderer, step, FILM_TICKS)]
-        return frames or [batch.draw(renderer, 0) for _ in steps[:1]]  # of a restored state, the moment
+        return frames or [batch.draw(renderer, 0) for _ in steps[:1]]  # one if restored
 
     def _keep_step(self, *, begun: bool = False) -> None:
-        # Races are driven again for a film, so that what nobody asks for need not be drawn.
+        # A film drives the races again, so unused frames are never drawn.
         if self.render_mode == FILM:
             self._unseen = (*(() if begun else self._unseen), self.batch.last_step())
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Moves that may be made, shape (M,), as sb3-contrib's MaskablePPO asks for them."""
+        """Return the mask of valid moves, shape (M,), for sb3-contrib's MaskablePPO."""
         return self.batch.action_masks()[0]
 
 
 class DuelVectorEnv(OverGames, BatchVectorEnv):
-    """Many :class:`DuelEnv` in one, with the same numbers for the same seeds.
+    """Vector environment of :class:`DuelEnv`, with the same numbers for the same seeds.
 
-    The arguments are those of :class:`DuelEnv` and of :class:`pcs_racing.envs.vector.BatchVectorEnv`.
+    It takes the arguments of :class:`DuelEnv` and
+    :class:`pcs_racing.envs.vector.BatchVectorEnv`.
 
     Examples
     --------
@@ -175,16 +185,16 @@ class DuelVectorEnv(OverGames, BatchVectorEnv):
     declared = replace(DuelEnv.declared, positional=())
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Moves that each player may make, shape (num_envs, M), as sb3-contrib's MaskablePPO asks for them."""
+        """Return the mask of valid moves, shape (num_envs, M), for sb3-contrib's MaskablePPO."""
         return self.batch.action_masks()
 
 
 class SelfPlayVectorEnv(DuelVectorEnv):
-    """Games in which both cars belong to the agent: environment ``2 i`` is car 0 of game ``i``, ``2 i + 1`` its car 1.
+    """Self-play games: environments ``2 i`` and ``2 i + 1`` are cars 0 and 1 of game ``i``.
 
-    One policy that acts in all environments plays against itself; rewards of a pair add up to zero. Seeds belong to
-    games: ``reset(seed=...)`` takes one for each game. The arguments are those of :class:`DuelVectorEnv`, without
-    ``opponent``.
+    A policy acting in all environments plays against itself. The rewards of a pair add up to zero.
+    ``reset(seed=...)`` takes one seed for each game. The class takes the arguments of
+    :class:`DuelVectorEnv`, without ``opponent``.
     """
 
     declared = replace(DuelVectorEnv.declared, changed={"opponent": None})
@@ -192,42 +202,45 @@ class SelfPlayVectorEnv(DuelVectorEnv):
 
 
 class HeadToHeadEnv(OverGames, ParallelBatchEnv, observation_table=_TABLE):
-    """Two cars race each other; their players change, move by move, how aggressive and how restrained they drive.
+    """Race of two cars whose players change aggressiveness and restraint move by move.
 
     ## Description
 
-    :class:`pcs_racing.envs.duel.DuelEnv` with a player for each car: the same rules, and both moves are made at the
-    same time.
+    :class:`pcs_racing.envs.duel.DuelEnv` with a player for each car: the same rules, with
+    simultaneous moves.
 
     ## Action Space
 
-    `Discrete(2 G)` for G characteristics: the moves of `DuelEnv`. `info["action_mask"]` (int8) says which may be made.
+    `Discrete(2 G)` for G characteristics: the moves of `DuelEnv`. `info["action_mask"]` (int8)
+    marks the valid moves.
 
     ## Observation Space
 
-    `Box(float32)` with `(moves + 1) (2 G + 2) + 1` elements, 31 by default: those of `DuelEnv`, seen from the own car.
+    `Box(float32)` with `(moves + 1) (2 G + 2) + 1` elements, 31 by default: the elements of
+    `DuelEnv`, seen from the own car.
 
     {observation_table}
 
-    `state()` is the observation of `car_0` followed by that of `car_1`.
+    `state()` is the observation of `car_0`, followed by the observation of `car_1`.
 
     ## Rewards
 
-    Those of `DuelEnv`. The two cars' add up to zero.
+    The rewards of `DuelEnv`. The rewards of the two cars add up to zero.
 
     ## Starting State
 
-    As in `DuelEnv`, and so are the options of `reset(options=...)`.
+    As in `DuelEnv`, with the same options of `reset(options=...)`.
 
     ## Episode End
 
-    Both agents terminate after the last move has been driven, or when a car crashes. With `max_cycles` below the
-    number of moves, they are truncated after so many moves.
+    Both agents terminate after the step of the last move, or when a car crashes. If `max_cycles` is
+    below the number of moves, they are truncated after `max_cycles` moves.
 
     ## Information
 
-    `info` of each agent holds the numbers of `DuelEnv`, seen from its own car; `opponent` is -1: the other agent.
-    `env.metadata["codes"]` holds the words of all codes; `env.outcome()` is the infos in words.
+    `info` of each agent holds the numbers of `DuelEnv`, seen from its own car; `opponent` is -1:
+    the other agent. `env.metadata["codes"]` maps integer codes to labels. `env.outcome()` returns
+    the infos with labels in place of codes.
 
     ## Arguments
 
@@ -235,8 +248,9 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv, observation_table=_TABLE):
 
     ## Vectorized environment
 
-    `pcs_racing.game.rules.RaceGame` plays any number of games at once, with the same rules: this environment is a batch
-    of one. `gymnasium.make_vec("pcs_racing/Duel-v1", num_envs=256)` is the single-agent view of such a batch.
+    `pcs_racing.game.rules.RaceGame` plays any number of games at once, with the same rules: this
+    environment is a batch of one. `gymnasium.make_vec("pcs_racing/Duel-v1", num_envs=256)` is the
+    single-agent view of such a batch.
     """
 
     metadata: dict[str, Any] = {**ParallelBatchEnv.metadata, "name": "head_to_head_v1"}  # noqa: RUF012
@@ -245,18 +259,21 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv, observation_table=_TABLE):
     )
 
     def frames(self) -> Iterator[NDArray[np.uint8] | None]:
-        """Drive the last step again and draw 25 moments of each second: what `render` gives, for videos."""
+        """Drive the last step again and yield 25 frames a second, as from `render`, for videos."""
         if self.render_mode is not None:
             yield from self.batch.film(self._open_renderer(), self.batch.last_step(), FILM_TICKS)
 
     def _frames_per_second(self) -> int:
-        return FILM_RATE  # of `frames`, whatever the mode
+        return FILM_RATE  # rate of `frames`, in all modes
 
 
 parallel_env = HeadToHeadEnv
-"""PettingZoo's name for what makes an environment of its parallel interface."""
+"""PettingZoo's name for the constructor of a parallel environment."""
 
 
 def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], int | None]:
-    """Make the same environment in PettingZoo's turn-by-turn interface: both cars move, then a step is driven."""
+    """Make the same environment with PettingZoo's AEC interface.
+
+    Both cars move, then a step is driven.
+    """
     return parallel_to_aec(parallel_env(**arguments))

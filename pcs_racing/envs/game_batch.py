@@ -1,4 +1,4 @@
-"""Many games side by side: the batch behind the environments of the strategy level."""
+"""Batch of games for the strategy-level environments."""
 
 import copy
 from collections.abc import Iterator, Mapping
@@ -43,21 +43,21 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, empty_state, take
 from pcs_racing.track.track import Track
 
-NO_MOVE = -1  # before the first move, and for a driver
+NO_MOVE = -1  # code before the first move, and for a fixed policy
 TRAIL = 50  # frames of trail behind each car: two seconds of a film
 
 
 class DrivenStep(NamedTuple):
-    """A step of one game as it can be driven again, for films."""
+    """Data of a step of one game to drive it again, for films."""
 
-    #: What each piece of driving began with, as a batch of one race, and the parameters of its drivers.
+    #: Initial state of each piece of driving, as a batch of one race, and its policy parameters.
     pieces: list[tuple[RaceState, NDArray[np.float64]]]
-    moves: NDArray[np.int64]  #: shape (2,): Moves that began it.
+    moves: NDArray[np.int64]  #: shape (2,): Moves at the start of the step.
 
 
 @dataclass(frozen=True, eq=False)
 class GameOptions(EpisodeOptions):
-    """Arguments of the environments at the level of strategy."""
+    """Arguments of the strategy-level environments."""
 
     archive: PolicyArchive | str | Path = setting("default", ANYTHING, "The policies: an archive, its name or folder.")
     opponent: Any = setting(
@@ -83,21 +83,21 @@ class GameOptions(EpisodeOptions):
     )
 
 
-KEPT = 64  # games on circuits that no episode is on
+KEPT = 64  # number of cached games on tracks without an episode
 
 
 class GameBatch:
-    """Games of moves; car 0 belongs to a player, car 1 to an opponent, or to a second one of two ``players``.
+    """Batch of games of moves; car 0 belongs to a player, car 1 to an opponent or a second player.
 
-    The arguments are those of :class:`GameOptions` and, to change the rules, of
+    The arguments are the fields of :class:`GameOptions` and, to change the rules, of
     :class:`pcs_racing.game.config.GameConfig`.
     """
 
     options_type: ClassVar[type[GameOptions]] = GameOptions
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
-    frame_rate = 1  #: Of single frames: a step is longer than a second.
+    frame_rate = 1  #: Rate of single frames: a step is longer than a second.
     cars = 2
-    played_in = "games"  #: How messages name what is played.
+    played_in = "games"  #: Noun for the games in messages.
 
     def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
         check_batch_size(episodes, threads)
@@ -114,9 +114,9 @@ class GameBatch:
             raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
         rules = load_game_config(options.race, **{name: value for name, value in arguments.items() if name not in own})
         self._made_of = load_archive(options.archive), rules, options.opponent, threads
-        #: The game on a circuit, by its number, and the opponents in it.
+        #: Game and opponents on a track, by the track's number.
         self.game_on = lru_cache(maxsize=KEPT + self.episodes)(self._make_game)
-        # The game on the first circuit; the rules are the same on the others.
+        # The game on the first track; the rules are the same on the other tracks.
         self.game, self.opponents = self.game_on(0)
         weights = np.array([each.weight for each in self.opponents] or [1.0])
         self._edges = np.cumsum(weights) / weights.sum()
@@ -132,26 +132,26 @@ class GameBatch:
         low, high = (np.array([getattr(e, end) for e in self.elements], np.float32) for end in ("low", "high"))
         self.observation_space = spaces.Box(low, high, dtype=np.float32)
         self.action_space = spaces.Discrete(len(self.actions))
-        self.state: GameState | None = None  #: None before the first `restart`.
-        self.before: GameState | None = None  # what the last step began with: films are driven again from it
-        #: shape (episodes, 2, D): What both players observe.
+        self.state: GameState | None = None  #: State of the games; None before the first `restart`.
+        self.before: GameState | None = None  # state before the last step, to drive films again
+        #: shape (episodes, 2, D): Observations of both players.
         self.seen = np.zeros((self.episodes, 2, len(low)), np.float32)
         self.drawn = np.zeros(self.episodes, np.int64)  # index of each game's opponent
-        #: shape (episodes, 2): Last move of each car; -1 before the first.
+        #: shape (episodes, 2): Last move of each car; -1 before the first move.
         self.moves = np.full((self.episodes, 2), NO_MOVE, np.int64)
         self.memories: list[Any] = [None] * self.episodes
         self._rows = np.arange(self.episodes)
-        # Key and start of the first game, the one that films show, if nobody has moved in it yet.
+        # Key and start of the first game, for films; None after its first move.
         self._begun: tuple[NDArray[np.uint64], Starts | None] | None = None
 
     def _set_rules(self, options: Any) -> None:
-        """Set what is played: what the players observe, their actions by name, and the steps of an episode."""
+        """Set the observation elements, the names of the actions and the steps of an episode."""
         self.elements: tuple[ObservationElement, ...] = self.game.observation_elements
         self.actions, self.horizon = self.game.move_names, self.game.config.moves
 
     @property
     def track(self) -> Track:
-        """The circuit of the first episode."""
+        """Track of the first episode."""
         return self.randomization.track(0)
 
     def _make_game(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
@@ -165,36 +165,37 @@ class GameBatch:
             most_delay=self.randomization.ranges.most_delay,
         )
         opponents = [] if opponent is None else parse_opponents(opponent, game)
-        # The opponents can only be read in a game, and then say which planner it must be made with.
+        # Parsing the opponents needs a game, and then determines the game's planner.
         planner = shared_planner(opponents, game)
         if planner is not game.setup.planners[1]:
             game = replace(game, opponent_planner=planner)
         return game, opponents
 
     def game_of(self, episode: int) -> RaceGame:
-        """Return the game on the circuit of an episode."""
+        """Return the game on the track of an episode."""
         return self.game_on(int(self.randomization.circuits.number[episode]))[0]
 
     def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
-        """Return actions as (episodes, players)."""
+        """Return actions in the shape (episodes, players)."""
         checked = check_moves(actions, self.actions, shape, ("environment",), player="action")
         return checked.reshape(self.episodes, self.players)
 
     def restart(self, rows: Rows, generators: Generators, options: Mapping[str, Any] = {}) -> None:
-        """Begin new games in some places, each drawn from its own generator, with options for each or for all.
+        """Begin new games in some rows, with options for each or for all.
 
-        :class:`pcs_racing.envs.duel.DuelEnv` describes the options.
+        Each game is drawn from its own generator. :class:`pcs_racing.envs.duel.DuelEnv` describes
+        the options.
         """
         starts, policies, boxes = self._read(options, len(rows))
         self.randomization.draw(rows, generators)
-        if self.randomization.obstacles is not None and starts is None:  # they must be known, to keep obstacles away
+        if self.randomization.obstacles is not None and starts is None:  # for the obstacles
             lines = [self.game_of(row).start_lines for row in rows]
             drawn_lines = [line[gen.integers(len(line))] for line, gen in zip(lines, generators, strict=True)]
             starts = Starts(np.array(drawn_lines), np.array([gen.integers(2) for gen in generators], np.int64))
-        # Without obstacles to draw nobody reads the places.
+        # Without drawn obstacles the places are not used.
         places = np.zeros((len(rows), 2)) if starts is None else np.repeat(starts.s[:, None], 2, axis=1)
         self.randomization.place_obstacles(rows, places, generators, boxes)
-        # A game is a function of this key, whatever the generator draws later.
+        # A game is a function of this key and does not depend on later draws of the generator.
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
         drawn, drivers = self._draw_opponents(generators)
         if self.state is None:
@@ -220,12 +221,12 @@ class GameBatch:
             self.memories[row] = None
 
     def _read(self, options: Mapping[str, Any], count: int) -> tuple[Starts | None, NDArray[np.int64], Any]:
-        """Return the options of a reset of some episodes: starts, policies and obstacles."""
+        """Return the starts, policies and obstacles in the options of a reset."""
         policies = check_policies(self.game.archive, options.get("policies"), count)
         return start_option(options, count), policies, obstacles_option(options, count)
 
     def _draw_opponents(self, generators: Generators) -> tuple[NDArray[np.int64], list[Policy | None]]:
-        """Draw the opponent of each new episode: its index and, of a driver, the policy that it keeps to."""
+        """Draw the opponent of each new episode: its index, and its policy if it makes no moves."""
         drawn = np.zeros(len(generators), np.int64)
         if not self.opponents:
             return drawn, [None] * len(generators)
@@ -236,13 +237,13 @@ class GameBatch:
         return drawn, drivers
 
     def started(self) -> GameState:
-        """Return the state."""
+        """Return the state; raise an error before the first reset."""
         if self.state is None:
             raise InputError("the episode has not begun; call reset() first")
         return self.state
 
     def step(self, actions: NDArray[np.int64], generators: Generators) -> BatchStep:
-        """Let both cars of every game move, and drive a step."""
+        """Move both cars of every game, and drive a step."""
         state = self.started()
         moves = actions
         if self.players == 1:
@@ -256,7 +257,7 @@ class GameBatch:
         return BatchStep(self._observations(), rewards, done, np.zeros(len(done), np.bool_))
 
     def _apply(self, state: GameState, moves: NDArray[np.int64]) -> GameState:
-        # On one circuit the whole batch is one call: no games are taken out and put back.
+        # On a single track the whole batch is one call, without copying games.
         groups = self.randomization.groups(self._rows)
         if len(groups) == 1:
             circuit, rows = groups[0]
@@ -270,7 +271,10 @@ class GameBatch:
     def _replies(
         self, state: GameState, rows: Rows, generators: Generators, seen: NDArray[np.float32]
     ) -> NDArray[np.int64]:
-        """Moves of the opponents, which observe ``seen``, in the games ``rows``; 0 in all others, shape (B,)."""
+        """Return the moves of the opponents in the games ``rows``, 0 in all others, shape (B,).
+
+        ``seen`` are the observations of the opponents.
+        """
         asked = {"observation": seen, "memories": self.memories, "deterministic": self._deterministic}
         moves = np.zeros(self.episodes, np.int64)
         for circuit, some in self.randomization.groups(rows):
@@ -279,25 +283,25 @@ class GameBatch:
         return moves
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
-        """Write the observations of some games into the rows of their players."""
+        """Write the observations of some games to the rows of their players."""
         out.reshape(self.episodes, self.players, -1)[rows] = self.seen[rows, : self.players]
 
     def both_views(self) -> NDArray[np.float32]:
-        """What each car of every game observes, whoever moves it, shape (B, 2, D)."""
+        """Return the observation of each car of every game, shape (B, 2, D)."""
         return self.seen
 
     def _observations(self) -> NDArray[np.float32]:
         return self.seen[:, : self.players].reshape(self.episodes * self.players, -1).copy()
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Moves that each player may make, shape (environments, M)."""
+        """Return the mask of valid moves of each player, shape (environments, M)."""
         masks = self.game.action_mask(self.started())
         return masks[:, : self.players].reshape(self.episodes * self.players, -1)
 
     def infos(self) -> dict[str, NDArray[Any]]:
-        """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
+        """Return the infos of all players, described in :mod:`pcs_racing.envs.infos`."""
         state, players = self.started(), self.players
-        # A driver makes no moves, whatever stands in the array of moves.
+        # A fixed policy makes no moves, whatever the array of moves holds.
         moves = np.where(state.policy == OUTSIDE, NO_MOVE, self.moves)
         opponents = self.drawn if self.opponents else np.full(self.episodes, -1)
         return {
@@ -312,7 +316,10 @@ class GameBatch:
         }
 
     def info(self, environment: int) -> dict[str, Any]:
-        """Info of one player: plain numbers, and the mask as an array; faster than taking it from arrays of one."""
+        """Return the info of one player: plain numbers, and the mask as an array.
+
+        This is faster than arrays of length one.
+        """
         state, (row, car) = self.started(), divmod(environment, self.players)
         info = race_info(state.race, row, car)
         over = bool(self.game.done(state)[row])
@@ -326,22 +333,22 @@ class GameBatch:
         return info
 
     def _results(self) -> NDArray[np.int64]:
-        """How each game stands for each player, shape (B, players): :class:`pcs_racing.envs.infos.Result`."""
+        """Return the :class:`pcs_racing.envs.infos.Result` of each game, shape (B, players)."""
         state = self.started()
         ended = race_results(self.game.winner(state), state.race.crashed, self.players)
         return np.where(self.game.done(state)[:, None], ended, Result.RUNNING)
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
-        """Draw a game as it stands."""
+        """Draw the current state of a game."""
         episode = environment // self.players
         return self._draw(renderer, episode, self.started().race, self.moves[episode])
 
     def last_step(self) -> DrivenStep:
-        """Return the last step of the first game, the one in which the players only watch included."""
+        """Return the last step of the first game; this may be the step without moves."""
         return DrivenStep(self._pieces(), self.moves[0].copy())
 
     def film(self, renderer: Renderer, step: DrivenStep, ticks: int) -> Iterator[NDArray[np.uint8] | None]:
-        """Drive a step of the first game again, and draw a frame every so many simulation steps."""
+        """Drive a step of the first game again, and yield a frame every ``ticks`` ticks."""
         game, conditions = self.game_of(0), self.randomization.conditions(self._rows[:1])
         trail: list[NDArray[np.float64]] = []
         for begun, theta in step.pieces:
@@ -351,24 +358,24 @@ class GameBatch:
                 drive, before = min(ticks, left), int(race.tick[0])
                 advance(game.setup, race, theta, drive, threads=1, ittc=False, conditions=conditions)
                 if int(race.tick[0]) == before:
-                    break  # it is over
+                    break  # end of the race
                 trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
                 yield self._draw(renderer, 0, race, step.moves, np.array(trail))
                 left -= drive
 
     def _pieces(self) -> list[tuple[RaceState, NDArray[np.float64]]]:
-        """Where the pieces of driving of the first game's last step began, and the parameters that drove them."""
+        """Return the initial states and policy parameters of the last step of the first game."""
         state = self.started()
         theta = state.theta[:1].copy()
-        # The first step was driven when the game began; it starts on the grid, which is made again from the key.
+        # The first step was driven at the reset, from the grid; the key reproduces the grid.
         if self._begun is not None:
             if self.game.config.end_ticks[0] == 0:
-                return []  # nothing was driven yet
+                return []  # no step driven yet
             key, start = self._begun
             conditions = self.randomization.conditions(self._rows[:1])
             return [(self.game_of(0).grid(key, state.race.seed[:1], start, conditions), theta)]
         if self.before is None or int(self.before.race.tick[0]) >= int(state.race.tick[0]):
-            return []  # restored from a value, or standing still
+            return []  # restored state, or no driving
         return [(take(self.before.race, [0]), theta)]
 
     def _draw(
@@ -379,7 +386,7 @@ class GameBatch:
         made: NDArray[np.int64],
         trails: NDArray[np.float64] | None = None,
     ) -> NDArray[np.uint8] | None:
-        """Draw an episode as it stands among some races, after some moves."""
+        """Draw an episode of a batch of races, with the moves made."""
         names = ("you", self.opponents[self.drawn[episode]].name) if self.opponents else ("car_0", "car_1")
         codes = self.codes["move"]
         moves = " | ".join(f"{name}: {codes[int(made[car])]}" for car, name in enumerate(names))
@@ -390,17 +397,20 @@ class GameBatch:
         return renderer.render(races.cars[episode], plans=shown, trails=trails, names=names, text=text)
 
     def value(self) -> Any:
-        """What is played, as a value; None before the first `restart`."""
+        """Return the state of the games; None before the first `restart`."""
         return self.state
 
     def get_state(self) -> tuple[Any, ...]:
-        """Copies of all that changes: what is played, opponents, last moves, what these remember, what was drawn."""
+        """Return copies of all variables: games, opponents, last moves, memories, random draws."""
         value = self.value()
         kept = None if value is None else value.copy()
         return kept, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories), self.randomization.get_state()
 
     def check_state(self, values: tuple[Any, ...]) -> list[Track]:
-        """Refuse what `get_state` can't have returned; returns the circuit of each episode, with its obstacles."""
+        """Refuse a state that `get_state` can't have returned.
+
+        Return the track of each episode, with its obstacles.
+        """
         check_part("the state", values, (FREE, self.drawn, self.moves, [FREE] * self.episodes, FREE))
         tracks = self.randomization.check_state(values[4])
         if values[0] is not None:
@@ -411,7 +421,7 @@ class GameBatch:
         return tracks
 
     def set_state(self, values: tuple[Any, ...]) -> None:
-        """Continue from what `get_state` returned, here or in an equal batch."""
+        """Continue from a state of `get_state`, from this or an equal batch."""
         tracks = self.check_state(values)
         value, drawn, moves, memories, randomization = values
         self.randomization.set_state(randomization, tracks)
@@ -427,9 +437,9 @@ class GameBatch:
         check_games("the state's games", state, self.game, lengths)
 
     def _blank(self) -> Any:
-        """Return what is played, before anything is."""
+        """Return an empty state of the games."""
         return self.game.empty_state(empty_state(self.episodes, self.game.setup.memory_size))
 
     def close(self) -> None:
-        """Stop building circuits."""
+        """Stop building tracks."""
         self.randomization.circuits.close()

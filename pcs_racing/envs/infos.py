@@ -1,29 +1,34 @@
-"""The numbers of an environment's infos: their codes, and their words for people.
+"""Numbers of an environment's infos, their integer codes, and the labels of the codes.
 
 Every environment uses the same names, and every value is a number or an array of numbers:
 
 | name | number |
 | --- | --- |
-| `time` | s since the start |
-| `progress`, `lead` | m along the race line; ahead of the opponent, or of the first of several; alone 0 |
-| `crash`, `opponent_crash` | :class:`Crash`, of any opponent; where contacts end no race, while the contact lasts |
-| `fault` | 1 if the own car is to blame for the crash, else 0; where contacts end no race, its faults so far |
-| `overtakes` | how often the own car passed another one |
-| `result` | :class:`Result` |
-| `opponent` | index of the episode's opponent among those of the environment; -1 if there is none |
-| `move`, `opponent_move` | index of the last move; -1 before the first, and for a driver, which makes none |
-| `race` | of a match: races that are over |
-| `race_result` | of a match: :class:`Result` of the race that ended last |
-| `score`, `opponent_score` | of a match: races won so far, a tie counting half |
-| `policy` | index of the policy in the archive; -1 for a driver from outside |
-| `laps` | complete laps of the own car, counted from the start line; the first one begins with the race |
-| `lap_time`, `best_lap` | s, of the last and the shortest of these laps; -1 if there is none |
-| `poses` | of the control level: x, y (m) and heading (rad) of every car, the own one first, shape (N, 3) |
-| `velocities` | likewise: speed (m/s), yaw rate (rad/s) and slip angle (rad) |
-| `track` | number of the episode's circuit, where there are several |
-| `obstacles` | how many stand on the track, if they are drawn |
-| `friction`, `mass`, `steering_delay`, `steering_noise`, `lidar_noise` | what was drawn for the episode, if it was |
-| `action_mask` | 1 for each move that may be made (int8) |
+| `time` | time since the start, s |
+| `progress` | progress along the race line, m |
+| `lead` | lead over the opponent, or over the first of several, m; 0 for a single car |
+| `crash`, `opponent_crash` | :class:`Crash` of the own car, and of any opponent (1) |
+| `fault` | 1 if the own car is to blame for the crash, else 0 (1) |
+| `overtakes` | number of overtakes by the own car |
+| `result` | :class:`Result` of the episode |
+| `opponent` | index of the episode's opponent in the environment; -1 if there is none |
+| `move`, `opponent_move` | index of the last move; -1 before the first, and for a fixed policy |
+| `race` | number of finished races of a match |
+| `race_result` | :class:`Result` of the last finished race of a match |
+| `score`, `opponent_score` | races won so far in a match; a tie counts half |
+| `policy` | index of the policy in the archive; -1 for a policy from outside |
+| `laps` | complete laps of the own car from the start line; the first begins with the race |
+| `lap_time`, `best_lap` | times of the last and the shortest of these laps, s; -1 without a lap |
+| `poses` | x, y (m) and heading (rad) of every car, the own car first, shape (N, 3) (2) |
+| `velocities` | speed (m/s), yaw rate (rad/s) and slip angle (rad), shape (N, 3) (2) |
+| `track` | number of the episode's track, if there are several |
+| `obstacles` | number of obstacles on the track, if they are drawn |
+| `friction`, `mass` | value drawn for the episode, if any |
+| `steering_delay`, `steering_noise`, `lidar_noise` | value drawn for the episode, if any |
+| `action_mask` | 1 for each valid move (int8) |
+
+(1) If contacts do not end a race, the code of a crash lasts as long as the contact, and ``fault``
+is the number of faults so far. (2) Only at the control level.
 """
 
 from collections.abc import Iterable, Mapping
@@ -40,7 +45,7 @@ _POSE, _MOTION = np.array([0, 1, 4]), np.array([3, 5, 6])  # columns of a car's 
 
 
 class Crash(IntEnum):
-    """How a car crashed."""
+    """Kind of a car's crash."""
 
     NONE = 0
     WALL = 1
@@ -48,36 +53,42 @@ class Crash(IntEnum):
 
 
 class Result(IntEnum):
-    """How an episode ended for a car."""
+    """Result of an episode for a car."""
 
     RUNNING = 0
-    """It goes on."""
+    """Episode in progress."""
     WIN = 1
     TIE = 2
     LOSS = 3
     CRASH = 4
-    """A no-contest crash: nobody won."""
+    """No-contest crash, without a winner."""
 
 
 def codes(kind: type[IntEnum]) -> dict[int, str]:
-    """Words of an enumeration by number."""
+    """Return the labels of an enumeration by number."""
     return {member.value: member.name.lower() for member in kind}
 
 
 def common_codes(opponents: Iterable[str]) -> dict[str, dict[int, str]]:
-    """Words of the infos of every environment that are codes, from the names of its opponents."""
+    """Return the labels of the codes in every environment's infos, given its opponents' names."""
     crash = codes(Crash)
     names = {-1: "none", **dict(enumerate(opponents))}
     return {"crash": crash, "opponent_crash": crash, "result": codes(Result), "opponent": names}
 
 
 def of_players(values: NDArray[Any], players: int) -> NDArray[Any]:
-    """Copy what belongs to the players, shape (B * players, ...), out of an array of all cars, shape (B, N, ...)."""
+    """Copy the players' values from an array of all cars.
+
+    The array has the shape (B, N, ...), the result (B * players, ...).
+    """
     return np.array(values[:, :players]).reshape(-1, *values.shape[2:])
 
 
 def most_of_others(values: NDArray[Any]) -> NDArray[Any]:
-    """The largest value of the other cars for each car of B races, shape (B, N); of a car alone its own."""
+    """Return the max value of the other cars for each car of B races, shape (B, N).
+
+    A single car gets its own value.
+    """
     number = values.shape[1]
     if number <= 2:
         return values[:, ::-1]
@@ -87,7 +98,10 @@ def most_of_others(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
-    """What is told of the players' cars in all races of a batch, apart from the result, shape (B * players,)."""
+    """Return the infos of the players' cars in all races of a batch, shape (B * players,).
+
+    The result is not included.
+    """
     crash = (races.crash | races.contact).astype(np.int64)
     of_cars = {
         "progress": races.progress,
@@ -105,21 +119,24 @@ def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
 
 
 def all_poses(cars: NDArray[np.float64], players: Iterable[int]) -> dict[str, NDArray[np.float64]]:
-    """Where all cars of B races are and how they move, shape (B * players, N, 3) each: the player's own car first."""
+    """Return poses and velocities of all cars of B races, each of shape (B * players, N, 3).
+
+    The player's own car comes first.
+    """
     number = cars.shape[1]
     order = [[player, *(car for car in range(number) if car != player)] for player in players]
-    # The order of columns first: rows of three numbers are gathered faster than of seven.
+    # The columns are selected first: gathering rows of three numbers is faster than rows of seven.
     return {name: values[:, order].reshape(-1, number, 3) for name, values in pose_info(cars).items()}
 
 
 def pose_info(cars: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """The same in the order of the cars, whose states have the shape (..., N, 7)."""
+    """Return poses and velocities in the order of the cars; ``cars`` has the shape (..., N, 7)."""
     return {"poses": cars.take(_POSE, axis=-1), "velocities": cars.take(_MOTION, axis=-1)}
 
 
 def race_results(winner: NDArray[np.int8], crashed: NDArray[np.bool_], players: int) -> NDArray[np.int64]:
-    """How races that are over ended for each player: :class:`Result`, shape (B, players)."""
-    # Without a winner it was a tie, or a crash that the rules give to nobody.
+    """Return the :class:`Result` of finished races for each player, shape (B, players)."""
+    # A race without a winner was a tie or a no-contest crash.
     nobody = np.where(crashed, Result.CRASH, Result.TIE)
     cars = np.arange(players)
     won = np.where(winner[:, None] == cars, Result.WIN, Result.LOSS)
@@ -127,7 +144,10 @@ def race_results(winner: NDArray[np.int8], crashed: NDArray[np.bool_], players: 
 
 
 def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
-    """Return the same of one car in one race, as plain numbers: in a tenth of the time that arrays of one take."""
+    """Return the infos of one car in one race as plain numbers.
+
+    This is ten times faster than `race_infos` with arrays of length one.
+    """
     others = [other for other in range(races.number) if other != car]
     progress = races.progress.item(race, car)
     crashes = [races.crash.item(race, k) | races.contact.item(race, k) for k in (car, *others)]
@@ -147,9 +167,9 @@ def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
 
 
 def words(info: Mapping[str, Any], names: Mapping[str, Mapping[int, str]]) -> dict[str, Any]:
-    """Replace the codes in the info of one environment by their words; masks and arrays are left out.
+    """Replace the codes in the info of one environment by their labels, without masks and arrays.
 
-    The names are ``env.metadata["codes"]``: words by number, for each entry that is a code.
+    ``names`` is ``env.metadata["codes"]``: labels by number, for each entry with codes.
     """
     return {
         name: names[name][int(value)] if name in names else value

@@ -1,4 +1,4 @@
-"""Many matches side by side: the batch behind the environments of a series of races."""
+"""Batch of matches for the environments of a series of races."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
 
 UNUSED = ("utility", "fault_penalty", "discount")
-"""Rules of a single game's reward; a match pays races won."""
+"""Reward rules of a single game; the reward of a match is the number of races won."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +40,11 @@ class MatchOptions(GameOptions):
 
 
 class MatchBatch(GameBatch):
-    """Matches of several races; car 0 belongs to a player, car 1 to an opponent or to a second player.
+    """Batch of matches; car 0 belongs to a player, car 1 to an opponent or a second player.
 
-    A step is a whole race, unless the players make the moves of the races, too. Circuit, cars and obstacles are drawn
-    for the match and stay the same in its races. The arguments are those of
-    :class:`pcs_racing.envs.game_batch.GameBatch`, with those of :class:`MatchOptions`.
+    A step is a whole race, unless the players also make the moves of the races. Track, cars and
+    obstacles are drawn for the match and stay the same in its races. The class takes the arguments
+    of :class:`pcs_racing.envs.game_batch.GameBatch` and the fields of :class:`MatchOptions`.
     """
 
     options_type = MatchOptions
@@ -56,8 +56,8 @@ class MatchBatch(GameBatch):
                 raise InputError(f"{name} does not count in a match, which pays the score of each race; leave it out")
         super().__init__(episodes, **arguments)
         self.codes = {**self.codes, "race_result": codes(Result)}
-        self.played: MatchState | None = None  #: None before the first `restart`; ``state`` is its game.
-        #: In a batch of one match, what the pieces of driving of the last step began with, and their parameters.
+        self.played: MatchState | None = None  #: Matches; None before `restart`.
+        #: Initial states and policy parameters of the last step's driving, in a batch of one match.
         self.driven: list[tuple[RaceState, NDArray[np.float64]]] = []
 
     def _set_rules(self, options: MatchOptions) -> None:
@@ -70,15 +70,16 @@ class MatchBatch(GameBatch):
             self.horizon *= self.game.config.moves + 1
 
     def restart(self, rows: Rows, generators: Generators, options: Mapping[str, Any] = {}) -> None:
-        """Begin new matches in some places, each drawn from its own generator, with options for each or for all.
+        """Begin new matches in some rows, with options for each or for all.
 
-        :class:`pcs_racing.envs.match.MatchEnv` describes the options.
+        Each match is drawn from its own generator. :class:`pcs_racing.envs.match.MatchEnv`
+        describes the options.
         """
         starts, policies, boxes = self._read(options, len(rows))
         self.randomization.draw(rows, generators)
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
         drawn, drivers = self._draw_opponents(generators)
-        # Of all rows, on any circuit, for the shapes; each circuit then writes its own.
+        # All rows on any track, for the shapes; then each track writes its own rows.
         fresh = self.match.begin(keys, opponents=drivers)
         for circuit, some in self.randomization.groups(rows):
             own = None if starts is None else starts.take(some)
@@ -99,17 +100,17 @@ class MatchBatch(GameBatch):
         self._follow(self.played)
 
     def match_on(self, circuit: int) -> MatchGame:
-        """Return the rules on a circuit, by its number."""
+        """Return the rules on a track, by its number."""
         game = self.game_on(circuit)[0]
         return self.match if game is self.match.game else replace(self.match, game=game)
 
     def _follow(self, played: MatchState) -> None:
-        """Go on with this state."""
+        """Continue with this state."""
         self.played, self.state = played, played.game
         self.seen = self.match.observation(played)
 
     def step(self, actions: NDArray[np.int64], generators: Generators) -> BatchStep:
-        """Let the players choose, and drive a race; or, if they make its moves, a step of it."""
+        """Apply the players' choices and drive a race, or one step of a race with moves."""
         self.started()
         before: MatchState = self.played  # type: ignore[assignment]
         self.driven = []
@@ -119,7 +120,7 @@ class MatchBatch(GameBatch):
             if len(racing):
                 played = self._move(played, racing, generators, actions)
         else:
-            # Races of a batch end at different times, by crashes; those that go on are driven to their end.
+            # Crashes end races at different times; the other races are driven to their end.
             while (going := np.flatnonzero(played.racing)).size:
                 played = self._move(played, going, generators, None)
         self._follow(played)
@@ -128,7 +129,7 @@ class MatchBatch(GameBatch):
         return BatchStep(self._observations(), rewards, done, np.zeros(len(done), np.bool_))
 
     def _start(self, played: MatchState, actions: NDArray[np.int64]) -> MatchState:
-        """Start the races of the matches that are between two."""
+        """Start the next races of the matches between two races."""
         between = np.flatnonzero(~played.racing & ~self.match.done(played))
         if len(between) == 0:
             return played
@@ -144,10 +145,10 @@ class MatchBatch(GameBatch):
                     chosen = ask_choices(opponent.competitor, match, played, 1, rows=rows, memory=memory)
                     choices[rows, 1] = chosen[rows]
             started = match.start(started, choices, on, conditions)
-        # A new race is a new game for an opponent that remembers.
+        # A new race is a new game for an opponent with a memory.
         self._forget(between)
         self.moves[between] = -1
-        # Only single environments make films; a batch would keep copies for nobody.
+        # Only single environments make films; a batch does not need the copies.
         if self.episodes == 1:
             race, setup = int(played.race[0]), self.game_of(0).setup
             starts = Starts(played.starts[:, race], played.sides[:, race])
@@ -156,17 +157,17 @@ class MatchBatch(GameBatch):
         return started
 
     def _move(self, played: MatchState, rows: Rows, generators: Generators, actions: Rows | None) -> MatchState:
-        """Drive a step of the races that go on; without actions the players keep their policies."""
+        """Drive a step of the current races; without actions the players keep their policies."""
         game, stay = self.game, len(self.game.competitor_moves) - 1
         moves = np.full((self.episodes, 2), stay, np.int64)
         if actions is not None:
             policies = len(game.archive)
-            # Actions below the number of policies are choices, which nobody asked for while a race goes on.
+            # Actions below the number of policies are choices, without effect during a race.
             moves[:, : self.players] = np.where(actions < policies, stay, actions - policies)
         if self.players == 1:
             seen = game.observation(played.game)
             replies = self._replies(played.game, rows, generators, seen[:, 1])
-            # One that chooses before a race keeps its policy in it, even if it could also move.
+            # A chooser keeps its policy during the race, even if it could also move.
             choosing = np.array([isinstance(each.competitor, Chooser) for each in self.opponents])
             moves[:, 1] = np.where(choosing[self.drawn], stay, replies)
         self.moves[rows] = moves[rows]
@@ -180,10 +181,10 @@ class MatchBatch(GameBatch):
     def _pieces(self) -> list[tuple[RaceState, NDArray[np.float64]]]:
         return list(self.driven)
 
-    # What is told of the matches
+    # Masks and infos
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Policies that may be chosen, or moves that may be made, shape (environments, A)."""
+        """Return the mask of valid policies and moves, shape (environments, A)."""
         return self._masks()[:, : self.players].reshape(self.episodes * self.players, -1)
 
     def _masks(self) -> NDArray[np.bool_]:
@@ -197,7 +198,7 @@ class MatchBatch(GameBatch):
         return masks
 
     def infos(self) -> dict[str, NDArray[Any]]:
-        """Infos of all players; :mod:`pcs_racing.envs.infos` says what the numbers mean."""
+        """Return the infos of all players, described in :mod:`pcs_racing.envs.infos`."""
         infos, players = super().infos(), self.players
         played: MatchState = self.played  # type: ignore[assignment]
         own = played.scores.sum(axis=2)
@@ -215,16 +216,16 @@ class MatchBatch(GameBatch):
         }
 
     def info(self, environment: int) -> dict[str, Any]:
-        """Info of one player: plain numbers, and the mask as an array."""
+        """Return the info of one player: plain numbers, and the mask as an array."""
         return {
             name: values[environment] if values.ndim > 1 else values[environment].item()
             for name, values in self.infos().items()
         }
 
-    # The batch as a value
+    # State of the batch
 
     def value(self) -> MatchState | None:
-        """What is played, as a value; None before the first `restart`."""
+        """Return the state of the matches; None before the first `restart`."""
         return self.played
 
     def _continue(self, played: Any) -> None:
@@ -239,7 +240,7 @@ class MatchBatch(GameBatch):
         check_within("the state's matches.policy", played.policy, OUTSIDE, len(self.game.archive) - 1)
 
     def _blank(self) -> MatchState:
-        # A driver of car 1 for each match, where its planner is not the archive's.
+        # A policy of car 1 for each match, if its planner is not the archive's planner.
         policies = self.opponents[0].policies if self.opponents else ()
         anybody = [policies[0] if policies else None] * self.episodes
         return self.match.begin(np.zeros(self.episodes, np.uint64), opponents=anybody)

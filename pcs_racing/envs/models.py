@@ -1,7 +1,7 @@
-"""Models that were trained in `Drive` or `drive_head_to_head` as drivers, which race wherever a policy does.
+"""Models trained in `Drive` or `drive_head_to_head` as policies for any race.
 
-A model decides from what it observed in training: the arguments of its environment are kept beside it. Every model that
-is due in a batch of races is asked in one call.
+A model needs the observation of its training, so the arguments of its environment are saved with
+it. One call of a model serves all its due cars in a batch of races.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ KEPT = (
     "time_step", "min_speed", "top_speed", "beams", "fov", "max_range", "lidar_noise", "look_ahead", "own_state",
     "own_pose", "see_opponent", "time_left", "normalize", "normalized",
 )  # fmt: skip
-"""Arguments of an environment that say what a model observes and what its actions mean."""
+"""Arguments of an environment that define a model's observations and actions."""
 
 LIBRARIES = ("gymnasium", "stable_baselines3", "pettingzoo")
 HARMLESS = (
@@ -41,32 +41,32 @@ HARMLESS = (
     "ClipAction", "VecMonitor", "VecCheckNan", "VecVideoRecorder", "DummyVecEnv", "SubprocVecEnv", "SyncVectorEnv",
     "AsyncVectorEnv",
 )  # fmt: skip
-"""Classes of these libraries behind which a model sees and does what it would without them; a driver clips as well."""
+"""Library classes that change no observation and no action; `ModelDriver` also clips actions."""
 
 CHANGING = (
     "observation", "observations", "action", "actions", "step", "step_async", "step_wait", "reset", "reset_async",
     "reset_wait",
 )  # fmt: skip
-"""Methods with which a wrapper of another class can change observations or actions."""
+"""Methods of other wrapper classes that can change observations or actions."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelDriver:
-    """What a race asks for the commands of a model: see :func:`model_policy`."""
+    """Source of a model's commands in a race; see :func:`model_policy`."""
 
     name: str
     model: Any
     options: DriveOptions
-    cars: int  #: In the races of the training.
+    cars: int  #: Number of cars in the training races.
 
     @property
     def hold(self) -> int:
-        """Simulation steps for which a command holds."""
+        """Duration of a command in simulation steps."""
         return self.options.ticks
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of the weights and of the arguments."""
+        """SHA-256 of the weights and the arguments."""
         own = getattr(self.model, "content_hash", None)
         state = getattr(getattr(self.model, "policy", self.model), "state_dict", None)
         if own is None and not callable(state):
@@ -101,7 +101,7 @@ class ModelDriver:
         return np.stack([turn * kept[:, 0], low + 0.5 * (top - low) * (1.0 + kept[:, 1])], axis=1)
 
     def _answers(self, seen: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Actions in [-1, 1], before they are clipped."""
+        """Return the actions for the range [-1, 1], before clipping."""
         torch, answer = sys.modules.get("torch"), None
         if hasattr(self.model, "predict"):
             answer, after = self.model.predict(seen, None, None, True)
@@ -119,13 +119,13 @@ class ModelDriver:
                 f"model {self.name!r} answered {answer!r:.80} to observations of shape {seen.shape}; it must give "
                 f"finite numbers of shape ({len(seen)}, 2): steering and speed"
             )
-        # A last layer with a tanh gives shares of the space of actions, whatever its unit.
+        # A last layer with a tanh returns shares of the action space in any unit.
         plain = self.options.normalized or getattr(self.model, "squash", False)
         return actions if plain else shares(actions, self.options.limits)
 
 
 class ModelPlanner(Planner):
-    """The planner of a model: it has no parameters, and is made anew in another process."""
+    """Planner of a model, without parameters; another process constructs it again."""
 
     def __reduce__(self) -> Any:
         return ModelPlanner, (self.name, (), *[getattr(self, one) for one in ("plan", "control")], 0, 0, self.drive)
@@ -134,21 +134,23 @@ class ModelPlanner(Planner):
 def model_policy(
     model: Any, *, name: str | None = None, cars: int | None = None, like: Any = None, **arguments: Any
 ) -> Policy:
-    """Return a model as a driver of races.
+    """Return a model as a policy for races.
 
     Parameters
     ----------
     model : object
-        A model of Stable-Baselines3 or anything with its ``predict``, a torch module, or a function of observations,
-        shape (n, D), that returns actions, (n, 2). Models that keep a state (LSTM) are refused.
+        A model of Stable-Baselines3 or an object with its ``predict``, a torch module, or a
+        function from observations, shape (n, D), to actions, shape (n, 2). Models with a state
+        (LSTM) are refused.
     name : str, optional
-        What tables call it.
+        Name in tables.
     cars : int, optional
-        Cars in a race of its training, 2 by default.
+        Number of cars in a training race, 2 by default.
     like : Env, VecEnv or VectorEnv, optional
-        The environment that it was trained in; by default that which a model of Stable-Baselines3 is connected to.
+        Training environment; by default the environment of a model of Stable-Baselines3.
     **arguments
-        Of that environment, :data:`KEPT`, instead; `Drive`'s by default.
+        Arguments of the training environment (:data:`KEPT`), in place of ``like``; by default the
+        defaults of `Drive`.
 
     Examples
     --------
@@ -169,7 +171,10 @@ def model_policy(
 
 
 def policy_of(model: Any, name: str, options: DriveOptions, cars: int) -> Policy:
-    """Return the driver of a model for arguments of an environment, whose observations and actions must fit."""
+    """Return the policy of a model, given the arguments of its environment.
+
+    Observations and actions of the model must fit these arguments.
+    """
     count = len(drive_elements(options, cars))
     for space, wanted in (("observation_space", (count,)), ("action_space", (2,))):
         shape = getattr(getattr(model, space, None), "shape", None)
@@ -183,7 +188,7 @@ def policy_of(model: Any, name: str, options: DriveOptions, cars: int) -> Policy
 
 
 def _plain(options: DriveOptions) -> dict[str, Any]:
-    """The arguments that are kept, in the form of a YAML file."""
+    """Return the saved arguments, in the form of a YAML file."""
     values = {name: getattr(options, name) for name in KEPT} | {"look_ahead": list(options.look_ahead)}
     cars = options.vehicle if isinstance(options.vehicle, tuple) else (options.vehicle,)
     if any(car != F1TENTH for car in cars):
@@ -195,7 +200,7 @@ def _changes(layer: Any) -> bool:
     """Return whether a wrapper or environment may change observations or actions, by the methods of its class."""
     for kind in type(layer).__mro__:
         library = kind.__module__.partition(".")[0]
-        # Known classes, and their subclasses that override nothing of it.
+        # Known classes, and their subclasses without overrides of these methods.
         if library in ("pcs_racing", "pcs_racing_agents") or (library in LIBRARIES and kind.__name__ in HARMLESS):
             return False
         if any(name in vars(kind) for name in CHANGING):
@@ -204,9 +209,9 @@ def _changes(layer: Any) -> bool:
 
 
 def layers(env: Any, kept: Any = None) -> Iterator[Any]:
-    """Yield the wrappers and environments that an environment consists of.
+    """Yield all wrappers and environments inside an environment.
 
-    A wrapper that a model trained behind it would lose is refused, except ``kept``, which the caller keeps.
+    Wrappers that a trained model would lose are refused, except ``kept``, saved by the caller.
     """
     inside = [env]
     while inside:
@@ -225,7 +230,10 @@ def layers(env: Any, kept: Any = None) -> Iterator[Any]:
 
 
 def kept_arguments(env: Any, kept: Any = None) -> dict[str, Any]:
-    """Return the arguments of an environment at the control level, whatever wraps it; ``kept`` is as in `layers`."""
+    """Return the arguments of a control-level environment below any wrappers.
+
+    ``kept`` is as in `layers`.
+    """
     batches = [getattr(layer, "__dict__", {}).get("batch") for layer in layers(env, kept)]
     drives: list[Any] = [batch for batch in batches if isinstance(getattr(batch, "options", None), DriveOptions)]
     if not drives:

@@ -1,4 +1,4 @@
-"""Obstacles that are drawn for each episode: how many, how large, and where they may stand."""
+"""Random obstacles of each episode: their number, size and places."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from pcs_racing.track.track import Track
 
 MOST = 20
 SHAPES = ("box", "circle", "both")
-TRIES = 50  # places that are tried for an obstacle before it is left out
-BEFORE_START, AFTER_START = 3.0, 8.0  # m around the start that stay free
+TRIES = 50  # max number of places tried for an obstacle
+BEFORE_START, AFTER_START = 3.0, 8.0  # free distances before and after the start, m
 
 
 @dataclass(frozen=True)
 class Obstacles(Settings):
-    """Obstacles that stand on the track during an episode; their place, heading and sides are drawn uniformly."""
+    """Obstacles on the track during an episode, with uniform random place, heading and sides."""
 
     count: tuple[int, int] = setting(
         (1, 3),
@@ -42,22 +42,23 @@ class Obstacles(Settings):
     apart: float = setting(5.0, number(0.0, 1000.0), "Distance between two of them along the race line, m.")
 
     def draw(self, track: Track, starts: Sequence[float], generator: np.random.Generator) -> NDArray[np.float64]:
-        """Draw the obstacles of an episode, shape (K, 5); one that finds no room is left out.
+        """Draw the obstacles of an episode, shape (K, 5); obstacles without room are left out.
 
-        From 3 m before to 8 m after the ``starts``, arc lengths at which the cars stand (m), nothing is put.
+        ``starts`` are the arc lengths of the cars (m). The track is free from 3 m before to 8 m
+        after each of them.
         """
         line, length = track.arrays.line, track.length
         boxes: list[list[float]] = []
         places: list[float] = []
         for _ in range(int(generator.integers(self.count[0], self.count[1] + 1))):
-            # An episode with fewer obstacles is better than one that hangs on a narrow circuit.
+            # An episode with fewer obstacles is better than an endless search on a narrow track.
             for _ in range(TRIES):
                 s, across, heading = generator.random(3) * (length, 1.0, np.pi)
                 sides = self.size[0] + (self.size[1] - self.size[0]) * generator.random(2)
                 if self.shape == "circle" or (self.shape == "both" and generator.random() < 0.5):
                     heading, sides[1] = 0.0, 0.0
                 sample = line[int(s / track.arrays.ds) % len(line)]
-                # Whatever its heading, a box stays within half of its diagonal.
+                # At any heading, a box stays within half of its diagonal.
                 reach = 0.5 * float(np.hypot(*sides))
                 d = -sample[RIGHT] + across * (sample[LEFT] + sample[RIGHT])
                 free = max(sample[LEFT] - d, sample[RIGHT] + d) - reach
@@ -72,12 +73,14 @@ class Obstacles(Settings):
 
 
 def _around(s: float, length: float) -> float:
-    """An arc length on a closed line as the shorter way, from minus to plus half the length."""
+    """Return an arc length on a closed line as the shorter way, between -length/2 and length/2."""
     return float(np.mod(s + 0.5 * length, length) - 0.5 * length)
 
 
 def load_obstacles(source: Obstacles | Mapping[str, Any] | int | str | Path | None) -> Obstacles | None:
-    """Return settings of obstacles: themselves, a mapping or a YAML file of them, or their number; None for none.
+    """Return a configuration of obstacles, or None for none.
+
+    The source is the configuration itself, a mapping, a YAML file, or the number of obstacles.
 
     Examples
     --------
@@ -92,12 +95,13 @@ def load_obstacles(source: Obstacles | Mapping[str, Any] | int | str | Path | No
 
 
 def obstacles_option(options: Mapping[str, Any], episodes: int) -> Sequence[NDArray[np.float64]] | None:
-    """Read the option "obstacles" of a reset: boxes (x, y, heading, length, width), for all episodes or for each.
+    """Read the option "obstacles" of a reset, for all episodes or for each.
 
-    A width of 0 makes one a circle (:data:`pcs_racing.track.obstacles.BOX`).
+    It holds boxes (x, y, heading, length, width). A width of 0 means a circle
+    (:data:`pcs_racing.track.obstacles.BOX`).
     """
     given = options.get("obstacles")
-    if isinstance(given, list | tuple) and len(given) == 0:  # which has no second axis
+    if isinstance(given, list | tuple) and len(given) == 0:  # no second axis
         return [np.empty((0, len(BOX)))] * episodes
     shapes = ((None, len(BOX)), (episodes, None, len(BOX)))
     meaning = f"boxes ({', '.join(BOX)}) of shape (K, {len(BOX)}) or ({episodes}, K, {len(BOX)})"

@@ -1,4 +1,4 @@
-"""Opponents of an environment: competitors by name or as objects; of several, one is drawn for each episode."""
+"""Opponents of an environment, by name or as objects; one is drawn for each episode."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -32,31 +32,32 @@ from pcs_racing.race.state import RaceState, empty_state, take
 
 @dataclass(frozen=True, eq=False)
 class Opponent:
-    """One of the opponents that an episode may have."""
+    """Possible opponent of an episode."""
 
     name: str
-    weight: float  #: How often it is drawn, in relation to the others.
+    weight: float  #: Relative frequency of its draw.
     competitor: Competitor
-    #: Of a driver, of which one is drawn for each episode; none where the opponent makes moves.
+    #: Fixed policies; one is drawn for each episode. Empty if the opponent makes moves.
     policies: tuple[Policy, ...]
 
     @property
     def planner(self) -> Planner | None:
-        """Planner of a driver; None where the opponent moves between the policies of the archive."""
+        """Planner of fixed policies; None if the opponent moves between policies of the archive."""
         return self.policies[0].planner if self.policies else None
 
     def draw_policy(self, generator: np.random.Generator) -> Policy | None:
-        """Draw the policy that a driver keeps to in an episode; None where the opponent makes moves."""
+        """Draw the fixed policy of an episode; None if the opponent makes moves."""
         if not self.policies:
             return None
         return self.policies[0 if len(self.policies) == 1 else int(generator.integers(len(self.policies)))]
 
 
 def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
-    """Read the argument ``opponent`` of an environment: a competitor, or a list of them or of (weight, competitor).
+    """Read the argument ``opponent``: a competitor, or a list of competitors.
 
-    See :func:`pcs_racing.game.competitor.make_competitor` for names and :mod:`pcs_racing.game.competitor` for
-    objects.
+    Entries of a list may be (weight, competitor). See
+    :func:`pcs_racing.game.competitor.make_competitor` for names and
+    :mod:`pcs_racing.game.competitor` for objects.
     """
     if not isinstance(given, list | tuple):
         return [_opponent(given, 1.0, game)]
@@ -83,24 +84,24 @@ def _opponent(given: Any, weight: float, game: RaceGame) -> Opponent:
 
 
 def check_games(name: str, games: GameState, game: RaceGame, lengths: NDArray[np.float64]) -> None:
-    """Refuse games with a number out of its range; ``lengths`` are the lengths of their circuits, m."""
+    """Refuse games with a number out of its range; ``lengths`` are the track lengths, m."""
     check_races(f"{name}.race", games.race, game.config.race, lengths)
     check_within(f"{name}.step", games.step, 0, game.config.moves)
     check_within(f"{name}.policy", games.policy, OUTSIDE, len(game.archive) - 1)
 
 
 def draw_opponent(edges: NDArray[np.float64], generator: np.random.Generator) -> int:
-    """Draw the index of an opponent, given the cumulated shares of all of them."""
+    """Draw the index of an opponent, given the cumulative shares of all opponents."""
     return min(int(np.searchsorted(edges, generator.random(), "right")), len(edges) - 1)
 
 
 def drive_opponents(given: Any, make_game: Callable[[], RaceGame], options: DriveOptions, cars: int) -> list[Opponent]:
-    """Read the argument ``opponent`` of Drive; the game is made only where an opponent is no policy.
+    """Read the argument ``opponent`` of Drive; the game is made only if an opponent is no policy.
 
-    A model sees what ``options`` say in races of so many cars, unless it brings its own arguments.
+    ``options`` and ``cars`` define the observation of a model without its own arguments.
     """
     entries = given if isinstance(given, list | tuple) else [given]
-    # Policies need no game, which an archive would be loaded for.
+    # Policies need no game, which would load an archive.
     policies = [_as_policy(one, options, cars) for one in entries]
     if policies and all(isinstance(policy, Policy) for policy in policies):
         return [Opponent(policy.name, 1.0, policy, (policy,)) for policy in policies]
@@ -108,7 +109,7 @@ def drive_opponents(given: Any, make_game: Callable[[], RaceGame], options: Driv
 
 
 def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:
-    """The policy of a text or of a model; anything else as it is."""
+    """Return the policy of a text or a model; return other values unchanged."""
     if isinstance(given, tuple) and len(given) == 2:
         return given[0], _as_policy(given[1], options, cars)
     if is_model(given) and not isinstance(given, str | Path):
@@ -119,14 +120,14 @@ def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:
 
 
 def shared_planner(opponents: list[Opponent], game: RaceGame | None) -> Planner:
-    """Planner that drives the opponents' car: the archive's, or another one that all of them share.
+    """Return the planner of the opponents' car: the archive's planner, or another shared planner.
 
-    The game is needed where an opponent moves between the policies of its archive.
+    The game is required if an opponent moves between the policies of its archive.
     """
     planners = [opponent.planner or game.archive.family() for opponent in opponents]  # type: ignore[union-attr]
     if not planners:
         return game.archive.family()  # type: ignore[union-attr]
-    # The kernel is handed one planner for each car; a mixture only changes its parameters.
+    # The kernel takes one planner for each car; a mixture only changes its parameters.
     for opponent, planner in zip(opponents, planners, strict=True):
         if planner is not planners[0]:
             raise InputError(
@@ -139,9 +140,10 @@ def shared_planner(opponents: list[Opponent], game: RaceGame | None) -> Planner:
 def replies(
     opponents: Sequence[Opponent], drawn: Rows, game: RaceGame, state: GameState, rows: Rows, **asked: Any
 ) -> NDArray[np.int64]:
-    """Moves of car 1 in the games ``rows``, shape (B,), each of the opponent that was drawn for it; 0 in all others.
+    """Return the drawn opponents' moves in the games ``rows``, 0 in all others, shape (B,).
 
-    ``asked`` are the other arguments of :func:`pcs_racing.game.competitor.ask_moves`.
+    The opponents drive car 1. ``asked`` are the other arguments of
+    :func:`pcs_racing.game.competitor.ask_moves`.
     """
     moves = np.zeros(state.games, np.int64)
     for k, opponent in enumerate(opponents):
@@ -151,12 +153,12 @@ def replies(
 
 
 class MovingOpponents:
-    """The game of moves in which car 1 of a batch of races takes part, while car 0 is steered by an agent.
+    """Games of moves of car 1 in a batch of races, with an agent steering car 0.
 
-    The opponent watches for a step of the game, then moves and drives the next one, and so on; after the last
-    move it keeps its policy. It observes car 0 as it would observe a driver from outside the archive. A move is made at
-    the first step of the environment that ends at its time or later. The game has the external planner in car 0 and the
-    archive's in car 1.
+    The opponent watches for one step of the game, then moves before each later step. After the last
+    move it keeps its policy. It observes car 0 as a policy from outside the archive. A move is made
+    after the first environment step that ends at its time or later. The game has the external
+    planner in car 0 and the archive's planner in car 1.
     """
 
     def __init__(self, episodes: int, game: RaceGame) -> None:
@@ -164,16 +166,16 @@ class MovingOpponents:
         blank = empty_state(episodes, game.setup.memory_size)
         self._games = game.empty_state(blank)
         self._games.policy[:] = OUTSIDE
-        self._before = blank.copy()  # what the current step of each game began with
+        self._before = blank.copy()  # state at the start of each game's current step
         self._memories: list[Any] = [None] * episodes
 
     def draw(self, row: int, opponent: Opponent, generator: np.random.Generator) -> None:
-        """Draw the policy that an episode's opponent starts with; a driver has its own."""
+        """Draw the initial policy of an episode's opponent, except for a fixed policy."""
         policy = OUTSIDE if opponent.policies else int(generator.integers(len(self.game.archive)))
         self._games.policy[row, 1] = policy
 
     def restart(self, rows: NDArray[np.int64], races: RaceState, theta: NDArray[np.float64]) -> None:
-        """Begin the games of races that are on the grid, and set the parameters of their opponents."""
+        """Begin the games of races on the grid, and set the parameters of their opponents."""
         games = self._games
         for array in (games.own, games.estimates, games.leads, games.step):
             array[rows] = 0
@@ -190,14 +192,14 @@ class MovingOpponents:
         drawn: Rows,
         generators: Generators,
     ) -> None:
-        """Let the opponents move whose step of the game is over, and set their parameters."""
-        # The races are the drive's own; the games only add who moved when.
+        """Move the opponents at the end of their game step, and set their parameters."""
+        # The races belong to the Drive batch; the games only add the moves.
         games = self._games._replace(race=races)
         due = (games.policy[:, 1] != OUTSIDE) & ~self.game.done(games)
         rows = np.flatnonzero(due & (races.tick >= self.game.config.end_ticks[games.step]))
         if len(rows) == 0:
             return
-        # Only games whose step is over are measured: the others would be measured over a part of it.
+        # Only finished steps are measured: other games are in the middle of a step.
         estimates = np.zeros((len(drawn), 2, len(self.game.characteristics)))
         estimates[rows] = self.game.measure(take(self._before, rows), take(races, rows))
         self.game.record_step(games, rows, estimates)
@@ -209,7 +211,7 @@ class MovingOpponents:
         self._set_theta(rows, theta)
 
     def _remember(self, rows: NDArray[np.int64], races: RaceState) -> None:
-        for name in ("progress", "sums", "tick"):  # all that a measurement is made of
+        for name in ("progress", "sums", "tick"):  # all inputs of a measurement
             getattr(self._before, name)[rows] = getattr(races, name)[rows]
 
     def _set_theta(self, rows: NDArray[np.int64], theta: NDArray[np.float64]) -> None:
@@ -218,17 +220,17 @@ class MovingOpponents:
         theta[rows[moving], 1] = self.game.theta(policy[moving])
 
     def get_state(self) -> tuple[GameState, RaceState, list[Any]]:
-        """Return copies of all that changes."""
+        """Return copies of all variables."""
         return self._games.copy(), self._before.copy(), list(self._memories)
 
     def check_state(self, state: tuple[GameState, RaceState, list[Any]], lengths: NDArray[np.float64]) -> None:
-        """Refuse what `get_state` can't have returned; ``lengths`` are those of the circuits, m."""
+        """Refuse a state that `get_state` can't have returned; ``lengths`` are track lengths, m."""
         name = "the state's moves of the opponent"
         check_part(name, state, (self._games, self._before, [FREE] * len(self._memories)))
         check_games(name, state[0], self.game, lengths)
         check_races(name, state[1], self.game.config.race, lengths)
 
     def set_state(self, state: tuple[GameState, RaceState, list[Any]]) -> None:
-        """Continue from what `get_state` returned."""
+        """Continue from a state of `get_state`."""
         games, before, memories = state
         self._games, self._before, self._memories = games.copy(), before.copy(), list(memories)

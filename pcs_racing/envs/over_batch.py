@@ -1,4 +1,4 @@
-"""What all environments have in common: they are views of a batch, made from arguments that are declared once."""
+"""Common base of all environments: views of a batch, with arguments declared once."""
 
 import copy
 from collections.abc import Callable, Iterator, Mapping
@@ -21,35 +21,38 @@ if TYPE_CHECKING:  # so that an environment imports its own batch alone
     from pcs_racing.envs.game_batch import GameBatch
 
 Batch = Union["DriveBatch", "GameBatch"]
-"""What environments are views of."""
+"""Batch below an environment."""
 
 REBUILDING = ("track", "opponent")
-"""Options of a reset that stand for arguments of the environment."""
+"""Options of a reset that replace arguments of the environment."""
 
 _BY_PLACE, _BY_NAME = Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY
 
 
 @dataclass(frozen=True)
 class Declared:
-    """Arguments that a class of environments takes for its batch."""
+    """Batch arguments of an environment class."""
 
-    options: type[Any]  #: Dataclass of the batch's arguments; the environment's have the same defaults, unless changed.
-    positional: tuple[str, ...] = ()  #: Those that may be given by position, in order.
-    more: type[Any] | None = None  #: Dataclass of which every field may be given, too, ...
-    without: tuple[str, ...] = ()  #: ... but these.
-    changed: Mapping[str, Any] = field(default_factory=dict)  #: Other defaults, by name.
+    options: type[Any]  #: Dataclass of the batch's arguments, with their defaults.
+    positional: tuple[str, ...] = ()  #: Positional arguments, in order.
+    more: type[Any] | None = None  #: Dataclass with further arguments.
+    without: tuple[str, ...] = ()  #: Fields of ``more`` that are no arguments.
+    changed: Mapping[str, Any] = field(default_factory=dict)  #: Changed defaults, by name.
 
     @cached_property
     def defaults(self) -> dict[str, Any]:
-        """Value of each argument that is not given."""
+        """Default of each argument."""
         return {one.name: one.default for one in fields(self.options)} | dict(self.changed)
 
     def signature(self, begin: Callable[..., Any], players: int) -> Signature:
-        """Signature of a class: the batch's arguments, and those of its method ``begin`` except ``arguments``."""
+        """Return the signature of a class: arguments of the batch and of its method ``begin``.
+
+        The argument ``arguments`` of ``begin`` is left out.
+        """
         own = [one for name, one in signature(begin).parameters.items() if name not in ("self", "arguments")]
         listed = [name for name in self.defaults if name not in self.positional]
         kinds = {one.name: one.type for one in fields(self.options)}
-        # Python wants arguments by place first: the number of environments, the circuit, the opponent.
+        # Positional arguments come first: the number of environments, the track, the opponent.
         parameters = [one.replace(kind=_BY_PLACE, default=players) for one in own if one.name == "num_envs"]
         for names, way in ((self.positional, _BY_PLACE), (listed, _BY_NAME)):
             parameters += [Parameter(name, way, default=self.defaults[name], annotation=kinds[name]) for name in names]
@@ -61,12 +64,12 @@ class Declared:
     def sort(
         self, kind: type[Any], given: tuple[Any, ...], named: dict[str, Any]
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the arguments of the batch, those that are not given included, and those of the environment itself."""
+        """Return the arguments of the batch, with defaults, and the environment's own arguments."""
         own = kind.__signature__.parameters.keys() - self.defaults.keys() - {"settings"}
         more = () if self.more is None else (one.name for one in fields(self.more))
         known = dict.fromkeys([*kind.__signature__.parameters, *more])
         known.pop("settings", None)
-        # Before Python binds them: its own error would not say which name was meant.
+        # Check before binding: Python's own error would not suggest the right name.
         for name in named:
             if name not in known:
                 raise unknown_argument(kind.__name__, name, known)
@@ -86,11 +89,11 @@ LOOKS = {
     "render_size": "Width and height of a frame in pixels.",
     "max_cycles": "Steps after which an episode is truncated.",
 }
-"""What arguments mean that no batch has."""
+"""Meanings of the environment's own arguments."""
 
 
 def _listed(kind: Any) -> str:
-    """The arguments of a class, and what they mean: a section of its docstring."""
+    """Return the docstring section with the arguments of a class and their meanings."""
     declared, parameters = kind.declared, kind.__signature__.parameters
     lines = ["Parameters", "----------", *listed_settings(declared.options)]
     for name, meaning in LOOKS.items():
@@ -102,22 +105,22 @@ def _listed(kind: Any) -> str:
 
 
 class OverBatch:
-    """What an environment over a batch knows of it, how it was made and is copied, and its frames.
+    """Base class of environments over a batch: construction, copies, and frames.
 
-    Into the docstring of a class go, where it says so in braces, its arguments and the ``observation_table`` that it is
-    defined with.
+    Placeholders in braces in the docstring of a class are replaced by its arguments and its
+    ``observation_table``.
     """
 
     batch_type: ClassVar[type[Batch]]
     declared: ClassVar[Declared]  #: Arguments of the batch.
-    __signature__: ClassVar[Signature]  #: What Python shows as the class's arguments.
-    players: int = 1  #: Environments that belong to the same episode: 2 for both cars of a race.
+    __signature__: ClassVar[Signature]  #: Signature of the class in Python's help.
+    players: int = 1  #: Number of environments of an episode: 2 for both cars of a race.
     batch: Batch
     metadata: dict[str, Any] = {"render_modes": list(MODES), "render_fps": 1}  # noqa: RUF012
     render_mode: str | None
     view: str
     render_size: tuple[int, int]  #: Width and height of a frame in pixels.
-    _arguments: dict[str, Any]  # of the batch
+    _arguments: dict[str, Any]  # arguments of the batch
     _spec: EnvSpec | None = None
     _renderer: Renderer | None = None
 
@@ -136,9 +139,9 @@ class OverBatch:
         self._begin(arguments=arguments, **own)
 
     def _begin(self, *args: Any, **kwargs: Any) -> None:
-        """Make the batch with its ``arguments``, and the environment over it with the others.
+        """Make the batch from its ``arguments``, and the environment from the other arguments.
 
-        Each of the others is kept as an attribute of its name: a copy is made with them.
+        Each other argument is stored as an attribute with the same name, for copies.
         """
         raise NotImplementedError
 
@@ -146,7 +149,7 @@ class OverBatch:
         raise NotImplementedError
 
     def _players(self, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
-        """Return the arguments that the batch itself takes, and its players."""
+        """Return the batch's own arguments and its number of players."""
         return arguments, self.players
 
     def _use(self, batch: Batch, arguments: dict[str, Any]) -> None:
@@ -162,9 +165,9 @@ class OverBatch:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """How it was made, with the number of steps after which its episodes end as ``max_episode_steps``.
+        """Specification of the environment, with the max number of steps as ``max_episode_steps``.
 
-        The registry does not hold that number: it would cut episodes off that were made longer by an argument.
+        The registry does not hold this number: it would truncate episodes with a longer duration.
         """
         return self._spec
 
@@ -177,18 +180,18 @@ class OverBatch:
 
     @property
     def elements(self) -> list[Any]:
-        """Name, unit, bounds and meaning of every element of the observation of one environment."""
+        """Name, unit, bounds and meaning of every element of an environment's observation."""
         return list(self.batch.elements)
 
     @property
     def track(self) -> Track:
-        """The circuit."""
+        """Track of the environment."""
         return self.batch.track
 
     # Resets
 
     def _options(self, options: Any, *more: str) -> dict[str, Any]:
-        """Return the options of a reset, those that are None left out; ``more`` are known beside the batch's."""
+        """Return the options of a reset except None; ``more`` are further known names."""
         if options is None:
             return {}
         if not isinstance(options, Mapping):
@@ -200,15 +203,21 @@ class OverBatch:
         return {name: value for name, value in options.items() if value is not None}
 
     def _batch_for(self, options: dict[str, Any]) -> tuple[Batch, dict[str, Any]]:
-        """Return the batch of a reset and its arguments, some of which its options, taken out here, may replace."""
+        """Return the batch of a reset and its arguments.
+
+        Options that replace arguments are removed from ``options``.
+        """
         changes = {name: options.pop(name) for name in REBUILDING if name in options}
         arguments = {**self._arguments, **changes}
         return (self._make_batch(arguments) if changes else self.batch), arguments
 
     def _change_to(self, batch: Batch, arguments: dict[str, Any]) -> None:
-        """Use another batch from now on, when its first episode has begun: an error before leaves all as it was."""
+        """Switch to another batch after the start of its first episode.
+
+        An earlier error leaves the environment unchanged.
+        """
         if batch is not self.batch:
-            self._close_renderer()  # which knows the former circuit
+            self._close_renderer()  # it shows the former track
             self._use(batch, arguments)
 
     def _check_started(self) -> None:
@@ -217,7 +226,7 @@ class OverBatch:
 
     @contextmanager
     def unless_refused(self) -> Iterator[None]:
-        """Leave the environment as it was if a reset within the context is refused, after its first random draws."""
+        """Restore the environment if a reset within the context is refused after random draws."""
         batch, arguments, state = self.batch, self._arguments, self.get_state()
         try:
             yield
@@ -226,14 +235,14 @@ class OverBatch:
             self.set_state(state)
             raise
 
-    # Copies are made anew from the arguments: they share the track, and neither compiled code nor a window.
+    # Copies are made from the arguments: they share the track, but no compiled code and no window.
 
     def get_state(self) -> Any:
-        """Return all that the rest of the episodes, and all later ones, depend on."""
+        """Return the full state, which determines the current and all later episodes."""
         raise NotImplementedError
 
     def set_state(self, state: Any) -> Any:
-        """Continue from what `get_state` returned, here or in an environment with equal arguments."""
+        """Continue from a state of `get_state`, from an environment with equal arguments."""
         raise NotImplementedError
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -248,7 +257,7 @@ class OverBatch:
     # Frames
 
     def _open_renderer(self) -> Renderer:
-        """Return what draws the frames; made when the first one is asked for."""
+        """Return the renderer of the frames; it is made for the first frame."""
         if self.render_mode is None:
             raise InputError("render_mode is None; make the environment with another one, such as 'rgb_array'")
         self._check_started()
@@ -259,11 +268,11 @@ class OverBatch:
         return self._renderer
 
     def _show_step(self) -> None:
-        """Show how the first environment's last step ended in the window."""
+        """Show the end of the first environment's last step in the window."""
         self.batch.draw(self._open_renderer(), 0)
 
     def _frames_per_second(self) -> int:
-        """Frame rate of what `render` returns, or the window shows."""
+        """Return the frame rate of `render` or the window."""
         return self.batch.frame_rate
 
     def _close_renderer(self) -> None:

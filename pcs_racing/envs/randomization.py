@@ -1,4 +1,4 @@
-"""What differs from episode to episode of a batch: circuit, obstacles, cars, sensors."""
+"""Domain randomization of the episodes of a batch: track, obstacles, cars, sensors."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -22,7 +22,7 @@ from pcs_racing.track.track import Track
 
 @dataclass(frozen=True)
 class Randomization(Settings):
-    """What each episode draws, uniformly, for both cars; None leaves it as it is."""
+    """Ranges of the uniform draws of each episode, for all cars; None keeps the value."""
 
     friction: tuple[float, float] | None = setting(None, number_range("", 0.05, 5.0), "Friction coefficient.")
     mass: tuple[float, float] | None = setting(
@@ -44,18 +44,18 @@ class Randomization(Settings):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What is drawn, in the order in which it is drawn."""
+        """Names of the drawn values, in the order of the draws."""
         return tuple(field.name for field in fields(self) if getattr(self, field.name) is not None)
 
     @property
     def most_delay(self) -> float:
-        """Longest steering delay, s."""
+        """Max steering delay, s."""
         return 0.0 if self.steering_delay is None else self._delays[-1] * COMMAND_PERIOD
 
     @property
     def _delays(self) -> NDArray[np.int64]:
         low, high = self.steering_delay or (0.0, 0.0)
-        # Multiples of 0.02 s are hardly ever exact in floating point; 1e-9 is no other delay.
+        # Multiples of 0.02 s are rarely exact in floating point; 1e-9 is a tolerance.
         first, last = np.ceil(low / COMMAND_PERIOD - 1e-9), np.floor(high / COMMAND_PERIOD + 1e-9)
         return np.arange(int(first), int(last) + 1)
 
@@ -94,7 +94,7 @@ class Randomization(Settings):
 
 
 def load_randomization(source: Randomization | Mapping[str, Any] | str | Path | None) -> Randomization:
-    """Return ranges, a mapping of them or those of a YAML file as settings; None for none.
+    """Return ranges from a `Randomization`, a mapping or a YAML file; without ranges for None.
 
     Examples
     --------
@@ -110,7 +110,7 @@ def _vehicles(value: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class EpisodeOptions(Settings):
-    """Arguments of all environments: what differs from episode to episode."""
+    """Arguments of all environments: domain randomization of the episodes."""
 
     track: Any = setting(
         "Tarnfjord",
@@ -142,30 +142,30 @@ class EpisodeOptions(Settings):
 
 
 class EpisodeRandomization:
-    """The circuits, obstacles and cars of a batch of episodes, and what is drawn at random about them."""
+    """Tracks, obstacles and cars of a batch of episodes, with their random draws."""
 
     def __init__(self, episodes: int, options: EpisodeOptions, *, cars: int = 2) -> None:
-        self.cars = load_vehicles(options.vehicle, cars)  #: As they are where nothing is drawn.
+        self.cars = load_vehicles(options.vehicle, cars)  #: Cars without random draws.
         self.ranges = options.randomize or Randomization()
         self.episodes = episodes
         self.circuits = Circuits(options.track, episodes)
         #: shape (episodes, cars, 18): Parameter rows of the cars of each episode.
-        self.vehicles = vehicle_rows(self.cars, episodes)  # never read-only, which would be another type to compile
-        #: Each of shape (episodes,): what was drawn for each episode, by name.
+        self.vehicles = vehicle_rows(self.cars, episodes)  # writable: one compiled type
+        #: Values drawn for each episode, by name, each of shape (episodes,).
         self.drawn = {name: np.zeros(episodes) for name in self.ranges.names}
         self.obstacles = options.obstacles
-        #: Each of shape (K, 5): obstacles of each episode (:data:`pcs_racing.track.obstacles.BOX`).
+        #: Obstacles of each episode, shape (K, 5) (:data:`pcs_racing.track.obstacles.BOX`).
         self.boxes = [np.empty((0, len(BOX)))] * episodes
-        self._tracks: list[Track | None] = [None] * episodes  # with obstacles on them
-        self._blocked = False  # whether there was an obstacle yet
+        self._tracks: list[Track | None] = [None] * episodes  # tracks with obstacles
+        self._blocked = False  # True from the first obstacle on
 
     @property
     def codes(self) -> dict[str, Mapping[int, str]]:
-        """Words of those infos that are codes."""
+        """Labels of the infos with codes."""
         return {"track": self.circuits.codes} if self.circuits.several else {}
 
     def track(self, episode: int) -> Track:
-        """Return the circuit of an episode, with its obstacles."""
+        """Return the track of an episode, with its obstacles."""
         return self._tracks[episode] or self.circuits.track(int(self.circuits.number[episode]))
 
     def place_obstacles(
@@ -175,29 +175,29 @@ class EpisodeRandomization:
         generators: Generators,
         given: Sequence[NDArray[np.float64]] | None,
     ) -> None:
-        """Put obstacles on the circuits of new episodes: given ones, or drawn ones away from where the cars start.
+        """Put obstacles on the tracks of new episodes: given, or drawn away from the starts.
 
-        ``starts``, shape (len(rows), cars), are the arc lengths at which the cars start, m, and ``given`` the boxes of
-        each episode, each of shape (K, 5).
+        ``starts``, shape (len(rows), cars), are the arc lengths of the cars at the start, m.
+        ``given`` are the boxes of each episode, each of shape (K, 5).
         """
         if given is None and self.obstacles is None and not self._blocked:
             return
         for i, row in enumerate(rows):
-            self._stand(row, np.empty((0, len(BOX))))  # those of the last episode go, even where none are put
+            self._stand(row, np.empty((0, len(BOX))))  # remove the old obstacles
             if given is not None:
                 self._stand(row, given[i])
             elif self.obstacles is not None:
                 self._stand(row, self.obstacles.draw(self.track(row), starts[i], generators[i]))
 
     def _stand(self, row: int, boxes: NDArray[np.float64]) -> None:
-        """Let these obstacles stand on an episode's circuit, and no others."""
+        """Put these obstacles, and no others, on an episode's track."""
         self._tracks[row], self.boxes[row] = None, np.empty((0, len(BOX)))
         if len(boxes):
             self._blocked = True
             self._tracks[row], self.boxes[row] = with_obstacles(self.track(row), boxes), np.array(boxes)
 
     def draw(self, rows: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> None:
-        """Draw what belongs to new episodes, each from its own generator."""
+        """Draw the random values of new episodes, each from its own generator."""
         self.circuits.draw(rows, generators)
         if not self.drawn:
             return
@@ -209,39 +209,42 @@ class EpisodeRandomization:
                 self.vehicles[row, car] = self.ranges.apply(vehicle, values).as_row()
 
     def conditions(self, rows: NDArray[np.int64]) -> RaceConditions:
-        """Cars and tracks of some episodes, for a batch that holds these alone."""
+        """Return the cars and tracks of some episodes, for a batch of these episodes alone."""
         vehicles = np.ascontiguousarray(self.vehicles[rows]) if self.drawn else None
-        # None where nothing differs from the setup: the kernels then drive all races in one call.
+        # None if nothing differs from the setup: the kernels then drive all races in one call.
         tracks = None
         if self._blocked and any(self._tracks[row] is not None for row in rows):
             tracks = tuple(self.track(row) for row in rows)
         return AS_THE_SETUP if vehicles is None and tracks is None else RaceConditions(vehicles, tracks)
 
     def groups(self, rows: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
-        """Numbers of the circuits of some episodes, and which of ``rows`` are on each, as indices in ``rows``."""
+        """Return the track numbers of some episodes, each with its indices in ``rows``."""
         if not self.circuits.several:
             return [(0, np.arange(len(rows)))]
         numbers = self.circuits.number[rows]
         return [(int(number), np.flatnonzero(numbers == number)) for number in np.unique(numbers)]
 
     def infos(self) -> dict[str, NDArray[Any]]:
-        """What was drawn for each episode, as numbers."""
+        """Return the values drawn for each episode, as numbers."""
         infos = {"track": self.circuits.number.copy()} if self.circuits.several else {}
         if self.obstacles is not None:
             infos["obstacles"] = np.array([len(boxes) for boxes in self.boxes])
         return {**infos, **{name: values.copy() for name, values in self.drawn.items()}}
 
     def info(self, episode: int) -> dict[str, Any]:
-        """What was drawn for one episode, as numbers."""
+        """Return the values drawn for one episode, as numbers."""
         return {name: values[episode].item() for name, values in self.infos().items()}
 
     def get_state(self) -> tuple[Any, ...]:
-        """Return copies of all that changes."""
+        """Return copies of all variables."""
         drawn = {name: one.copy() for name, one in self.drawn.items()}
         return self.circuits.get_state(), self.vehicles.copy(), drawn, list(self.boxes)
 
     def check_state(self, state: tuple[Any, ...]) -> list[Track]:
-        """Refuse what `get_state` can't have returned; returns the circuit of each episode, with its obstacles."""
+        """Refuse a state that `get_state` can't have returned.
+
+        Return the track of each episode, with its obstacles.
+        """
         check_part("the state's randomization", state, (*self.get_state()[:3], [FREE] * self.episodes))
         circuits, _, _, boxes = state
         self.circuits.check_state(circuits)
@@ -253,7 +256,7 @@ class EpisodeRandomization:
         return [with_obstacles(track, own) if len(own) else track for track, own in zip(tracks, boxes, strict=True)]
 
     def set_state(self, state: tuple[Any, ...], tracks: Sequence[Track]) -> None:
-        """Continue from what `get_state` returned, on the circuits that `check_state` returned."""
+        """Continue from a state of `get_state`, on the tracks returned by `check_state`."""
         circuits, vehicles, drawn, boxes = state
         self.circuits.set_state(circuits)
         self.vehicles[:] = vehicles

@@ -1,6 +1,7 @@
-"""Stable-Baselines3's vector environment over our compiled batches: seeds, last observations and time limits right.
+"""Vector environment of Stable-Baselines3 over compiled batches.
 
-This module is the only one that imports Stable-Baselines3: ``pip install "pcs-racing[learning]"``.
+Seeds, last observations and time limits are exact. Only this module imports Stable-Baselines3:
+``pip install "pcs-racing[learning]"``.
 """
 
 import time
@@ -43,10 +44,10 @@ KINDS: dict[str, type[Any]] = {
     "pcs_racing/drive_head_to_head-v0": DriveHeadToHeadVectorEnv,
     "pcs_racing/head_to_head_match-v0": SelfPlayMatchVectorEnv,
 }
-"""What can be made, by name."""
+"""Vector environments by name."""
 
 SHARED = ("elements", "game", "metadata", "opponents", "render_mode", "render_size", "spec", "view")
-"""Attributes that the environments of a batch share."""
+"""Attributes shared by the environments of a batch."""
 
 
 def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -> "SB3VecEnv":
@@ -55,14 +56,15 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
     Parameters
     ----------
     kind : str
-        "duel" or "pcs_racing/Duel-v1"; "match" or "pcs_racing/Match-v0"; "drive" or "pcs_racing/Drive-v1"; "self-play"
-        or "pcs_racing/head_to_head-v1": both cars of ``num_envs / 2`` games belong to the learner, whose policy plays
-        against itself; "drive-self-play" or "pcs_racing/drive_head_to_head-v0": the same at the level of steering and
-        speed; "match-self-play" or "pcs_racing/head_to_head_match-v0": the same in matches.
+        "duel" or "pcs_racing/Duel-v1"; "match" or "pcs_racing/Match-v0"; "drive" or
+        "pcs_racing/Drive-v1". In "self-play" or "pcs_racing/head_to_head-v1" both cars of
+        ``num_envs / 2`` games belong to the learner, whose policy plays against itself;
+        "drive-self-play" or "pcs_racing/drive_head_to_head-v0": self-play at the control level;
+        "match-self-play" or "pcs_racing/head_to_head_match-v0": self-play in matches.
     num_envs : int
         Number of environments; even for self-play.
     **arguments
-        Of the environment.
+        Arguments of the environment.
 
     Examples
     --------
@@ -76,23 +78,25 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
 
 
 class SB3VecEnv(VecEnv):
-    """One or several compiled batches as a vector environment of Stable-Baselines3.
+    """Vector environment of Stable-Baselines3 over one or several compiled batches.
 
-    Each environment answers as the environment for one agent in a ``DummyVecEnv``, behind a ``Monitor``: ``infos`` hold
-    the info of the step and ``TimeLimit.truncated``, and where an episode ended ``terminal_observation`` and
-    ``episode`` (return ``r``, length ``l``, time ``t``), so no Monitor is needed.
+    Each environment behaves like the single-agent environment in a ``DummyVecEnv`` behind a
+    ``Monitor``. ``infos`` hold the info of the step and ``TimeLimit.truncated``, and at the end of
+    an episode ``terminal_observation`` and ``episode`` (return ``r``, length ``l``, time ``t``), so
+    no Monitor is needed.
 
     Parameters
     ----------
-    envs : BatchVectorEnv, or sequence of them
-        Such as :class:`DuelVectorEnv`, with ``autoreset_mode="SAME_STEP"``, and all with the same spaces.
+    envs : BatchVectorEnv, or sequence of BatchVectorEnv
+        Batches such as :class:`DuelVectorEnv`, with ``autoreset_mode="SAME_STEP"``, all with the
+        same spaces.
     seeds : sequence of int, optional
-        Seed of each batch at every reset, in place of what `seed` was called with.
+        Seed of each batch at every reset, in place of the seed given to `seed`.
     reward_scale : float
-        What rewards are multiplied by.
+        Factor of the rewards.
     threads : int
-        Batches that are stepped at the same time; the results do not depend on it. By default one after the other,
-        each on its own threads.
+        Number of batches stepped at the same time; the results do not depend on it. By default the
+        batches are stepped one after the other, each on its own threads.
     """
 
     def __init__(
@@ -123,15 +127,15 @@ class SB3VecEnv(VecEnv):
         super().__init__(len(self._returns), first.single_observation_space, first.single_action_space)
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin new episodes everywhere, with the seeds and the options that `seed` and `set_options` were given since.
+        """Begin new episodes in all environments, with the latest `seed` and `set_options`.
 
-        Both hold for one reset. The players of an episode share its options.
+        Seeds and options hold for one reset. The players of an episode share its options.
         """
         observations, infos = [], []
-        with ExitStack() as stack:  # if one batch refuses, no batch begins
+        with ExitStack() as stack:  # if one batch refuses, all stay unchanged
             for k, group in enumerate(self.groups):
                 stack.enter_context(group.unless_refused())
-                # Stable-Baselines3 has a seed for each environment, self-play one for each pair.
+                # Stable-Baselines3 has a seed for each environment, self-play a seed for each pair.
                 own: Any = self._seeds[self._edges[k] : self._edges[k + 1] : group.players]
                 if self._group_seeds is not None:
                     own = self._group_seeds[k]
@@ -153,11 +157,11 @@ class SB3VecEnv(VecEnv):
         return np.concatenate(observations)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Keep the actions for `step_wait`."""
+        """Store the actions for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Make the step."""
+        """Make a step with the stored actions."""
         pieces = np.split(self._actions, self._edges[1:-1])
         steps = self._step_groups(pieces)
         observations, rewards, terminated, truncated = (np.concatenate([step[i] for step in steps]) for i in range(4))
@@ -191,17 +195,17 @@ class SB3VecEnv(VecEnv):
     def _step_groups(self, actions: Sequence[NDArray[Any]]) -> list[Any]:
         if self._pool is None:
             return [group.step(own) for group, own in zip(self.groups, actions, strict=True)]
-        # The largest first: no thread begins with it when the others are done.
+        # The largest batch comes first: no thread starts it last.
         order = sorted(range(len(self.groups)), key=lambda k: -self.groups[k].num_envs)
         steps = {k: self._pool.submit(self.groups[k].step, actions[k]) for k in order}
         return [steps[k].result() for k in range(len(self.groups))]
 
     def get_state(self) -> tuple[Any, ...]:
-        """Return all that the rest of the episodes, and all later ones, depend on, with their returns and lengths."""
+        """Return the full state of all episodes, with their returns and lengths."""
         return [group.get_state() for group in self.groups], self._returns.copy(), self._lengths.copy()
 
     def set_state(self, state: tuple[Any, ...]) -> None:
-        """Continue from what `get_state` returned."""
+        """Continue from a state of `get_state`."""
         check_part("the state", state, ([FREE] * len(self.groups), self._returns, self._lengths))
         for group, own in zip(self.groups, state[0], strict=True):
             group.check_state(own)
@@ -218,22 +222,25 @@ class SB3VecEnv(VecEnv):
             group.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Return an attribute of each environment asked for."""
+        """Return an attribute of each requested environment."""
         return [getattr(self._each[i], attr_name) for i in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set an attribute of a new name in each environment asked for, for `get_attr`; its own can't be changed."""
+        """Set a new attribute in each requested environment, for `get_attr`.
+
+        The environment's own attributes can't be changed.
+        """
         if attr_name in SHARED or attr_name.startswith("_") or hasattr(OneOfBatch, attr_name):
             raise InputError(f"{attr_name!r} can't be set for single environments of a batch; make another one")
         for i in self._get_indices(indices):
             setattr(self._each[i], attr_name, value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Call a method of each environment asked for."""
+        """Call a method of each requested environment."""
         return [method(*method_args, **method_kwargs) for method in self.get_attr(method_name, indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Whether each environment reports what this wrapper would: episodes are monitored, nothing else is wrapped."""
+        """Return whether each environment acts as wrapped: True only for Monitor and its bases."""
         return [issubclass(Monitor, wrapper_class) for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
@@ -244,10 +251,10 @@ class SB3VecEnv(VecEnv):
 
 
 class OneOfBatch:
-    """One environment of a batch, with what an environment for one agent has that concerns this one alone.
+    """Environment of a batch, with the attributes and methods of a single-agent environment.
 
-    ``reset``, ``step``, ``close``, ``get_state`` and ``set_state`` concern the whole batch, and are methods of
-    :class:`SB3VecEnv` alone.
+    ``reset``, ``step``, ``close``, ``get_state`` and ``set_state`` concern the whole batch and are
+    methods of :class:`SB3VecEnv` only.
     """
 
     def __init__(self, group: Any, row: int) -> None:
@@ -262,42 +269,42 @@ class OneOfBatch:
 
     @property
     def unwrapped(self) -> "OneOfBatch":
-        """The environment itself."""
+        """Environment without wrappers: itself."""
         return self
 
     @property
     def observation_space(self) -> spaces.Space[Any]:
-        """Observation space of one environment."""
+        """Observation space of the environment."""
         return self._group.single_observation_space
 
     @property
     def action_space(self) -> spaces.Space[Any]:
-        """Action space of one environment."""
+        """Action space of the environment."""
         return self._group.single_action_space
 
     @property
     def track(self) -> Track:
-        """The circuit of its episode, with the obstacles."""
+        """Track of its episode, with the obstacles."""
         return self._group.batch.randomization.track(self._episode)
 
     @property
     def action_masks(self) -> Callable[[], NDArray[np.bool_]]:
-        """Method that returns the moves that may be made, shape (M,)."""
+        """Method for the mask of valid moves, shape (M,)."""
         if not isinstance(self._group, DuelVectorEnv):
             raise AttributeError("the control level has no action masks")
         return lambda: self._group.action_masks()[self._row]
 
     def outcome(self) -> dict[str, Any]:
-        """Return the info of this moment in words, for people."""
+        """Return the current info with labels in place of codes."""
         return self._group.outcome()[self._row]
 
     def render(self) -> Any:
-        """Return a frame; in a window the first environment of a batch is shown."""
+        """Return a frame; a window shows the first environment of a batch."""
         return None if self.render_mode == "human" and self._row else self._group.frame(self._row)
 
 
 def _infos(info: dict[str, Any]) -> list[dict[str, Any]]:
-    """Infos of all environments of a batch, each as a dictionary of its own: plain numbers, and rows of arrays."""
+    """Return the info of each environment of a batch as a dict of plain numbers and array rows."""
     names = [name for name in info if not name.startswith("_") and not name.startswith("final_")]
     columns = [info[name].tolist() if info[name].ndim == 1 else list(info[name]) for name in names]
     return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]

@@ -1,4 +1,4 @@
-"""Environments over a batch of one episode: Gymnasium's for one agent, and PettingZoo's for the agents of both cars."""
+"""Environments over a batch of one episode: Gymnasium for one agent, PettingZoo for several."""
 
 import copy
 from collections.abc import Mapping
@@ -22,22 +22,22 @@ Infos = dict[str, dict[str, Any]]
 
 
 class EnvState(NamedTuple):
-    """A moment of an environment: a value that can be kept, copied, pickled and restored."""
+    """Full state of an environment; it can be stored, copied, pickled and restored."""
 
     batch: tuple[Any, ...]  #: State of the batch of one episode.
-    steps: int | None  #: Since the episode began; None before the first reset.
-    running: bool  #: Whether the episode goes on.
-    generator: Mapping[str, Any] | None  #: State of the random generator that the next episodes are drawn from.
+    steps: int | None  #: Number of steps since the start; None before the first reset.
+    running: bool  #: Flag: the episode is not over.
+    generator: Mapping[str, Any] | None  #: State of the random generator of the next episodes.
 
 
 class SingleEnv(OverBatch):
-    """One episode: it begins, makes steps, ends, and is a value."""
+    """Base class of environments with one episode: reset, steps, end, and snapshots."""
 
-    ignored_options: ClassVar[tuple[str, ...]] = ()  #: Options of a reset that do nothing.
+    ignored_options: ClassVar[tuple[str, ...]] = ()  #: Options of a reset without effect.
     _row: ClassVar[NDArray[np.int64]] = np.zeros(1, np.int64)
     _steps: int | None = None
     _running = False
-    # The names of Gymnasium, whose checker and wrappers look for them.
+    # Names required by Gymnasium's checker and wrappers.
     _np_random: np.random.Generator | None = None
     _np_random_seed: int | None = None
 
@@ -45,12 +45,12 @@ class SingleEnv(OverBatch):
         return self.batch_type(1, threads=1, **arguments)
 
     def _restart(self, seed: Any, options: Any) -> None:
-        """Begin a new episode, or continue from the state among the options."""
+        """Begin a new episode, or continue from the option "state"."""
         number = None if seed is None else check_seed(seed)
         given = self._options(options, "state", *self.ignored_options)
         for name in self.ignored_options:
             given.pop(name, None)
-        # Everything that can be refused is refused before the environment changes.
+        # All refusals come before the environment changes.
         batch, arguments = self._batch_for(given)
         state = given.pop("state", None)
         if state is None:
@@ -73,7 +73,10 @@ class SingleEnv(OverBatch):
             self.render()
 
     def _advance(self, actions: NDArray[Any], most_steps: int | None = None) -> Any:
-        """Make a step with checked actions: observations, rewards, and whether the episode ended or was cut off."""
+        """Make a step with checked actions.
+
+        Return observations, rewards, and the flags of termination and truncation.
+        """
         self._check_started()
         if not self._running:
             raise InputError("the episode has ended; call reset() before step()")
@@ -87,7 +90,7 @@ class SingleEnv(OverBatch):
         return observations, rewards, ended, late and not ended
 
     def _observe(self) -> NDArray[np.float32]:
-        """What the players observe, shape (players, D)."""
+        """Return the observations of the players, shape (players, D)."""
         out = np.zeros((self.batch.players, *self.batch.observation_space.shape), np.float32)
         if self._steps is not None:
             self.batch.observe(self._row, out)
@@ -102,19 +105,19 @@ class SingleEnv(OverBatch):
         self._close_renderer()
 
     def get_state(self) -> EnvState:
-        """Return all that the rest of this episode, and all later ones, depend on."""
+        """Return the full state, which determines the current and all later episodes."""
         generator = None if self._np_random is None else dict(self._np_random.bit_generator.state)
         return EnvState(self.batch.get_state(), self._steps, self._running, generator)
 
     def set_state(self, state: EnvState) -> Any:
-        """Continue from what `get_state` returned, here or in an environment with equal arguments."""
+        """Continue from a state of `get_state`, from an environment with equal arguments."""
         if not isinstance(state, EnvState):
             raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
         check_flag("the state's running", state.running)
         begun = state.steps is not None
         if begun:
             check_whole("the state's steps", state.steps, 0, MAX_STEPS)
-        # A generator of its own: two environments restored from one state must not share a stream.
+        # A new generator: two environments restored from one state must not share a stream.
         unused = state.generator is None and not begun
         generator = None if unused else generator_of("the state's generator", state.generator)
         self.batch.set_state(state.batch)
@@ -126,7 +129,7 @@ class SingleEnv(OverBatch):
 
 
 class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
-    """Base class of the environments for one agent; subclasses name the batch and document themselves."""
+    """Base class of single-agent environments; subclasses define batch and documentation."""
 
     def _begin(
         self,
@@ -144,46 +147,47 @@ class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Begin a new episode; without a seed the random generator goes on.
+        """Begin a new episode; without a seed the random generator continues.
 
-        Of the options, "track" and "opponent" replace the environment's arguments from now on; "state" continues from
-        what `get_state` returned; the class lists the others.
+        The options "track" and "opponent" replace the environment's arguments, also for later
+        episodes. The option "state" continues from a state of `get_state`. The class docstring
+        lists the other options.
         """
         self._restart(seed, options)
         self._keep_step(begun=True)
         return self._observe()[0], self.batch.info(0)
 
     def step(self, action: Any) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Make a step; the class describes its actions."""
+        """Make a step; the class docstring describes the actions."""
         observations, rewards, ended, late = self._advance(self.batch.check_actions(action, ()))
         self._keep_step()
         return observations[0], float(rewards[0]), ended, late, self.batch.info(0)
 
     def outcome(self) -> dict[str, Any]:
-        """Return the info of this moment in words, for people."""
+        """Return the current info with labels in place of codes."""
         self._check_started()
         return words(self.batch.info(0), self.batch.codes)
 
     def set_state(self, state: EnvState) -> NDArray[np.float32]:
-        """Continue from what `get_state` returned, and return the observation at that moment."""
+        """Continue from a state of `get_state`, and return its observation."""
         super().set_state(state)
         if self._steps is not None:
             self._keep_step(begun=True)
         return self._observe()[0]
 
     def _keep_step(self, *, begun: bool = False) -> None:
-        """Keep the last step for a film, where steps are filmed; the earlier ones are forgotten if it has begun."""
+        """Store the last step for a film, if steps are filmed; ``begun`` discards earlier steps."""
 
 
 class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
-    """Base class of the environments for two or more agents; subclasses name the batch and document themselves.
+    """Base class of multi-agent environments; subclasses define batch and documentation.
 
-    All agents act in every step, and all end with the episode: from then on `agents` is empty.
-    Where the argument `opponent` is not None it drives car 1, and ``car_0`` is the only agent.
+    All agents act in every step, and all end with the episode; then `agents` is empty. An
+    `opponent` other than None drives car 1, and ``car_0`` is the only agent.
     """
 
     metadata: dict[str, Any] = {**OverBatch.metadata, "is_parallelizable": True}  # noqa: RUF012
-    ignored_options = ("options",)  # what the API tests of PettingZoo hand over to every environment
+    ignored_options = ("options",)  # key in PettingZoo's API tests
     possible_agents: list[str] = []  # noqa: RUF012
 
     def _begin(
@@ -205,7 +209,7 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         self.observation_spaces: dict[str, spaces.Space[Any]] = {
             name: spaces.Box(box.low, box.high) for name in self.possible_agents
         }
-        # Each is seeded for itself: with a shared one the first agent's samples would change the second's.
+        # Each space has its own seed: samples of one agent do not change the samples of another.
         self.action_spaces: dict[str, spaces.Space[Any]] = {
             name: copy.deepcopy(action) for name in self.possible_agents
         }
@@ -222,26 +226,26 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
 
     @property
     def agents(self) -> list[str]:
-        """Agents that act in the next step: all, or none when the episode is over."""
+        """Agents of the next step: all, or none after the episode."""
         return list(self.possible_agents) if self._running else []
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """Observation space of an agent; always the same object."""
+        """Return the observation space of an agent; always the same object."""
         return self.observation_spaces[self._known(agent)]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Action space of an agent; always the same object."""
+        """Return the action space of an agent; always the same object."""
         return self.action_spaces[self._known(agent)]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
-        """Begin a new episode; with a seed, the one that belongs to it."""
+        """Begin a new episode; a seed determines the episode."""
         self._restart(seed, options)
         return self._by_agent(self._observe()), self._infos()
 
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
-        """Let all agents act, and drive a step."""
+        """Apply the actions of all agents, and drive a step."""
         agents = self.possible_agents
         if not isinstance(actions, Mapping) or any(agent not in actions for agent in agents):
             raise InputError(f"actions are {actions!r}; they must hold an action for each of {', '.join(agents)}")
@@ -256,16 +260,19 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         )
 
     def state(self) -> NDArray[np.float32]:
-        """Observations of all cars, one after the other, whoever drives them."""
+        """Return the observations of all cars, concatenated, with or without an agent."""
         self._check_started()
         return self.batch.both_views()[0].reshape(-1).copy()
 
     def outcome(self) -> dict[str, dict[str, Any]]:
-        """Return the info of each agent at this moment in words, for people."""
+        """Return the current info of each agent with labels in place of codes."""
         return {agent: words(info, self.batch.codes) for agent, info in self._infos().items()}
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Draw this moment: an array (height, width, 3) of uint8; None where a window shows it or nothing is drawn."""
+        """Draw the current state as an array (height, width, 3) of uint8.
+
+        Return None if a window shows it or there is no render mode.
+        """
         frame: NDArray[np.uint8] | None = None if self.render_mode is None else super().render()
         return frame
 

@@ -1,4 +1,4 @@
-"""A vector environment of Gymnasium over a batch of episodes, with its three ways to begin anew."""
+"""Vector environment of Gymnasium over a batch of episodes, with all three autoreset modes."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -19,36 +19,39 @@ Step = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArra
 
 
 class VectorState(NamedTuple):
-    """A moment of a :class:`BatchVectorEnv`: a value that can be kept, copied, pickled and restored."""
+    """Full state of a :class:`BatchVectorEnv`; it can be stored, copied, pickled and restored."""
 
     batch: tuple[Any, ...]  #: State of the batch.
     generators: list[dict[str, Any]]  #: State of each episode's random generator.
-    over: NDArray[np.bool_]  #: shape (episodes,): Episodes that are to begin anew.
-    steps: NDArray[np.int64]  #: shape (episodes,): Steps since each began.
+    over: NDArray[np.bool_]  #: shape (episodes,): Finished episodes, to be reset.
+    steps: NDArray[np.int64]  #: shape (episodes,): Steps since the start of each episode.
 
 
 class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
-    """Base class of the vector environments; subclasses name the batch and document themselves.
+    """Base class of vector environments; subclasses define batch and documentation.
 
-    Episode ``i`` draws from its own generator, seeded with ``seed + i``, and gives the numbers that the environment for
-    one agent gives with that seed. ``autoreset_mode`` says what happens after an episode has ended:
+    Episode ``i`` draws from its own generator, seeded with ``seed + i``, with the same numbers as
+    the single-agent environment with this seed. ``autoreset_mode`` defines the behaviour after the
+    end of an episode:
 
-    - ``NEXT_STEP`` (Gymnasium's default): the next step begins a new one; its action is ignored and its reward is 0;
-    - ``SAME_STEP``: a new one begins at once; the step returns its first observation, and ``info["final_obs"]`` and
-      ``info["final_info"]`` hold what the old one ended with;
-    - ``DISABLED``: nothing, until ``reset(options={"reset_mask": mask})`` begins new ones where the mask is true.
+    - ``NEXT_STEP`` (Gymnasium's default): the next step begins a new episode; its action is ignored
+      and its reward is 0;
+    - ``SAME_STEP``: a new episode begins at once; the step returns its first observation, and
+      ``info["final_obs"]`` and ``info["final_info"]`` hold the end of the old episode;
+    - ``DISABLED``: no step is possible until ``reset(options={"reset_mask": mask})`` begins new
+      episodes where the mask is true.
 
     Parameters
     ----------
     num_envs : int
-        Number of environments; in self-play two for each episode.
+        Number of environments; self-play has two for each episode.
     autoreset_mode : AutoresetMode or str
     max_episode_steps : int, optional
-        Steps after which an episode is truncated, in addition to its own end.
+        Number of steps until truncation, in addition to the episode's own end.
     threads : int, optional
-        Threads that may share a step, all cores by default; the result does not depend on it.
+        Max number of threads of a step, all cores by default; the result does not depend on it.
     render_mode, view, render_size, **arguments
-        As for the environment of one episode; `render` returns a frame for each environment.
+        Arguments of the single environment; `render` returns a frame for each environment.
     """
 
     metadata: dict[str, Any] = {**OverBatch.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
@@ -86,7 +89,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         self._steps = np.zeros(self.batch.episodes, np.int64)
 
     def _make_batch(self, arguments: dict[str, Any]) -> Batch:
-        # What is no whole number goes on as it is, so that the batch's own check names it.
+        # Other types are passed on, so the batch's own check reports them.
         episodes = self.num_envs // self.players if is_whole(self.num_envs) else self.num_envs
         given, players = self._players(arguments)
         return self.batch_type(episodes, threads=self.threads, players=players, **given)
@@ -106,19 +109,20 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         Parameters
         ----------
         seed : int or list of int, optional
-            The generator of episode ``i`` begins anew with ``seed + i``, or with its entry of the list; where that is
-            None it goes on.
+            Seed of the generators: ``seed + i`` or an entry of the list for episode ``i``; with
+            None the generator continues.
         options : dict, or list of dict, optional
-            "reset_mask" (bool, shape (num_envs,)) begins new episodes only where it is true; "track" and "opponent"
-            replace the environment's arguments from now on; the class lists the others. A list has the options of each
-            episode, without a mask.
+            "reset_mask" (bool, shape (num_envs,)) begins new episodes only where it is true.
+            "track" and "opponent" replace the environment's arguments, also for later episodes. The
+            class docstring lists the other options. A list holds the options of each episode,
+            without a mask.
         """
         if isinstance(options, list):
             if len(options) != self.batch.episodes:
                 raise InputError(
                     f"options list {len(options)} dicts; give one for each of {self.batch.episodes} episodes"
                 )
-            same = {id(one): one for one in options}  # the same for several: they begin in one call
+            same = {id(one): one for one in options}  # one call for each dict
             parts = [(np.flatnonzero([each is one for each in options]), self._options(one)) for one in same.values()]
         else:
             given = self._options(options, "reset_mask")
@@ -128,7 +132,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         if any(change != changes[0] for change in changes) or (changes[0] and len(rows) < self.batch.episodes):
             raise InputError("all environments share track and opponent; they can't be changed for some of them")
         batch, arguments = self._batch_for(changes[0])
-        # Kept only when all episodes have begun: after a refused reset the former seeds are in force.
+        # Stored only after all episodes have begun: a refused reset keeps the former seeds.
         seeds = _split_seeds(seed, batch.episodes)
         generators = [
             seeding.np_random(one)[0] if not self._generators or one is not None else self._generators[i]
@@ -146,7 +150,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         return self._observations(), self._infos()
 
     def step(self, actions: NDArray[Any]) -> Step:
-        """Make a step in every environment; the class for one agent describes its actions."""
+        """Make a step in every environment; the single-agent class describes the actions."""
         checked: NDArray[Any] = self.batch.check_actions(actions, (self.num_envs,))
         self._check_started()
         again = np.flatnonzero(self._over)
@@ -156,23 +160,23 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
                 "reset(options={'reset_mask': mask}) before step()"
             )
         generators = self._generators
-        if len(again):  # what is over must not draw from the generator of the episode that follows it
+        if len(again):  # a finished episode must not draw from the generator of the next episode
             generators = [np.random.default_rng(0) if over else generators[i] for i, over in enumerate(self._over)]
         observations, rewards, terminated, truncated = self.batch.step(checked, generators)
         self._steps += 1
         if self.max_episode_steps is not None:
             truncated |= np.repeat(self._steps >= self.max_episode_steps, self.players) & ~terminated
-        # NEXT_STEP: the step that ended an episode is followed by one that only begins the next.
+        # NEXT_STEP: the step after the end of an episode only begins the next episode.
         if len(again):
             self._restart(again, observations)
             begun = np.repeat(self._over, self.players)
             rewards[begun], terminated[begun], truncated[begun] = 0.0, False, False
         over = terminated | truncated
-        # Both cars of an episode end with it.
+        # All players of an episode end with it.
         self._over = over[:: self.players].copy()
         final: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
-            # Before the restart: it writes the first observations over the last ones.
+            # Before the restart, which overwrites the last observations with the first.
             final = self._final(observations, over)
             self._restart(np.flatnonzero(self._over), observations)
             self._over[:] = False
@@ -181,12 +185,12 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         return observations, rewards, terminated, truncated, self._infos() | final
 
     def outcome(self) -> list[dict[str, Any]]:
-        """Return the info of each environment at this moment in words, for people."""
+        """Return the current info of each environment with labels in place of codes."""
         self._check_started()
         return [words(self.batch.info(i), self.batch.codes) for i in range(self.num_envs)]
 
     def render(self) -> Any:
-        """Return a frame of each environment (``"rgb_array"``), or show that of the first one (``"human"``)."""
+        """Return frames of all environments (``"rgb_array"``), or show the first (``"human"``)."""
         if self.render_mode == "human":
             return self.frame(0)
         return tuple(self.frame(i) for i in range(self.num_envs))
@@ -197,18 +201,21 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free threads and close the window."""
-        if not hasattr(self, "batch"):  # old versions of Gymnasium close what could not be made as well
+        if not hasattr(self, "batch"):  # old Gymnasium closes failed environments as well
             return
         self.batch.close()
         self._close_renderer()
 
     def get_state(self) -> VectorState:
-        """Return all that the rest of the episodes, and all later ones, depend on."""
+        """Return the full state, which determines the current and all later episodes."""
         generators = [dict(generator.bit_generator.state) for generator in self._generators]
         return VectorState(self.batch.get_state(), generators, self._over.copy(), self._steps.copy())
 
     def check_state(self, state: VectorState) -> list[np.random.Generator]:
-        """Refuse what `get_state` can't have returned, its batch apart; returns the generators of the episodes."""
+        """Refuse a state that `get_state` can't have returned; the batch is not checked.
+
+        Return the generators of the episodes.
+        """
         if not isinstance(state, VectorState):
             raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
         unused = isinstance(state.generators, list) and not state.generators
@@ -218,7 +225,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         return [generator_of(f"the state's generator {i}", given) for i, given in enumerate(state.generators)]
 
     def set_state(self, state: VectorState) -> NDArray[np.float32]:
-        """Continue from what `get_state` returned, and return the observations at that moment, shape (num_envs, D)."""
+        """Continue from a state of `get_state`; return its observations, shape (num_envs, D)."""
         generators = self.check_state(state)
         self.batch.set_state(state.batch)
         self._generators = generators
@@ -232,7 +239,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             raise InputError("the episodes have not begun; call reset() first")
 
     def _masked(self, mask: Any) -> NDArray[np.int64]:
-        """Episodes that a mask of environments asks for."""
+        """Return the episodes selected by a mask of environments."""
         if mask is None:
             return np.arange(self.batch.episodes)
         given = as_array(mask)
@@ -259,7 +266,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         return _with_masks(self.batch.infos(), np.ones(self.num_envs, np.bool_))
 
     def _final(self, observations: NDArray[np.float32], over: NDArray[np.bool_]) -> dict[str, Any]:
-        """Last observations and infos of the episodes that are over, in the layout of Gymnasium."""
+        """Return the last observations and infos of finished episodes, in Gymnasium's layout."""
         last = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(over):
             last[i] = observations[i].copy()
@@ -268,7 +275,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
 
 
 def _with_masks(infos: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, Any]:
-    """Add to each array of an info the mask under ``_name`` that says which environments it speaks of."""
+    """Add to each array of an info the mask of its environments, under ``_name``."""
     masked: dict[str, Any] = {}
     for name, values in infos.items():
         masked[name] = values
@@ -286,7 +293,7 @@ def check_autoreset_mode(mode: Any) -> AutoresetMode:
 
 
 def _split_seeds(seed: Any, episodes: int) -> list[int | None]:
-    """One seed for each episode, as Gymnasium's own vector environments split them: i more for episode i."""
+    """Return a seed for each episode, as in Gymnasium's vector environments: ``seed + i``."""
     if seed is None:
         return [None] * episodes
     if is_whole(seed):

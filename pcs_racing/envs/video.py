@@ -1,4 +1,4 @@
-"""Videos of environments whose step lasts many frames."""
+"""Videos of environments with many frames in a step."""
 
 from typing import Any
 
@@ -6,12 +6,13 @@ from gymnasium.wrappers import RecordVideo
 
 
 class RecordRaces(RecordVideo[Any, Any]):
-    """Gymnasium's :class:`gymnasium.wrappers.RecordVideo`, with all frames of a step instead of the last one.
+    """Gymnasium's :class:`gymnasium.wrappers.RecordVideo`, with all frames of a step.
 
-    A step of a duel lasts 8 s. Made with ``render_mode="rgb_array_list"``, the environment returns 200 frames for it,
-    and their rate, 25 a second, is in its metadata. Gymnasium's own wrapper puts only the last frame of such a list
-    into its video. The arguments are the same; it needs moviepy, too. A video that is begun in the middle of an episode
-    shows it from its start. A game of 40 s at 960 x 640 pixels takes 1.8 GB of memory until its video is written;
+    A step of a duel lasts 8 s. With ``render_mode="rgb_array_list"`` the environment returns 200
+    frames for a step; their rate, 25 a second, is in its metadata. Gymnasium's own wrapper writes
+    only the last frame of such a list. This wrapper takes the same arguments and also needs
+    moviepy. A video started in the middle of an episode shows the episode from its start. A game of
+    40 s at 960 x 640 pixels takes 1.8 GB of memory until its video is written;
     ``render_size=(480, 320)`` takes a quarter.
 
     Examples
@@ -23,7 +24,7 @@ class RecordRaces(RecordVideo[Any, Any]):
     """
 
     def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, and a video if its turn has come."""
+        """Begin an episode, and a video if it is due."""
         self.render_history = []
         result = super().reset(**arguments)
         self._spread()
@@ -36,7 +37,7 @@ class RecordRaces(RecordVideo[Any, Any]):
         return result
 
     def _spread(self) -> None:
-        """Put all frames of the last step in the place of its last one."""
+        """Replace the last frame of the last step by all its frames."""
         if self.recording and self.recorded_frames and self.render_history:
             self.recorded_frames[-1:] = self.render_history
         self.render_history = []

@@ -1,8 +1,9 @@
-"""The F1TENTH gym's environments, for programs that were written for them: see docs/coming_from_f1tenth_gym.md.
+"""Environments of the F1TENTH gym, for existing programs: see docs/coming_from_f1tenth_gym.md.
 
-``python -m pcs_racing.f1tenth PROGRAM.py ARGS`` runs such a program without an edit. With one line changed it uses
-``gymnasium.make("pcs_racing:f110-v0", map=...)`` (generation A, 0.2.1) or ``gymnasium.make("pcs_racing:f1tenth-v0",
-config=...)`` (generation B, v1.0.0); classes have their old names in this module.
+``python -m pcs_racing.f1tenth PROGRAM.py ARGS`` runs such a program unmodified. With one changed
+line it uses ``gymnasium.make("pcs_racing:f110-v0", map=...)`` (generation A, 0.2.1) or
+``gymnasium.make("pcs_racing:f1tenth-v0", config=...)`` (generation B, v1.0.0). Classes have their
+old names in this module.
 """
 
 from importlib import import_module
@@ -11,7 +12,7 @@ from typing import Any
 import gymnasium
 
 IDS = {"f110-v0": "pcs_racing.f1tenth.env:GenerationA", "f1tenth-v0": "pcs_racing.f1tenth.env:GenerationB"}
-"""Where the environment is, by its name in Gymnasium."""
+"""Entry points of the environments, by name in Gymnasium."""
 
 _PLACES = {
     "env": "F110Env GenerationA GenerationB Integrator deep_update DynamicModel IntegratorType LongitudinalActionEnum "
@@ -26,9 +27,10 @@ NAMES = {name: module for module, names in _PLACES.items() for name in names.spl
 
 
 def register_environments() -> None:
-    """Make both environments known to ``gymnasium.make``; names that are known already are left as they are.
+    """Register both environments for ``gymnasium.make``; leave registered names unchanged.
 
-    No wrapper: programs reach for attributes of the environment, and generation A returns four values.
+    There is no wrapper: programs use attributes of the environment, and generation A returns four
+    values.
     """
     for name, entry in IDS.items():
         if name not in gymnasium.registry:
@@ -36,7 +38,7 @@ def register_environments() -> None:
 
 
 def __getattr__(name: str) -> Any:
-    """Import a class when it is asked for."""
+    """Import a class on first use."""
     if name in NAMES:
         return getattr(import_module(f"pcs_racing.f1tenth.{NAMES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""Run a program that was written for the F1TENTH gym, without an edit: python -m pcs_racing.f1tenth PROGRAM.py ARGS."""
+"""Run an F1TENTH gym program unmodified: python -m pcs_racing.f1tenth PROGRAM.py ARGS."""
 
 import os
 import runpy
@@ -9,7 +9,7 @@ from pcs_racing.base.errors import InputError
 
 
 def main(given: list[str]) -> int:
-    """Run the program; an error in what it asks for is one line, and status 2."""
+    """Run the program; an input error prints one line and returns status 2."""
     if not given or given[0] in ("-h", "--help") or not os.path.isfile(given[0]):
         print(
             f"{__doc__}" if not given or given[0][0] == "-" else f"error: there is no program {given[0]}",
@@ -21,7 +21,7 @@ def main(given: list[str]) -> int:
 
     install()
     program = os.path.abspath(given[0])
-    os.environ.pop("PCS_RACING_GYM_COPY", None)  # of another program
+    os.environ.pop("PCS_RACING_GYM_COPY", None)  # left by another program
     sys.argv[:] = [given[0], *given[1:]]
     sys.path.insert(0, os.path.dirname(program))
     try:

@@ -1,4 +1,4 @@
-"""Copies of the gym that programs bring along: their defaults are read from the text, and nothing of them is run."""
+"""Copies of the gym inside programs: defaults are read from the source text, without running it."""
 
 import ast
 import os
@@ -20,13 +20,14 @@ _NAMES = (
     "control_input",
 )  # fmt: skip
 _OF_CARS = ("num_beams", "fov", "integrator")
-_LARGEST = 1_000_000  # bytes of a file
+_LARGEST = 1_000_000  # maximum bytes of a file
 
 
 def find_copy(program: Path) -> Path | None:
-    """Return the package of the gym in a program's folder, in a folder above it of its repository, or in one of these.
+    """Return the gym package in or below a program's folder or a parent folder in its repository.
 
-    A repository ends at the folder that holds ``.git``; without one it is the program's folder and the one above.
+    A repository ends at the folder with ``.git``; without one, it is the program's folder and its
+    parent.
     """
     above = program.resolve().parents
     root = next((i for i, folder in enumerate(above) if (folder / ".git").exists()), 1)
@@ -38,13 +39,13 @@ def find_copy(program: Path) -> Path | None:
 
 
 def drive_by(copy: Path) -> str:
-    """Let environments have the defaults of a copy, and return in words which of them differ from the gym's."""
+    """Set the environments' defaults to a copy's defaults; return the changes in words."""
     defaults = _PACKAGES[copy.name]
     found = {key: value for key, value in read_defaults(copy).items() if key in defaults}
     params = found.pop("params", {})
     found["params"] = {**defaults["params"], **(params if isinstance(params, dict) else {})}
     if type(found.get("integrator")) is not type(defaults["integrator"]):
-        found.pop("integrator", None)  # of a class that this generation does not ask
+        found.pop("integrator", None)  # of another class than this generation's
     found = {key: value for key, value in found.items() if value != defaults[key]}
     defaults.update(found)
     maps.own_folders[:] = [copy / "envs" / "maps"]
@@ -55,9 +56,9 @@ def drive_by(copy: Path) -> str:
 
 
 def read_defaults(copy: Path) -> dict[str, Any]:
-    """Return the defaults that stand in the text of a copy, of the names that are served: the last of each counts.
+    """Return the defaults of supported names in the text of a copy; the last value of each counts.
 
-    The environment's count for more than the simulator's, and these for more than the car's.
+    The environment's defaults override the simulator's, and the simulator's override the car's.
     """
     found: dict[str, Any] = {}
     files = {"base_classes": ("RaceCar", "Simulator"), "f110_env": ("F110Env",)}
@@ -71,7 +72,10 @@ def read_defaults(copy: Path) -> dict[str, Any]:
 
 
 def _pairs(cls: ast.stmt) -> Iterator[tuple[Any, ast.expr | None]]:
-    """Names and values in a class: defaults and keywords of functions, attributes of self, ``get``, dictionaries."""
+    """Yield the names and values in a class.
+
+    Sources are defaults and keywords of functions, attributes of self, ``get``, and dictionaries.
+    """
     for node in ast.walk(cls):
         if isinstance(node, ast.arguments):
             named = [*node.posonlyargs, *node.args]
@@ -90,7 +94,7 @@ def _pairs(cls: ast.stmt) -> Iterator[tuple[Any, ast.expr | None]]:
 
 
 def _known(pairs: Iterable[tuple[Any, ast.expr | None]]) -> Iterator[tuple[Any, Any]]:
-    """Names with the values of expressions that are plain values or members of ``Integrator``."""
+    """Yield names and values of plain expressions and of members of ``Integrator``."""
     for name, value in pairs:
         if name == "integrator" and isinstance(value, ast.Attribute) and value.attr in ("RK4", "Euler"):
             yield name, env.Integrator[value.attr]
@@ -100,7 +104,7 @@ def _known(pairs: Iterable[tuple[Any, ast.expr | None]]) -> Iterator[tuple[Any, 
 
 
 def use_copy(program: Path | None = None) -> None:
-    """Drive by the copy that a program brings along, if it does; a worker, without a program, by the same one."""
+    """Use a program's copy of the gym, if any; a worker, without a program, uses the same copy."""
     found = find_copy(program) if program is not None else Path(os.environ.get(VARIABLE, ""))
     if found is not None and found.name in _PACKAGES:
         os.environ[VARIABLE] = str(found)

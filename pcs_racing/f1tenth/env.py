@@ -1,7 +1,7 @@
-"""Both generations of the F1TENTH gym's environment: ``f110_gym:f110-v0`` (0.2.1) and ``f1tenth_gym:f1tenth-v0``.
+"""F1TENTH gym environments: generation A (``f110_gym:f110-v0``) and B (``f1tenth_gym:f1tenth-v0``).
 
-A takes keywords, has its poses at reset, and returns four values from a step; B (v1.0.0) takes a dictionary, and gives
-Gymnasium's five values.
+A (0.2.1) takes keywords, gets its poses at reset, and returns four values from a step. B (v1.0.0)
+takes a dictionary, and returns Gymnasium's five values.
 """
 
 import os
@@ -42,12 +42,12 @@ _BOTH: dict[str, Any] = {
 DEFAULTS_A: dict[str, Any] = {
     **_BOTH, "map": "vegas", "map_ext": ".png", "lidar_dist": 0.0, "integrator": Integrator["RK4"]
 }  # fmt: skip
-"""Keywords of generation A; those of a copy of the gym that a program brings along may differ."""
+"""Keywords of generation A; a program's own copy of the gym may have other defaults."""
 DEFAULTS_B: dict[str, Any] = {
     **_BOTH, "map": "Spielberg", "integrator": "rk4", "model": "st", "control_input": ["speed", "steering_angle"],
     "observation_config": {"type": None}, "reset_config": {"type": None},
 }  # fmt: skip
-_PAIRS = ("accl", "steering_speed"), ("speed", "steering_angle")  # of which one is given without the other
+_PAIRS = ("accl", "steering_speed"), ("speed", "steering_angle")  # one implies its partner
 _BOUNDS = {"steering_angle": ("s_min", "s_max"), "steering_speed": ("sv_min", "sv_max")}
 _FACTS = {
     "poses_x": k.AT_X, "poses_y": k.AT_Y, "poses_theta": k.AT_PSI, "collisions": k.CRASHED, "lap_times": k.LAP_TIME,
@@ -55,7 +55,7 @@ _FACTS = {
     "start_thetas": k.START_PSI,
 }  # fmt: skip
 _INSTEAD = {"action_type": "env.config['control_input']", "poses": "env.sim.agent_poses", "scan": "env.sim.agent_scans"}
-"""Where else something is that the gym's environments have."""
+"""Replacements for missing attributes of the gym's environments."""
 _MODES = ["human", "human_fast", "rgb_array"]
 
 DynamicModel = Enum("DynamicModel", "KS ST")
@@ -65,7 +65,7 @@ SteerActionEnum = Enum("SteerActionEnum", "Steering_Angle Steering_Speed")
 
 
 def deep_update(mapping: dict[Any, Any], *updates: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Return a dictionary with others merged into it, dictionaries within it likewise."""
+    """Return a dictionary with others merged into it, including nested dictionaries."""
     out = dict(mapping)
     for key, value in (pair for update in updates for pair in update.items()):
         both = isinstance(out.get(key), dict) and isinstance(value, Mapping)
@@ -74,7 +74,7 @@ def deep_update(mapping: dict[Any, Any], *updates: Mapping[Any, Any]) -> dict[An
 
 
 def control_types(given: Any) -> tuple[str, str]:
-    """Return the longitudinal and the steering input; a single one gets its partner."""
+    """Return the longitudinal and the steering input; a single input gets its partner."""
     for pair in _PAIRS:
         if isinstance(given, str) and given in pair:
             warnings.warn(f"control_input is {given!r}: taken for {list(pair)}", UserWarning, stacklevel=4)
@@ -89,14 +89,14 @@ def control_types(given: Any) -> tuple[str, str]:
 
 
 class F110Env(gymnasium.Env[Any, Any]):
-    """What both generations share; made directly it is B with a ``config``, else A."""
+    """Common part of both generations; called directly, it makes B with a ``config``, else A."""
 
     num_agents: int
     renderer: Any = None
     render_callbacks: list[Callback]
-    current_obs: Any = None  # of the class, where programs of generation A reach for it
-    observation_space: Any = None  # of generation A, as in gym
-    near_start, num_toggles, start_thresh = True, 0, 0.5  # which the gym has, and never changes
+    current_obs: Any = None  # class attribute, read by programs of generation A
+    observation_space: Any = None  # None for generation A, as in gym
+    near_start, num_toggles, start_thresh = True, 0, 0.5  # constant in the gym
 
     def __new__(cls, *args: Any, **named: Any) -> Self:
         """Choose the generation by the arguments."""
@@ -105,7 +105,7 @@ class F110Env(gymnasium.Env[Any, Any]):
         return made
 
     def _set_up(self, values: dict[str, Any], model: int, control: tuple[str, str], euler: bool, faithful: Any) -> None:
-        """Check the arguments that both generations have, and make the cars."""
+        """Check the arguments of both generations, and make the cars."""
         self.num_agents = check_whole("num_agents", values["num_agents"], 1, MOST_CARS, ConfigError)
         self.ego_idx = check_whole("ego_idx", values["ego_idx"], 0, self.num_agents - 1, ConfigError)
         self.timestep = float(check_number("timestep", values["timestep"], 1e-4, 0.2, error=ConfigError))
@@ -135,7 +135,7 @@ class F110Env(gymnasium.Env[Any, Any]):
         self.action_space = gymnasium.spaces.Box(ends[0], ends[1], dtype=np.float32)
 
     def _advance(self, action: ArrayLike) -> tuple[bool, dict[str, Any]]:
-        """Make a step; whether the episode has ended, and the infos."""
+        """Make a step; return whether the episode has ended, and the infos."""
         if not self.sim.started:
             raise InputError("step() before reset(): the cars have no place yet; call reset() first")
         done = self.sim.advance(action)
@@ -145,13 +145,13 @@ class F110Env(gymnasium.Env[Any, Any]):
         return done, infos
 
     def __getattr__(self, name: str) -> Any:
-        """Facts of all cars under the gym's names, shape (N,), and the time."""
+        """Return a quantity of all cars under its name in the gym, shape (N,), or the time."""
         if "sim" not in self.__dict__ or name not in (*_FACTS, "current_time"):
             hint = f"; this is {_INSTEAD[name]}" if name in _INSTEAD else ""
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r} here{hint}")
         return self.sim.cars[:, _FACTS[name]] if name in _FACTS else self.sim.time
 
-    near_starts = property(lambda self: self.sim.cars[:, k.AWAY] == 0.0)  #: Whether each car is at its start.
+    near_starts = property(lambda self: self.sim.cars[:, k.AWAY] == 0.0)  #: Cars at their start.
 
     @property
     def start_rot(self) -> Any:
@@ -161,21 +161,21 @@ class F110Env(gymnasium.Env[Any, Any]):
 
     @property
     def render_obs(self) -> dict[str, Any] | None:
-        """What a renderer is told; None before the first reset."""
+        """Observation for the renderer; None before the first reset."""
         names = ("ego_idx", "poses_x", "poses_y", "poses_theta", "lap_times", "lap_counts", "collisions")
         more = {"steering_angles": self.sim.agent_steerings, "sim_time": self.sim.time}
         return {name: getattr(self, name) for name in names} | more if self.sim.started else None
 
     def update_params(self, params: Any, index: int = -1) -> None:
-        """Change the parameters of all cars, or of the one with an index from 0."""
+        """Change the parameters of all cars, or of the car with an index from 0."""
         self.sim.update_params(params, index)
 
     def add_render_callback(self, callback_func: Callback) -> None:
-        """Call a function with the renderer whenever a frame is drawn."""
+        """Add a function to call with the renderer at each frame."""
         self.render_callbacks.append(callback_func)
 
     def _shown(self, made: Callable[[], Any]) -> Any:
-        """The renderer, made when it is first needed."""
+        """Return the renderer, made on first use."""
         if not self.sim.started:
             raise ConfigError("there is nothing to show: call reset() before render()")
         return self.renderer or made()
@@ -188,13 +188,15 @@ class F110Env(gymnasium.Env[Any, Any]):
 
 
 class GenerationA(F110Env):
-    """The environment. Its keywords are those of the gym: ``map`` (name, or path without ".yaml"), ``map_ext``,
-    ``num_agents``, ``params``, ``timestep``, ``ego_idx``, ``integrator``, ``lidar_dist`` (m) and ``seed``; and
-    ``faithful``: whether the gym's faults are kept (docs/coming_from_f1tenth_gym.md).
+    """Environment of generation A.
+
+    The keywords of the gym are ``map`` (name, or path without ".yaml"), ``map_ext``,
+    ``num_agents``, ``params``, ``timestep``, ``ego_idx``, ``integrator``, ``lidar_dist`` (m) and
+    ``seed``. ``faithful`` reproduces the gym's faults (docs/coming_from_f1tenth_gym.md).
     """
 
     metadata = {"render.modes": _MODES, "render_modes": _MODES, "render_fps": 100}  # noqa: RUF012
-    render_callbacks: list[Callback] = []  # noqa: RUF012 of all environments together
+    render_callbacks: list[Callback] = []  # noqa: RUF012 shared by all environments
 
     def __init__(self, *, faithful: bool = True, render_mode: str | None = None, **named: Any) -> None:
         warn_of_unknown("f110-v0", named, [*DEFAULTS_A, "faithful"])
@@ -207,7 +209,7 @@ class GenerationA(F110Env):
         self.update_map(values["map"], values["map_ext"])
 
     def update_map(self, map_path: Any, map_ext: Any) -> None:
-        """Drive on another map: its path, and the ending of its picture."""
+        """Switch to another map, given its path and the extension of its picture."""
         if not isinstance(map_path, str | os.PathLike) or not isinstance(map_ext, str):
             raise ConfigError(f"map is {map_path!r:.200}, map_ext {map_ext!r:.80}; they must be a path and an ending")
         self._map = load_map(map_path, map_ext)
@@ -215,8 +217,8 @@ class GenerationA(F110Env):
         self.map_name, self.map_ext, self.map_path = os.fspath(map_path), map_ext, str(self._map.file)
 
     def reset(self, poses: ArrayLike) -> tuple[dict[str, Any], float, bool, dict[str, Any]]:  # type: ignore[override]
-        """Put the cars at poses, shape (N, 3) in m and rad, and make a step without action."""
-        # Without faults the noise goes on; in the gym every episode has the same.
+        """Place the cars at poses, shape (N, 3) in m and rad, and make a step with zero actions."""
+        # Without faults the noise continues; in the gym every episode has the same noise.
         self.sim.reset(poses, None)
         return self.step(np.zeros((self.num_agents, 2)))
 
@@ -231,7 +233,7 @@ class GenerationA(F110Env):
         return obs, self.timestep, done, infos
 
     def render(self, mode: str = "human") -> Any:
-        """Show the cars in a window; where there is none, only the callbacks are called."""
+        """Show the cars in a window; without a window, only call the callbacks."""
         check_choice("mode", mode, _MODES)
         renderer = GenerationA.renderer = self._shown(lambda: EnvRenderer(self._map, window=mode != "rgb_array"))
         renderer.show_map(self._map)
@@ -242,9 +244,11 @@ class GenerationA(F110Env):
 
 
 class GenerationB(F110Env):
-    """The environment. ``config`` has keys of the gym's configuration, what is not named keeps its default
-    (:meth:`default_config`); ``render_mode`` is "human", "human_fast" or "rgb_array"; ``faithful`` says whether the
-    gym's faults are kept (docs/coming_from_f1tenth_gym.md).
+    """Environment of generation B.
+
+    ``config`` has keys of the gym's configuration; missing keys have their default
+    (:meth:`default_config`). ``render_mode`` is "human", "human_fast" or "rgb_array". ``faithful``
+    reproduces the gym's faults (docs/coming_from_f1tenth_gym.md).
     """
 
     metadata = {"render_modes": _MODES, "render_fps": 100}  # noqa: RUF012
@@ -278,7 +282,7 @@ class GenerationB(F110Env):
 
     @classmethod
     def default_config(cls) -> dict[str, Any]:
-        """Return the configuration that a given one changes."""
+        """Return the default configuration."""
         return deepcopy(DEFAULTS_B)
 
     def _merge(self, config: Any) -> None:
@@ -299,14 +303,17 @@ class GenerationB(F110Env):
         self._find_action_space()
 
     def update_map(self, map_name: Any) -> None:
-        """Drive on another map: its name, its path, or a :class:`Track`."""
+        """Switch to another map: its name, its path, or a :class:`Track`."""
         self.track = map_name if isinstance(map_name, Track) else Track.from_track_name(map_name)
         self.sim.set_map(self.track.loaded)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Put the cars at ``options["poses"]``, shape (N, 3), or as ``reset_config`` says, and step without action."""
+        """Place the cars, and make a step with zero actions.
+
+        Poses are ``options["poses"]``, shape (N, 3), or drawn by ``reset_config``.
+        """
         super().reset(seed=seed)
         if options is not None and not isinstance(options, Mapping):
             raise InputError(f"options is {options!r:.200}; it must be a dictionary such as {{'poses': ...}}, or None")
@@ -319,13 +326,13 @@ class GenerationB(F110Env):
 
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Make a step with the steering and the longitudinal input of each car, shape (N, 2), in this order."""
-        # What is observed of the laps is a step old.
+        # Observed laps are one step old.
         laps = self.sim.cars if self.faithful else None
         done, infos = self._advance(action)
         return self._observe(laps), self.timestep, done, False, infos
 
     def render(self, mode: str = "human") -> Any:
-        """Return a frame in mode "rgb_array"; else show it in a window, if there can be one."""
+        """Return a frame in mode "rgb_array"; else show it in a window, if one is available."""
         if self.render_mode is None:
             return None
         fps = self.metadata["render_fps"] * (10.0 if self.render_mode == "human_fast" else 1.0)

@@ -1,4 +1,4 @@
-"""Functions of the gym's modules ``collision_models`` and ``laser_models`` that programs call, compiled as there."""
+"""Compiled functions of the gym's ``collision_models`` and ``laser_models``, for programs."""
 
 import numpy as np
 
@@ -7,7 +7,10 @@ from pcs_racing.base.compilation import compiled
 
 @compiled
 def get_vertices(pose, length, width):  # type: ignore[no-untyped-def]
-    """Corners of a car at x, y, heading: rear left, rear right, front right, front left, shape (4, 2)."""
+    """Return the corners of a car at x, y, heading, shape (4, 2).
+
+    The order is rear left, rear right, front right, front left.
+    """
     sine, cosine = np.sin(pose[2]), np.cos(pose[2])
     corners = np.empty((4, 2))
     for i in range(4):
@@ -20,7 +23,10 @@ def get_vertices(pose, length, width):  # type: ignore[no-untyped-def]
 
 @compiled
 def collision(vertices1, vertices2):  # type: ignore[no-untyped-def]
-    """Whether the convex hulls of two sets of points, shape (N, 2) each, overlap: no line through two points of one."""
+    """Return whether the convex hulls of two sets of points, shape (N, 2) each, overlap.
+
+    They overlap if no line through two points of one set separates them.
+    """
     for corners in (vertices1, vertices2):
         for i in range(corners.shape[0]):
             for j in range(i + 1, corners.shape[0]):
@@ -35,7 +41,10 @@ def collision(vertices1, vertices2):  # type: ignore[no-untyped-def]
 
 @compiled
 def collision_multiple(vertices):  # type: ignore[no-untyped-def]
-    """Which of N bodies, shape (N, 4, 2), overlap with another one (1 or 0), and with which last (-1 for none)."""
+    """Return the overlap (1 or 0) of each of N bodies, shape (N, 4, 2), with any other body.
+
+    Also return the last overlapping body of each; -1 for none.
+    """
     count = vertices.shape[0]
     collisions, others = np.zeros(count), -np.ones(count)
     for i in range(count):
@@ -48,7 +57,10 @@ def collision_multiple(vertices):  # type: ignore[no-untyped-def]
 
 @compiled
 def get_range(pose, beam_theta, va, vb):  # type: ignore[no-untyped-def]
-    """Range of a beam in a direction of the world to the segment between two points, m; infinite if it misses."""
+    """Return a beam's range to the segment between two points, m; infinity for a miss.
+
+    The beam's direction is in the world frame.
+    """
     x, y, sine, cosine = pose[0] - va[0], pose[1] - va[1], np.sin(beam_theta), np.cos(beam_theta)
     ex, ey = vb[0] - va[0], vb[1] - va[1]
     across = ey * cosine - ex * sine
@@ -61,7 +73,7 @@ def get_range(pose, beam_theta, va, vb):  # type: ignore[no-untyped-def]
 
 @compiled
 def ray_cast(pose, scan, scan_angles, vertices):  # type: ignore[no-untyped-def]
-    """Shorten the ranges of a scan, in place, by a car with these corners; the scan is returned."""
+    """Shorten the ranges of a scan, in place, by a car with these corners; return the scan."""
     for i in range(scan.shape[0]):
         for j in range(4):
             found = get_range(pose, pose[2] + scan_angles[i], vertices[j], vertices[(j + 1) % 4])
@@ -71,7 +83,7 @@ def ray_cast(pose, scan, scan_angles, vertices):  # type: ignore[no-untyped-def]
 
 @compiled
 def check_ttc_jit(scan, vel, scan_angles, cosines, side_distances, ttc_thresh):  # type: ignore[no-untyped-def]
-    """Whether a wall is hit within a time (s) at a speed (m/s), by a scan."""
+    """Return whether a scan predicts a wall hit within a time (s) at a speed (m/s)."""
     for i in range(scan.shape[0]):
         if vel != 0.0 and 0.0 <= (scan[i] - side_distances[i]) / (vel * cosines[i]) < ttc_thresh:
             return True

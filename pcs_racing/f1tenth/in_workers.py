@@ -1,4 +1,4 @@
-"""Imported where a program's worker processes are forked: they find the same modules as the program."""
+"""Module for the fork server of a program's workers: they find the same modules as the program."""
 
 from pcs_racing.f1tenth.copies import use_copy
 from pcs_racing.f1tenth.stand_ins import install

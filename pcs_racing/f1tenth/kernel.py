@@ -1,7 +1,8 @@
-"""One step of the F1TENTH gym in compiled code: any number of cars, with its order of operations and its limits.
+"""One step of the F1TENTH gym in compiled code, with the gym's order of operations and limits.
 
-Vehicle, lidar and contacts are those of :mod:`pcs_racing.car`. What is here is the gym's own: its controllers, its test
-for walls by the scan, its finish line, and a lidar for maps that are no circuit.
+The number of cars is free. Vehicle, lidar and contacts come from :mod:`pcs_racing.car`. This module
+holds the gym's own parts: its controllers, its test for walls by the scan, its finish line, and a
+lidar for maps without a track.
 """
 
 from typing import NamedTuple
@@ -16,60 +17,62 @@ from pcs_racing.car.vehicle import BETA, DELTA, GRAVITY, PSI, PSI_DOT, STATE_SIZ
 from pcs_racing.track.frenet import TrackArrays, locate
 from pcs_racing.track.grid import cast
 
-# Columns of a car's parameters, which are those of the gym in its order.
+# Columns of a car's parameters, in the gym's order.
 (MU, C_SF, C_SR, LF, LR, H, M, INERTIA, S_MIN, S_MAX, SV_MIN, SV_MAX, V_SWITCH, A_MAX, V_MIN, V_MAX, WIDTH, LENGTH) = (
     range(18)
 )
 
-# Columns of a car: its state, where it was before a wall stopped it, the steering that has not come into effect, with
-# which car it is in contact (-1 for none), laps, its start, and its place on the race line.
+# Columns of a car: its state, its pose before a wall stopped it, the delayed steering, the index of
+# the car in contact (-1 for none), laps, its start, and its place on the race line.
 (AT_X, AT_Y, AT_PSI, FIRST, SECOND, CRASHED, CONTACT, WALL, AT_FAULT, AWAY, TOGGLES, LAP_TIME, LAPS, START_X, START_Y,
  START_PSI, PLACE, PROGRESS, COLUMNS) = range(STATE_SIZE, STATE_SIZE + 19)  # fmt: skip
 
-KS, ST, OLD_ST = range(3)  # vehicle models; OLD_ST is that of generation A, which differs below 0.5 m/s
+KS, ST, OLD_ST = range(3)  # vehicle models; OLD_ST (generation A) differs below 0.5 m/s
 RK4, EULER = range(2)
-STOP_TIME = 0.005  # s to a collision, below which a wall counts as hit
-NEAR = 3.0  # cells: a wall this far from a car's side is looked at with the gym's own march
-EPSILON = 1e-4  # m, at which that march ends
-DIRECTIONS = 2000  # of that march, all around
-BESIDE, AROUND = 2.0, 0.1  # of the start: m to both sides of it, and the square of m beyond them
+STOP_TIME = 0.005  # s; a shorter time to collision with a wall counts as a hit
+NEAR = 3.0  # cells; walls nearer to a car's side are checked by the gym's own ray march
+EPSILON = 1e-4  # m; the ray march ends at this distance
+DIRECTIONS = 2000  # number of ray march directions in a full turn
+BESIDE, AROUND = 2.0, 0.1  # box at the start: m to both sides, and m^2 beyond them
 
 
 class MapGrid(NamedTuple):
-    """A map as the gym reads it: every grey level above 128 is free. Framed by one ring of wall cells."""
+    """Map as the gym reads it, framed by one ring of wall cells; grey levels above 128 are free."""
 
-    free: np.ndarray  #: shape (H + 2, W + 2), bool; row 0 is the bottom.
-    distance: np.ndarray  #: of that shape, m: From each cell's centre to that of the nearest wall cell.
-    origin_x: float  #: Lower left corner of the map itself, m.
-    origin_y: float
-    cell: float  #: m
-    open_outside: bool  #: Whether beams that leave the map meet no wall.
+    free: np.ndarray  #: shape (H + 2, W + 2), bool: Free cells; row 0 is the bottom.
+    #: shape (H + 2, W + 2): Distance from each cell's centre to the nearest wall cell's centre, m.
+    distance: np.ndarray
+    origin_x: float  #: x of the lower left corner of the map without the ring, m.
+    origin_y: float  #: y of the same corner, m.
+    cell: float  #: Side of a cell, m.
+    open_outside: bool  #: True if beams that leave the map meet no wall.
 
 
 class Setup(NamedTuple):
-    """The numbers that do not change from step to step."""
+    """Constants of all steps."""
 
     model: int
     integrator: int
-    acceleration: bool  #: Whether the second column of actions is an acceleration, m/s^2, and not a speed.
-    steering_rate: bool  #: Whether the first is a steering rate, rad/s, and not an angle.
-    dt: float  #: s
-    lidar_dist: float  #: m from the centre of gravity to the lidar.
+    acceleration: bool  #: Acceleration (m/s^2), not speed, in actions' column 1.
+    steering_rate: bool  #: Steering rate (rad/s), not angle, in actions' column 0.
+    dt: float  #: Length of a step, s.
+    lidar_dist: float  #: Distance from the centre of gravity to the lidar, m.
     ego: int
     faithful: bool
-    on_circuit: bool  #: Whether the track belongs to the map.
+    on_circuit: bool  #: True if the track belongs to the map.
 
 
 class World(NamedTuple):
-    """All that a step reads."""
+    """Input data of a step."""
 
     grid: MapGrid
     track: TrackArrays
     setup: Setup
     beams: Beams
-    tables: np.ndarray  #: shape (2, DIRECTIONS): Sine and cosine of the directions of the gym's march.
-    sides: np.ndarray  #: shape (beams,), m: From the lidar to the car's side along each beam, as the gym takes it.
-    params: np.ndarray  #: shape (N, 18)
+    tables: np.ndarray  #: shape (2, DIRECTIONS): Sine and cosine of the ray march's directions.
+    #: shape (beams,): Distance from the lidar to the car's side along each beam, as in the gym, m.
+    sides: np.ndarray
+    params: np.ndarray  #: shape (N, 18): Parameters of each car.
 
 
 @inner_kernel
@@ -96,7 +99,10 @@ def write_rates(state, rate, acceleration, p, car, model, out):  # type: ignore[
 
 @inner_kernel
 def handling(p):  # type: ignore[no-untyped-def]
-    """How a car with these parameters drives; its steering is limited elsewhere: the limits may differ by side."""
+    """Return the handling of a car with these parameters.
+
+    Steering is limited elsewhere: its limits may differ by side.
+    """
     slip_gain = p[MU] / (p[LF] + p[LR])
     return Handling(
         np.inf, np.inf, p[V_MIN], p[V_MAX], p[A_MAX], p[V_SWITCH], p[LF], p[LR],
@@ -107,14 +113,14 @@ def handling(p):  # type: ignore[no-untyped-def]
 
 @kernel
 def pid_steer(steer, current_steer, max_sv):  # type: ignore[no-untyped-def]
-    """Steering rate towards a steering angle, rad/s."""
+    """Return the steering rate towards a steering angle, rad/s."""
     error = steer - current_steer
     return np.sign(error) * max_sv if abs(error) > 1e-4 else 0.0
 
 
 @kernel
 def pid_accl(speed, current_speed, max_a, max_v, min_v):  # type: ignore[no-untyped-def]
-    """Acceleration towards a speed, m/s^2."""
+    """Return the acceleration towards a speed, m/s^2."""
     difference = speed - current_speed
     return (10.0 if current_speed > 0.0 else 2.0) * max_a / (max_v if difference > 0.0 else -min_v) * difference
 
@@ -125,7 +131,7 @@ def _drive(state, steer, longitudinal, p, setup, work):  # type: ignore[no-untyp
     rate = steer
     if not setup.steering_rate:
         rate = pid_steer(steer, state[DELTA], p[SV_MAX])
-        if not setup.faithful:  # arrives, without chatter and not beyond the limit
+        if not setup.faithful:  # exact arrival, without chatter and within the limit
             error = min(max(steer, p[S_MIN]), p[S_MAX]) - state[DELTA]
             rate = min(max(error / setup.dt, p[SV_MIN]), p[SV_MAX])
     a = longitudinal if setup.acceleration else pid_accl(longitudinal, state[V], p[A_MAX], p[V_MAX], p[V_MIN])
@@ -154,7 +160,7 @@ def _drive(state, steer, longitudinal, p, setup, work):  # type: ignore[no-untyp
 
 @inner_kernel
 def _march(grid, x, y, sine, cosine, reach):  # type: ignore[no-untyped-def]
-    """Range of a beam as the gym's ray march finds it, m; outside the map it reads the last cell."""
+    """Return a beam's range by the gym's ray march, m; outside the map it reads the last cell."""
     rows, columns = grid.distance.shape
     near = total = 0.0
     while True:
@@ -193,9 +199,10 @@ def scan_map(grid, track, on_circuit, beams, x, y, psi, work, out):  # type: ign
 
 @inner_kernel
 def _stops(world, x, y, psi, v, noise, scan):  # type: ignore[no-untyped-def]
-    """Whether the gym sees a car hit a wall: a beam's range beyond the car's side is below the way of STOP_TIME.
+    """Return whether the gym detects a wall hit: time to collision of a beam below STOP_TIME.
 
-    Only walls near the car can be meant, so only their beams are marched as the gym does, to decide as it decides.
+    The time is measured from the car's side. Only walls near the car matter, so only their beams
+    are marched as in the gym, with the same decisions.
     """
     grid, beams, sides = world.grid, world.beams, world.sides
     if v == 0.0:
@@ -224,7 +231,7 @@ def _stops(world, x, y, psi, v, noise, scan):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _touches_wall(grid, body):  # type: ignore[no-untyped-def]
-    """Whether a rectangle covers a part of a wall cell, or of what is outside the map."""
+    """Return whether a rectangle covers a part of a wall cell or reaches out of the map."""
     rows, columns = grid.free.shape
     reach = body.half_length + body.half_width
     u, v = (body.x - grid.origin_x) / grid.cell + 1.0, (body.y - grid.origin_y) / grid.cell + 1.0
@@ -244,13 +251,13 @@ def _touches_wall(grid, body):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _body(cars, params, i):  # type: ignore[no-untyped-def]
-    """Outline of a car where it was before a wall stopped it."""
+    """Return the outline of a car at its pose before a wall stopped it."""
     return Rectangle(cars[i, AT_X], cars[i, AT_Y], cars[i, AT_PSI], 0.5 * params[i, LENGTH], 0.5 * params[i, WIDTH])
 
 
 @inner_kernel
 def _measure(world, cars, i, noise, inverse, work, scan):  # type: ignore[no-untyped-def]
-    """Write what a car's lidar measures, and stop the car if it has hit a wall."""
+    """Write the ranges of a car's lidar, and stop the car if it has hit a wall."""
     setup, car = world.setup, cars[i]
     body = _body(cars, world.params, i)
     sine, cosine = sine_cosine(body.psi)
@@ -258,7 +265,7 @@ def _measure(world, cars, i, noise, inverse, work, scan):  # type: ignore[no-unt
     scan_map(world.grid, world.track, setup.on_circuit, world.beams, x, y, body.psi, work, scan)
     if setup.faithful:
         hit = _stops(world, x, y, body.psi, car[V], noise, scan)
-        # The gym looks for other cars from the centre of gravity, and with the heading that a wall has left.
+        # The gym detects other cars from the centre of gravity, with the heading after a wall hit.
         x, y = body.x, body.y
     else:
         hit = _touches_wall(world.grid, body)
@@ -285,10 +292,10 @@ def _measure(world, cars, i, noise, inverse, work, scan):  # type: ignore[no-unt
 
 @inner_kernel
 def _count_lap(world, cars, i):  # type: ignore[no-untyped-def]
-    """Count laps as the gym does: every second time that a car enters or leaves the box around its start.
+    """Count laps as the gym does: one lap for every two crossings of the box around a car's start.
 
-    The box lies across the heading of the ego's start. Without faults it is the way driven along the race line, from
-    which the way back is taken off.
+    The box lies across the heading of the ego's start. Without the gym's faults, laps count the
+    distance driven along the race line, less the distance driven backwards.
     """
     car, track = cars[i], world.track
     if world.setup.on_circuit and not world.setup.faithful:
@@ -311,12 +318,14 @@ def _count_lap(world, cars, i):  # type: ignore[no-untyped-def]
 
 @kernel
 def advance(world, cars, actions, noise, now, scans, inverse, work):  # type: ignore[no-untyped-def]
-    """Advance all cars in place by one step, and write what their lidars measure; returns whether the episode ends.
+    """Advance all cars in place by one step, and write their scans.
 
-    Shapes are those of ``cars`` (N, COLUMNS), ``actions`` (N, 2): steering, then speed or acceleration; ``noise`` (1 or
-    N, beams), m, the same for all cars or each its own; ``scans`` (N, beams), written, m; ``inverse`` (beams,) and
-    ``work``, of the lidar's WORK_SHAPE, which are scratch. ``now`` is the time after the step, s; times of laps stop
-    when a car has two.
+    Return whether the episode ends.
+
+    Shapes: ``cars`` (N, COLUMNS); ``actions`` (N, 2): steering, then speed or acceleration;
+    ``noise`` (1 or N, beams), m: shared by all cars, or one row for each; ``scans`` (N, beams),
+    written, m; ``inverse`` (beams,) and ``work`` (the lidar's WORK_SHAPE): scratch. ``now`` is the
+    time after the step, s. A car's lap time stops after two laps.
     """
     count, setup = cars.shape[0], world.setup
     for i in range(count):
@@ -341,7 +350,7 @@ def advance(world, cars, actions, noise, now, scans, inverse, work):  # type: ig
         car = cars[i]
         car[AT_FAULT] = max(car[AT_FAULT], car[WALL])
         car[CRASHED] = 1.0 if car[WALL] > 0.0 or car[CONTACT] >= 0.0 else 0.0
-        # In the gym the crash of the ego alone ends the episode.
+        # In the gym only a crash of the ego ends the episode.
         crashed |= car[CRASHED] > 0.0 and (i == setup.ego or not setup.faithful)
         _count_lap(world, cars, i)
         if car[TOGGLES] < 4.0:

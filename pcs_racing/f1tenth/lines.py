@@ -1,4 +1,4 @@
-"""Tracks and lines as programs of generation B look at them, and its start poses along these lines."""
+"""Tracks and lines in the interface of generation B, and its start poses along these lines."""
 
 import math
 from collections.abc import Mapping
@@ -18,12 +18,12 @@ from pcs_racing.track.maps import MAX_LINE, find_map
 
 Floats = NDArray[Any]
 
-SPACING = 0.1  # of the points of a line that is not given by a file, m
-CELL = 0.05  # of a map without walls, m
+SPACING = 0.1  # distance between the points of a line without a file, m
+CELL = 0.05  # side of a cell of a map without walls, m
 
 
 def nearest_point_on_trajectory(point: ArrayLike, trajectory: ArrayLike) -> tuple[Floats, float, float, int]:
-    """Return the point of a polyline, shape (N, 2), nearest to a point, its distance (m), share and segment."""
+    """Return the nearest point of a polyline, shape (N, 2), its distance (m), share and segment."""
     corners = np.asarray(trajectory)
     ways = np.diff(corners, axis=0)
     from_corners = np.asarray(point) - corners[:-1]
@@ -35,7 +35,7 @@ def nearest_point_on_trajectory(point: ArrayLike, trajectory: ArrayLike) -> tupl
 
 
 class CubicSpline2D:
-    """The closed cubic spline through points."""
+    """Closed cubic spline through points."""
 
     def __init__(self, x: ArrayLike, y: ArrayLike) -> None:
         from scipy.interpolate import CubicSpline
@@ -53,17 +53,17 @@ class CubicSpline2D:
         return np.asarray(self.spline(s))
 
     def calc_yaw(self, s: float) -> float:
-        """Return the heading there, in [0, 2 pi)."""
+        """Return the heading at a length, in [0, 2 pi)."""
         dx, dy = self.spline(s, 1)
         return math.atan2(dy, dx) % (2.0 * math.pi)
 
     def calc_curvature(self, s: float) -> float:
-        """Return the curvature there, 1/m."""
+        """Return the curvature at a length, 1/m."""
         (dx, dy), (ddx, ddy) = self.spline(s, 1), self.spline(s, 2)
         return float((ddy * dx - ddx * dy) / (dx * dx + dy * dy) ** 1.5)
 
     def calc_arclength(self, x: float, y: float, s_guess: float = 0.0) -> tuple[float, float]:
-        """Return the length at the nearest point of the polyline, and the distance from it, m."""
+        """Return the length at the nearest point of the polyline, and the point's distance, m."""
         _, distance, share, i = nearest_point_on_trajectory((x, y), self.points)
         return float(self.s[i] + share * (self.s[i + 1] - self.s[i])), float(distance)
 
@@ -71,7 +71,11 @@ class CubicSpline2D:
 
 
 class Raceline:
-    """A line to follow: ``xs``, ``ys``, ``yaws``, ``ks``, ``vxs``, ``axs``, ``ss`` (float32), ``n``, ``length`` (m)."""
+    """Line to follow.
+
+    Attributes are ``xs``, ``ys``, ``yaws``, ``ks``, ``vxs``, ``axs``, ``ss`` (float32), ``n`` and
+    ``length`` (m).
+    """
 
     def __init__(
         self, xs: Floats, ys: Floats, velxs: Floats, ss: Any = None, psis: Any = None, kappas: Any = None,
@@ -85,13 +89,16 @@ class Raceline:
 
     @classmethod
     def from_columns(cls, columns: ArrayLike, spline: CubicSpline2D | None = None) -> "Raceline":
-        """Make a line of s, x, y, heading, curvature, speed and acceleration, shape (N, 7)."""
+        """Make a line from s, x, y, heading, curvature, speed and acceleration, shape (N, 7)."""
         s, x, y, psi, kappa, speed, acceleration = np.asarray(columns).astype(np.float32).T
         return cls(x, y, speed, s, psi, kappa, acceleration, spline)
 
     @classmethod
     def through(cls, x: ArrayLike, y: ArrayLike, speeds: ArrayLike) -> "Raceline":
-        """Make a line of a point every 0.1 m along the spline through points, with the speed of the nearest one."""
+        """Make a line with a point every 0.1 m along the spline through given points.
+
+        Each point has the speed of the nearest given point.
+        """
         spline = CubicSpline2D(x, y)
         s = np.arange(0.0, spline.s[-1], SPACING)
         at = spline.spline(s)
@@ -100,12 +107,12 @@ class Raceline:
         return cls.from_columns(np.stack([*rows, np.asarray(speeds)[nearest], 0.0 * s], axis=1), spline)
 
     def render_waypoints(self, e: Any) -> None:
-        """Draw the line: a render callback."""
+        """Draw the line, as a render callback."""
         e.render_closed_lines(np.stack([self.xs, self.ys], axis=1), color=(0, 128, 0), size=1)
 
 
 class TrackSpec(NamedTuple):
-    """What the yaml file of a map says."""
+    """Content of the yaml file of a map."""
 
     name: str | None
     image: str | None
@@ -118,12 +125,12 @@ class TrackSpec(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A map with its lines; ``None`` where it has none."""
+    """Map with its lines; a missing line is ``None``."""
 
     spec: TrackSpec
     filepath: str | None
     ext: str | None
-    occupancy_map: Floats  #: 255 where a cell is free, else 0; float32, row 0 at the bottom.
+    occupancy_map: Floats  #: Free cells as 255, others as 0; float32, row 0 at the bottom.
     centerline: Raceline | None
     raceline: Raceline | None
     loaded: GymMap
@@ -155,7 +162,7 @@ class Track:
 
     @classmethod
     def from_refline(cls, x: ArrayLike, y: ArrayLike, velx: ArrayLike) -> Self:
-        """Make a track without walls of points to follow, shape (N,) each, m and m/s."""
+        """Make a track without walls from points to follow, shape (N,) each, m and m/s."""
         xs, ys, speeds = (
             check_array(name, values, (None,)) for name, values in zip(("x", "y", "velx"), (x, y, velx), strict=True)
         )
@@ -172,13 +179,16 @@ class Track:
         return cls(TrackSpec(None, None, CELL, (x0, y0, 0.0)), None, None, _levels(free), line, line, loaded)
 
     def frenet_to_cartesian(self, s: float, ey: float, ephi: float) -> tuple[float, float, float]:
-        """Return x, y (m) and heading (rad) at a length along the centre line, beside it and turned from it."""
+        """Return x, y (m) and heading (rad) from a length along the centre line.
+
+        ``ey`` is the offset from the line (m), and ``ephi`` the turn from it (rad).
+        """
         line = self._line()
         (x, y), psi = line.calc_position(s), line.calc_yaw(s)
         return float(x - ey * math.sin(psi)), float(y + ey * math.cos(psi)), psi + ephi
 
     def cartesian_to_frenet(self, x: float, y: float, phi: float, s_guess: float = 0.0) -> tuple[float, float, float]:
-        """Return the length along the centre line (m), the distance to its left (m) and the turn from it (rad)."""
+        """Return the length along the centre line (m), offset to its left (m) and turn (rad)."""
         line = self._line()
         s, _ = line.calc_arclength(x, y)
         (px, py), psi = line.calc_position(s), line.calc_yaw(s)
@@ -205,7 +215,7 @@ _LENGTHS = {"min_dist": 1.5, "max_dist": 2.5, "start_width": 1.0}  # m
 
 
 def starting_poses(track: Track, cars: int, config: Any, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw start poses, shape (N, 3), as a ``reset_config`` says."""
+    """Draw start poses, shape (N, 3), according to a ``reset_config``."""
     if not isinstance(config, Mapping) or config.keys() - {"type", *_LENGTHS}:
         raise ConfigError(f"reset_config is {config!r:.200}; its keys are type, {', '.join(_LENGTHS)}")
     kind = config.get("type") or "rl_grid_static"
@@ -225,7 +235,8 @@ def starting_poses(track: Track, cars: int, config: Any, rng: np.random.Generato
     line = track.centerline if words[0] == "cl" else track.raceline
     if line is None:
         raise InputError("this map has no centre line and no race line: give poses, reset(options={'poses': ...})")
-    # From a point of the line onwards, each a drawn distance ahead of the one before, on both sides in turn.
+    # From a point of the line onwards, each car is a random distance ahead of the previous car, on
+    # alternating sides.
     at = int(rng.integers(line.n if words[1] == "random" else max(int(width / (line.length / line.n)), 1)))
     points = np.stack([line.xs, line.ys], axis=1).astype(np.float64)
     ways = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)

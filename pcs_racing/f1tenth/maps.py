@@ -20,26 +20,26 @@ from pcs_racing.track.track import Track
 
 FREE_ABOVE = 128  # grey level
 own_folders: list[Path] = []
-"""Folders of maps that a program brings along."""
+"""Map folders of a program's own copy of the gym."""
 
 
 class GymMap(NamedTuple):
-    """A map, and the circuit that it is, if it is one."""
+    """Map, with its track if the map is a track."""
 
     name: str
-    file: Path | None  #: The yaml file.
+    file: Path | None  #: Path of the yaml file.
     picture: Path | None
-    resolution: float  #: m
-    origin: tuple[float, float]  #: m
-    free: NDArray[np.bool_]  #: shape (H, W), row 0 at the bottom.
+    resolution: float  #: Side of a cell, m.
+    origin: tuple[float, float]  #: x and y of the lower left corner, m.
+    free: NDArray[np.bool_]  #: shape (H, W): Free cells, row 0 at the bottom.
     grid: MapGrid
     circuit: Track | None
 
 
 def find_yaml(name: str | os.PathLike[str]) -> Path:
-    """Return a map's yaml file: by its path with or without the ending, by its folder, or by the name of a circuit.
+    """Return a map's yaml file by path (extension optional), by folder, or by the name of a track.
 
-    Names are those of the folders in ``$PCS_RACING_MAPS`` and of the shipped circuits; case does not matter.
+    Names are the folders in ``$PCS_RACING_MAPS`` and the shipped tracks; case does not matter.
     """
     text = os.fspath(name)
     places = [Path(folder, f"{text}{end}") for folder in (Path(), *own_folders) for end in (".yaml", "_map.yaml")]
@@ -64,18 +64,21 @@ def find_yaml(name: str | os.PathLike[str]) -> Path:
 
 
 def load_map(name: str | os.PathLike[str], ending: str | None = None) -> GymMap:
-    """Load a map; ``ending`` is that of the picture beside the yaml file, which else names its picture itself."""
+    """Load a map; ``ending`` is the extension of a picture next to the yaml file.
+
+    By default the yaml file names the picture.
+    """
     file = find_yaml(name)
     beside = Path(f"{file.with_suffix('')}.{(ending or '').removeprefix('.')}")
     return _load(file, beside if ending and os.path.isfile(beside) else None, file.stat().st_mtime_ns)
 
 
 def framed(free: NDArray[np.bool_], resolution: float, origin: tuple[float, float]) -> MapGrid:
-    """Return a grid in the form that compiled code reads."""
+    """Return a grid in the form for compiled code."""
     from scipy import ndimage
 
     walls = not free.all()
-    # Without a wall every distance is infinite: more than any range will do.
+    # Without a wall every distance is infinite: any number above all ranges is enough.
     distance = resolution * ndimage.distance_transform_edt(free) if walls else np.full(free.shape, 1e3)
     return MapGrid(
         np.pad(free, 1), np.pad(distance, 1), float(origin[0]), float(origin[1]), resolution, bool(free[-1, -1])
@@ -85,7 +88,7 @@ def framed(free: NDArray[np.bool_], resolution: float, origin: tuple[float, floa
 @lru_cache(maxsize=8)
 def _load(file: Path, picture: Path | None, stamp: int) -> GymMap:
     values: dict[Any, Any] = parse_yaml(file, read_limited(file, MAX_YAML, "the file of a map", MapError))
-    # Some files hold more than a map's keys, and some name another picture than the one beside them.
+    # Some files hold additional keys, and some name a picture other than the adjacent picture.
     kept = {"image": "-"} | {key: values[key] for key in ROS_KEYS if key in values}
     ros = parse_ros_yaml(file, yaml.safe_dump(kept).encode())
     picture = picture or file.parent / ros["image"]
@@ -95,7 +98,7 @@ def _load(file: Path, picture: Path | None, stamp: int) -> GymMap:
     rule = ros | {"negate": False, "occupied_thresh": level, "free_thresh": level}
     free = ~parse_grid(picture, read_limited(picture, MAX_BYTES, "the picture of a map", MapError), rule)
     grid, circuit = framed(free, ros["resolution"], ros["origin"]), None
-    # The circuit of a map has the walls that the gym sees: its lidar is many times as fast.
+    # The track of a map has the gym's walls: its lidar is many times as fast.
     with suppress(MapError, ModuleNotFoundError):
         circuit = with_walls(load_track(file), ~free, ros["resolution"], ros["origin"])
     name = file.stem.removesuffix("_map")

@@ -1,4 +1,4 @@
-"""What an environment of generation B observes, and the spaces of it."""
+"""Observations of an environment of generation B, and their spaces."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -27,11 +27,11 @@ ORIGINAL = {
 }  # fmt: skip
 _LARGE = 1e30
 
-Observe = Callable[[Any], dict[str, Any]]  # of the cars by which laps are told, if they are others
+Observe = Callable[[Any], dict[str, Any]]  # argument: cars with the reported laps, if different
 
 
 def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
-    """Return the space of an ``observation_config``, and the function that observes."""
+    """Return the space and the observation function of an ``observation_config``."""
     if not isinstance(config, Mapping) or "type" not in config:
         raise ConfigError(f"observation_config is {config!r:.200}; it must be a dictionary with a 'type'")
     kind = config["type"] or "original"
@@ -52,7 +52,7 @@ def observation(env: Any, config: Any) -> tuple[spaces.Space[Any], Observe]:
 
 
 class Observation:
-    """Observations of a kind, for programs that ask for them themselves."""
+    """Observations of one type, for programs that request them directly."""
 
     def __init__(self, env: Any, config: Mapping[str, Any]) -> None:
         self.env, (self._space, self._observe) = env, observation(env, config)
@@ -62,7 +62,7 @@ class Observation:
         return self._space
 
     def observe(self) -> dict[str, Any]:
-        """Return what is observed now."""
+        """Return the current observation."""
         return self._observe(None)
 
 
@@ -76,7 +76,7 @@ def _box(low: float, high: float, *shape: int) -> spaces.Space[Any]:
 
 
 def _bounds(name: str, beams: int, *cars: int) -> spaces.Space[Any]:
-    """Space of a feature, or of one of the original numbers of all cars."""
+    """Return the space of a feature, or of an original quantity of all cars."""
     if name.startswith("scan"):
         return _box(0.0, RANGE + 0.5 * len(cars), *cars, beams)
     return _box(0.0 if name[:3] in ("col", "lap") else -_LARGE, 1.0 if name[:3] == "col" else _LARGE, *cars)
@@ -106,7 +106,7 @@ def _features(env: Any, laps: Any, features: tuple[str, ...]) -> dict[str, Any]:
             "scan": sim.agent_scans[i].astype(np.float32) if "scan" in features else None,
             "pose_x": x, "pose_y": y, "pose_theta": theta, "ang_vel_z": rate, "delta": delta, "beta": beta,
             "linear_vel_x": v * np.cos(beta), "linear_vel_y": v * np.sin(beta),
-            # The gym forgets the contacts of cars here.
+            # The gym omits contacts between cars here.
             "collision": int(cars[i, k.WALL if env.faithful else k.CRASHED]),
             "lap_time": laps[i, k.LAP_TIME], "lap_count": laps[i, k.LAPS],
         }  # fmt: skip

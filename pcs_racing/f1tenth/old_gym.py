@@ -1,4 +1,4 @@
-"""What programs written for gym 0.21 expect: its wrappers, and its environments under today's Stable-Baselines3."""
+"""Interface of gym 0.21: its wrappers, and its environments under current Stable-Baselines3."""
 
 import multiprocessing
 import sys
@@ -18,12 +18,15 @@ from gymnasium.utils import seeding
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from gymnasium.wrappers.utils import RunningMeanStd
 
-# Where Stable-Baselines3 is handed an environment: by module, a function or a class.
+# Functions and classes of Stable-Baselines3 that take an environment, by module.
 _ENTRANCES = {"vec_env.patch_gym": "_patch_env", "env_checker": "check_env", "monitor": "Monitor"}
 
 
 class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """A wrapper as in gym: it shows the attributes of what it wraps, hands on any values, and may change three."""
+    """Wrapper as in gym: it exposes the attributes of its environment, and passes on any values.
+
+    It may change the observation, the action and the reward.
+    """
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
@@ -31,7 +34,7 @@ class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         return getattr(self.env, name)
 
     def observation(self, observation: Any) -> Any:
-        """Return the changed observation, wherever it stands in front of other values."""
+        """Return the changed observation, with or without other values behind it."""
         return observation
 
     def action(self, action: Any) -> Any:
@@ -43,26 +46,26 @@ class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
         return reward
 
     def reset(self, *args: Any, **named: Any) -> Any:
-        """Reset what is wrapped, with any arguments."""
+        """Reset the wrapped environment, with any arguments."""
         answer = self.env.reset(*args, **named)
         return (self.observation(answer[0]), *answer[1:]) if isinstance(answer, tuple) else self.observation(answer)
 
     def step(self, action: Any) -> Any:
-        """Step what is wrapped."""
+        """Step the wrapped environment."""
         obs, reward, *rest = self.env.step(self.action(action))
         return (self.observation(obs), self.reward(reward), *rest)
 
     def seed(self, seed: int | None = None) -> Any:
-        """Seed the environment; the gym's own environments keep a number under this name."""
+        """Seed the environment; the gym's own environments store a number under this name."""
         return self.env.seed(seed) if callable(getattr(self.env, "seed", None)) else [seed]  # type: ignore[attr-defined]
 
     def render(self, *args: Any, **named: Any) -> Any:
-        """Render what is wrapped, with any arguments."""
+        """Render the wrapped environment, with any arguments."""
         return self.env.render(*args, **named)
 
 
 class TimeLimit(Wrapper):
-    """Ends an episode after so many steps, and says so among the infos."""
+    """Wrapper that ends an episode after a number of steps, and reports it in the infos."""
 
     def __init__(self, env: Any, max_episode_steps: int | None = None) -> None:
         super().__init__(env)
@@ -75,7 +78,7 @@ class TimeLimit(Wrapper):
         return super().reset(*args, **named)
 
     def step(self, action: Any) -> Any:
-        """Step what is wrapped, and count."""
+        """Step the wrapped environment, and count."""
         self._left -= 1
         obs, reward, done, info = super().step(action)
         more = {"TimeLimit.truncated": not done} if self._left <= 0 else {}
@@ -83,7 +86,7 @@ class TimeLimit(Wrapper):
 
 
 class TransformObservation(Wrapper):
-    """Changes observations by a function."""
+    """Wrapper that changes observations by a function."""
 
     def __init__(self, env: Any, f: Callable[[Any], Any], observation_space: Any = None) -> None:
         super().__init__(env)
@@ -92,7 +95,7 @@ class TransformObservation(Wrapper):
 
 
 class TransformReward(Wrapper):
-    """Changes rewards by a function."""
+    """Wrapper that changes rewards by a function."""
 
     def __init__(self, env: Any, f: Callable[[Any], Any]) -> None:
         super().__init__(env)
@@ -100,7 +103,7 @@ class TransformReward(Wrapper):
 
 
 class ClipAction(Wrapper):
-    """Clips actions to the bounds of their space."""
+    """Wrapper that clips actions to the bounds of their space."""
 
     def action(self, action: Any) -> Any:
         """Return the clipped action."""
@@ -108,7 +111,7 @@ class ClipAction(Wrapper):
 
 
 class RescaleAction(Wrapper):
-    """Takes actions between two bounds, and gives the wrapped environment those of its space."""
+    """Wrapper that rescales actions from two bounds to the bounds of the wrapped space."""
 
     def __init__(self, env: Any, min_action: Any, max_action: Any) -> None:
         super().__init__(env)
@@ -123,7 +126,7 @@ class RescaleAction(Wrapper):
 
 
 class FlattenObservation(TransformObservation):
-    """Makes one vector of an observation."""
+    """Wrapper that flattens an observation to one vector."""
 
     def __init__(self, env: Any) -> None:
         space = env.observation_space
@@ -131,7 +134,7 @@ class FlattenObservation(TransformObservation):
 
 
 class FilterObservation(TransformObservation):
-    """Keeps some entries of an observation that is a dictionary."""
+    """Wrapper that selects some entries of a dictionary observation."""
 
     def __init__(self, env: Any, filter_keys: Sequence[str] | None = None) -> None:
         kept = env.observation_space.spaces
@@ -140,7 +143,7 @@ class FilterObservation(TransformObservation):
 
 
 class FrameStack(Wrapper):
-    """Gives the last observations together, at first the first one repeated."""
+    """Wrapper that stacks the last observations; at the start it repeats the first observation."""
 
     def __init__(self, env: Any, num_stack: int, lz4_compress: bool = False) -> None:
         super().__init__(env)
@@ -160,7 +163,7 @@ class FrameStack(Wrapper):
 
 
 class NormalizeObservation(Wrapper):
-    """Scales observations by the mean and the variance of all so far."""
+    """Wrapper that scales observations by the running mean and variance."""
 
     def __init__(self, env: Any, epsilon: float = 1e-8) -> None:
         super().__init__(env)
@@ -175,7 +178,7 @@ class NormalizeObservation(Wrapper):
 
 
 class NormalizeReward(Wrapper):
-    """Scales rewards by the variance of the discounted return."""
+    """Wrapper that scales rewards by the variance of the discounted return."""
 
     def __init__(self, env: Any, gamma: float = 0.99, epsilon: float = 1e-8) -> None:
         super().__init__(env)
@@ -183,7 +186,7 @@ class NormalizeReward(Wrapper):
         self.returns = np.zeros(getattr(env, "num_envs", 1))
 
     def step(self, action: Any) -> Any:
-        """Step the environment, and take its reward into the return."""
+        """Step the environment, and add its reward to the return."""
         obs, rewards, done, *rest = super().step(action)
         self.returns = self.returns * self.gamma + rewards
         self.return_rms.update(self.returns)
@@ -192,7 +195,7 @@ class NormalizeReward(Wrapper):
 
 
 class RecordEpisodeStatistics(Wrapper):
-    """Adds return ``r``, length ``l`` and seconds ``t`` of an episode to the infos of its last step."""
+    """Wrapper that adds return ``r``, length ``l``, seconds ``t`` to an episode's last infos."""
 
     def __init__(self, env: Any, deque_size: int = 100) -> None:
         super().__init__(env)
@@ -207,7 +210,7 @@ class RecordEpisodeStatistics(Wrapper):
         return super().reset(*args, **named)
 
     def step(self, action: Any) -> Any:
-        """Step the environment, and add up."""
+        """Step the environment, and add up the episode."""
         obs, rewards, done, *rest, infos = super().step(action)
         self.episode_returns, self.episode_lengths = self.episode_returns + rewards, self.episode_lengths + 1
         listed = [dict(info) for info in (infos if self.many else [infos])]
@@ -223,7 +226,10 @@ class RecordEpisodeStatistics(Wrapper):
 
 
 class SyncVectorEnv(gymnasium.Env[Any, Any]):
-    """Several environments that are stepped together; one that ends is reset, and its last observation is in infos."""
+    """Several environments stepped together.
+
+    A finished environment is reset, and its last observation is in the infos.
+    """
 
     is_vector_env = True
 
@@ -236,7 +242,7 @@ class SyncVectorEnv(gymnasium.Env[Any, Any]):
         )
 
     def seed(self, seeds: Any = None) -> None:
-        """Seed the environments: by a list of seeds, or by one seed and its successors."""
+        """Seed the environments with a list of seeds, or with one seed and its successors."""
         each = (
             seeds if isinstance(seeds, list) else [None if seeds is None else seeds + i for i in range(self.num_envs)]
         )
@@ -244,11 +250,11 @@ class SyncVectorEnv(gymnasium.Env[Any, Any]):
             env.seed(seed)
 
     def reset(self, *args: Any, **named: Any) -> Any:
-        """Begin an episode in all."""
+        """Begin an episode in all environments."""
         return self._together([_observed(env.reset(*args, **named)) for env in self.envs])
 
     def step(self, actions: Any) -> Any:
-        """Step all with one action each."""
+        """Step all environments with one action each."""
         answers = [list(env.step(action)) for env, action in zip(self.envs, actions, strict=True)]
         for env, answer in zip(self.envs, answers, strict=True):
             if answer[2]:
@@ -258,7 +264,7 @@ class SyncVectorEnv(gymnasium.Env[Any, Any]):
         return self._together([answer[0] for answer in answers]), rewards, done, tuple(one[-1] for one in answers)
 
     def close(self) -> None:
-        """Close all."""
+        """Close all environments."""
         for env in self.envs:
             env.close()
 
@@ -268,12 +274,12 @@ class SyncVectorEnv(gymnasium.Env[Any, Any]):
 
 
 def make_vector(id: str, num_envs: int = 1, asynchronous: bool = True, **named: Any) -> SyncVectorEnv:  # noqa: A002
-    """Make several environments of a name, which are stepped together."""
+    """Make several environments of one name, stepped together."""
     return SyncVectorEnv([partial(gymnasium.make, id, **named)] * num_envs)
 
 
 def _observed(answer: Any) -> Any:
-    """Return the observation of what a reset answers."""
+    """Return the observation in the result of a reset."""
     return answer[0] if isinstance(answer, tuple) else answer
 
 
@@ -291,10 +297,10 @@ MODULES += "filter_observation frame_stack normalize record_episode_statistics o
 
 
 class Today(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """An environment of gym 0.21 with Gymnasium's interface; what has it already passes through."""
+    """Gymnasium's interface for an environment of gym 0.21; current environments are unchanged."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
-        """Hand on what the environment takes."""
+        """Reset the environment with the arguments that it takes."""
         takes = _arguments(self.env)
         given = {"seed": seed, "options": options}
         if seed is not None and "seed" not in takes and callable(getattr(self.env, "seed", None)):
@@ -305,26 +311,26 @@ class Today(gymnasium.Wrapper[Any, Any, Any, Any]):
         return (answer[0] if isinstance(answer, tuple) else answer), {}
 
     def step(self, action: Any) -> Any:
-        """Tell an end from a limit."""
+        """Step the environment, and separate termination from truncation."""
         obs, reward, done, *cut, info = self.env.step(action)
         late = bool(cut[0] if cut else info.get("TimeLimit.truncated", False))
         return obs, float(reward), bool(done) and (not late or bool(cut)), late, info
 
 
 def _arguments(env: Any) -> Collection[str]:
-    """Names of the arguments that a reset takes; of one that hands on any, what it hands them to."""
+    """Return the argument names of a reset; a wrapper that passes on any is looked through."""
     listed = signature(env.reset).parameters
     handed_on = any(one.kind is Parameter.VAR_KEYWORD for one in listed.values()) and isinstance(env, gymnasium.Wrapper)
     return _arguments(env.env) if handed_on else listed
 
 
 class _Adapter(MetaPathFinder):
-    """Lets Stable-Baselines3 see environments with the interface of today, wherever it is handed one."""
+    """Import hook that adapts all environments given to Stable-Baselines3 to Gymnasium."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Find a module whose entrance is adapted once it has run."""
+        """Find a module, and adapt its entrance after its execution."""
         name = _ENTRANCES.get(fullname.removeprefix("stable_baselines3.common."))
         spec = PathFinder.find_spec(fullname, path) if name and fullname.startswith("stable_baselines3.") else None
         if spec is not None and spec.loader is not None:
@@ -343,7 +349,7 @@ class _Adapter(MetaPathFinder):
 
 
 def _adapted(function: Any, place: int) -> Any:
-    """Return a function whose argument ``env``, at this place, is one of today."""
+    """Return a function that adapts its argument ``env``, at index ``place``, to Gymnasium."""
 
     def call(*given: Any, **named: Any) -> Any:
         env = given[place] if len(given) > place else named.pop("env")
@@ -354,13 +360,13 @@ def _adapted(function: Any, place: int) -> Any:
 
 
 def _seed(self: Any, seed: int | None = None) -> list[Any]:
-    """Seed an environment's generator, as environments did that were written for gym."""
+    """Seed an environment's generator, as environments of gym did."""
     self._np_random, used = seeding.np_random(seed)
     return [used]
 
 
 def install() -> None:
-    """Let environments have a ``seed``, adapt Stable-Baselines3 once it is imported, and prepare worker processes."""
+    """Give environments a ``seed``, adapt Stable-Baselines3 on import, and prepare workers."""
     gymnasium.Env.seed = _seed  # type: ignore[attr-defined]
     sys.meta_path.insert(0, _Adapter())
     if "forkserver" in multiprocessing.get_all_start_methods():

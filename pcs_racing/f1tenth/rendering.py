@@ -1,4 +1,4 @@
-"""The renderers that callbacks draw with: in a window where there can be one, or into a frame when it is asked for."""
+"""Renderers for callbacks: in a window if one is available, or into a requested frame."""
 
 import os
 import sys
@@ -19,7 +19,7 @@ from pcs_racing.f1tenth.maps import GymMap
 from pcs_racing.race.painting import COLOURS, FINER, Camera, paint_car
 from pcs_racing.race.rendering import Window
 
-PIXELS = 50.0  # to the metre, of what callbacks of generation A draw
+PIXELS = 50.0  # per metre, in drawings by callbacks of generation A
 HALF_SIZE = np.array([0.5 * F1TENTH.length, 0.5 * F1TENTH.width])
 
 Frame = NDArray[np.uint8]
@@ -27,19 +27,19 @@ Colour = tuple[int, ...]
 
 
 def has_display() -> bool:
-    """Whether a window can be opened."""
+    """Return whether a window can be opened."""
     named = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"))
     return find_spec("pygame") is not None and (named or not sys.platform.startswith("linux"))
 
 
 class _Painter:
-    """The ground, the cars, and the window if there is one."""
+    """Painter of the ground and the cars, with a window if one is available."""
 
     def __init__(self, loaded: GymMap, width: int, height: int, window: bool, fps: float) -> None:
         self.width, self.height = width, height
         self._font = ImageFont.load_default(16)
         self._window = Window(width, height, fps) if window and has_display() else None
-        self._pen: ImageDraw.ImageDraw | None = None  # while a frame is drawn
+        self._pen: ImageDraw.ImageDraw | None = None  # only while a frame is drawn
         self.show_map(loaded)
 
     def show_map(self, loaded: GymMap) -> None:
@@ -48,7 +48,7 @@ class _Painter:
         self._picture = Image.fromarray(np.where(loaded.free[::-1], np.uint8(255), np.uint8(110)))
 
     def _begin(self, x: float, y: float, scale: float) -> Image.Image:
-        """The ground around a place (m), with so many fine pixels to the metre."""
+        """Return the ground around a point (m), with ``scale`` fine pixels per metre."""
         camera = self._camera = Camera(x, y, scale, self.width * FINER, self.height * FINER)
         half = np.array([camera.width, camera.height]) / scale * 0.5
         low = (np.array([x, y]) - half - self._map.origin) / self._map.resolution
@@ -82,7 +82,7 @@ class _Painter:
             return frame
         try:
             self._window.show(frame)
-        except RuntimeError:  # a display that is named but not there
+        except RuntimeError:  # a named but missing display
             self._window = None
         return None
 
@@ -96,13 +96,13 @@ class _Painter:
 class RenderSpec:
     """Settings of a renderer of generation B."""
 
-    window_size: int = 800  #: Pixels.
-    focus_on: str | None = "agent_0"  #: The car that is followed; None shows the whole map.
+    window_size: int = 800  #: Side of the window, pixels.
+    focus_on: str | None = "agent_0"  #: Followed car; None shows the whole map.
     zoom_in_factor: float = 1.5
 
 
 class TrackRenderer(_Painter):
-    """What callbacks of generation B are given."""
+    """Renderer for callbacks of generation B."""
 
     def __init__(self, loaded: GymMap, spec: RenderSpec, *, window: bool, fps: float) -> None:
         super().__init__(loaded, spec.window_size, spec.window_size, window, fps)
@@ -110,11 +110,11 @@ class TrackRenderer(_Painter):
         self._callbacks, self._state = list[Callable[[Any], None]](), dict[str, Any]()
 
     def add_renderer_callback(self, callback_fn: Callable[[Any], None]) -> None:
-        """Call a function with this renderer in :meth:`render`."""
+        """Add a function to call with this renderer in :meth:`render`."""
         self._callbacks.append(callback_fn)
 
     def update(self, state: dict[str, Any]) -> None:
-        """Take the ``render_obs`` of an environment."""
+        """Store the ``render_obs`` of an environment."""
         self._state = state
 
     def render(self) -> Frame | None:
@@ -125,7 +125,7 @@ class TrackRenderer(_Painter):
         return self.draw(states, float(self._state.get("sim_time", 0.0)), self._callbacks)
 
     def draw(self, states: NDArray[np.float64], now: float, callbacks: list[Callable[[Any], None]]) -> Frame | None:
-        """Draw the cars and what the callbacks add; return the frame unless it is shown."""
+        """Draw the cars and the drawings of callbacks; return the frame unless it is shown."""
         self.cars, self.sim_time = states, now
         visible, focus = self._window is not None or not self._shown, self.render_spec.focus_on
         if visible:
@@ -164,9 +164,10 @@ def make_renderer(
 
 
 class Drawing(SimpleNamespace):
-    """Something that a callback of generation A has made: its attributes may be changed, and the renderer draws it.
+    """Drawing by a callback of generation A: attributes may be changed, and the renderer draws it.
 
-    A list of points has ``vertices`` in pixels of :data:`PIXELS` to the metre, ``width`` numbers for each.
+    A list of points has ``vertices`` in pixels (:data:`PIXELS` per metre), with ``width`` numbers
+    for each point.
     """
 
     def __init__(self, text: str = "", *args: Any, **named: Any) -> None:
@@ -175,15 +176,15 @@ class Drawing(SimpleNamespace):
     __eq__, __hash__ = object.__eq__, object.__hash__  # type: ignore[assignment]
 
     def draw(self) -> None:
-        """Nothing: the renderer draws."""
+        """Do nothing: the renderer draws."""
 
     def delete(self) -> None:
-        """Draw it no more."""
+        """Remove the drawing."""
         self.lists.pop(id(self), None)
 
 
 class Batch(Drawing):
-    """What callbacks of generation A add their points to."""
+    """Collection of points from callbacks of generation A."""
 
     def add(self, count: int, mode: int, group: Any, *data: Any) -> Drawing:
         """Add points; ``data`` are ("v2f" or "v3f", numbers) and ("c3B", numbers)."""
@@ -199,7 +200,10 @@ class Batch(Drawing):
 
 
 class EnvRenderer(_Painter):
-    """What callbacks of generation A are given. ``left``, ``right``, ``top`` and ``bottom`` are what is shown."""
+    """Renderer for callbacks of generation A.
+
+    ``left``, ``right``, ``top`` and ``bottom`` are the bounds of the visible area.
+    """
 
     def __init__(self, loaded: GymMap, *, window: bool, width: int = 1000, height: int = 800) -> None:
         super().__init__(loaded, width, height, window, 1000.0)
@@ -213,7 +217,7 @@ class EnvRenderer(_Painter):
         return self.width, self.height
 
     def update_obs(self, obs: dict[str, Any], states: NDArray[np.float64]) -> None:
-        """Take the cars' places."""
+        """Store the cars' poses."""
         self.ego_idx, self._states = obs["ego_idx"], states
         self.poses = np.stack((obs["poses_x"], obs["poses_y"], obs["poses_theta"]), axis=1)
         if len(self.cars) != len(self.poses):
@@ -224,7 +228,7 @@ class EnvRenderer(_Painter):
         self.score_label.text = f"Lap Time: {obs['lap_times'][0]:.2f}, Ego Lap Count: {count:.0f}"
 
     def draw(self, mode: str) -> Frame | None:
-        """Show the frame, return it in mode "rgb_array", or leave it where nobody could see it."""
+        """Show the frame, or return it in mode "rgb_array"; skip it if no window could show it."""
         if mode != "rgb_array" and self._window is None:
             return None
         across, high = max(self.right - self.left, 1.0) / PIXELS, max(self.top - self.bottom, 1.0) / PIXELS

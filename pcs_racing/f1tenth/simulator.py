@@ -1,4 +1,4 @@
-"""The cars of the F1TENTH gym, one step after the other; and what planners import of it: models, controllers, lidar."""
+"""Simulator of the F1TENTH gym's cars, and its imports for planners: models, controllers, lidar."""
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping
@@ -45,25 +45,31 @@ def _rates(model, x, u, params):  # type: ignore[no-untyped-def]
 
 @compiled
 def vehicle_dynamics_ks(x, u_init, *params):  # type: ignore[no-untyped-def]
-    """Time derivative of a kinematic state, shape (5,), under a steering rate and an acceleration."""
+    """Return the time derivative of a kinematic state, shape (5,).
+
+    Inputs are a steering rate and an acceleration.
+    """
     return _rates(KS, x, u_init, params)
 
 
 @compiled
 def vehicle_dynamics_st(x, u_init, *params):  # type: ignore[no-untyped-def]
-    """Time derivative of a single-track state, shape (7,), by v1.0.0; parameters in the gym's order, mu to v_max."""
+    """Return the time derivative of a single-track state, shape (7,), as in v1.0.0.
+
+    Parameters are in the gym's order, mu to v_max.
+    """
     return _rates(ST, x, u_init, params)
 
 
 @compiled
 def old_dynamics_st(x, u_init, *params):  # type: ignore[no-untyped-def]
-    """The same by 0.2.1, which differs below 0.5 m/s."""
+    """Return the time derivative as in 0.2.1, different from v1.0.0 below 0.5 m/s."""
     return _rates(OLD_ST, x, u_init, params)
 
 
 @compiled
 def pid(speed, steer, current_speed, current_steer, max_sv, max_a, max_v, min_v):  # type: ignore[no-untyped-def]
-    """Acceleration (m/s^2) and steering rate (rad/s) towards a speed and a steering angle."""
+    """Return acceleration (m/s^2) and steering rate (rad/s) towards a speed and an angle."""
     return pid_accl(speed, current_speed, max_a, max_v, min_v), pid_steer(steer, current_steer, max_sv)
 
 
@@ -82,7 +88,7 @@ _MAP_FACTS: dict[str, Callable[[GymMap], Any]] = {
 
 
 class ScanSimulator2D:
-    """A lidar on a map; ``eps`` and ``theta_dis`` of the gym's march are ignored, for ranges are exact."""
+    """Lidar on a map; the ray march's ``eps`` and ``theta_dis`` are ignored: ranges are exact."""
 
     def __init__(
         self, num_beams: int, fov: float, eps: float = 1e-4, theta_dis: int = 2000, max_range: float = 30.0
@@ -97,20 +103,20 @@ class ScanSimulator2D:
         self.sines, self.cosines = np.sin(turn), np.cos(turn)
 
     def __getattr__(self, name: str) -> Any:
-        """Facts of the map under the gym's names; None without a map."""
+        """Return a property of the map under its name in the gym; None without a map."""
         if name not in _MAP_FACTS:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return None if self._map is None else _MAP_FACTS[name](self._map)
 
     def set_map(self, map_path: Any, map_ext: str | None = None) -> bool:
-        """Measure on this map from now on."""
+        """Set the map for all later scans."""
         self._map = map_path if isinstance(map_path, GymMap) else load_map(map_path, map_ext)
         return True
 
     def scan(
         self, pose: ArrayLike, rng: np.random.Generator | None = None, std_dev: float = 0.01
     ) -> NDArray[np.float64]:
-        """Return the ranges (m) from x, y, heading, shape (num_beams,), with noise if there is a generator."""
+        """Return the ranges (m) from x, y, heading, shape (num_beams,); ``rng`` adds noise."""
         if self._map is None:
             raise InputError("the lidar has no map; call set_map before scan")
         on, out = self._map.circuit, np.empty(self.num_beams)
@@ -125,7 +131,7 @@ class ScanSimulator2D:
 
 
 def merged_params(base: Mapping[str, float], params: Any) -> dict[str, float]:
-    """Return parameters of a car with some of them changed, after a check."""
+    """Return a car's parameters with checked changes."""
     if not isinstance(params, Mapping):
         raise ConfigError(f"params is {params!r:.200}; it must be a dictionary of a car's parameters, such as mu: 1.0")
     warn_of_unknown("params", params, DEFAULT_PARAMS)
@@ -136,7 +142,7 @@ def merged_params(base: Mapping[str, float], params: Any) -> dict[str, float]:
 
 
 def warn_of_unknown(where: str, given: Mapping[Any, Any], known: Iterable[str]) -> None:
-    """Name what is not known in one warning: programs of the gym run on, for the gym ignored it."""
+    """Warn of each unknown name: programs of the gym continue, because the gym ignored it."""
     for name in (name for name in given if name not in known):
         text = (
             f"{where}: {name!r:.100} is ignored, as in the gym{did_you_mean(name, known)}; there are {', '.join(known)}"
@@ -145,7 +151,7 @@ def warn_of_unknown(where: str, given: Mapping[Any, Any], known: Iterable[str]) 
 
 
 class RaceCar:
-    """One car of a simulator, as programs look at it."""
+    """Interface for programs to one car of a simulator."""
 
     def __init__(self, simulator: "Simulator", index: int) -> None:
         self._simulator, self._index, self.params = simulator, index, dict(simulator.params)
@@ -154,7 +160,7 @@ class RaceCar:
         self.is_ego = index == simulator.setup.ego
 
     ttc_thresh, steer_buffer_size = k.STOP_TIME, 2
-    accel = steer_angle_vel = 0.0  # in the gym as well: its controllers keep to themselves what they ask for
+    accel = steer_angle_vel = 0.0  # as in the gym: its controllers do not store their output
     time_step = property(lambda self: self._simulator.setup.dt)
     integrator = property(lambda self: self._simulator.integrator)
     side_distances = property(lambda self: self._simulator._world.sides)
@@ -163,13 +169,13 @@ class RaceCar:
     scan_simulator = property(lambda self: self._simulator.scan_simulator)
 
     def __getattr__(self, name: str) -> Any:
-        """Refuse parts of a step, which this simulator makes for all cars at once."""
+        """Refuse parts of a step: this simulator steps all cars at once."""
         hint = ": env.sim.step(actions) drives all cars" if name.startswith("update_") else ""
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r} here{hint}")
 
     @property
     def steer_buffer(self) -> Floats:
-        """Steering that has not come into effect, the newest first; shape (0,) to (2,)."""
+        """Steering commands without effect so far, the newest first; shape (0,) to (2,)."""
         row = self._simulator.cars[self._index]
         return row[[k.SECOND, k.FIRST]][: self._simulator.steps]
 
@@ -178,11 +184,11 @@ class RaceCar:
         self._simulator.update_params(params, self._index)
 
     def set_map(self, map_path: Any, map_ext: str | None = None) -> None:
-        """Drive on another map, all cars."""
+        """Switch all cars to another map."""
         self._simulator.set_map(map_path, map_ext)
 
     def reset(self, pose: ArrayLike) -> None:
-        """Put this car at a pose, at rest."""
+        """Place this car at a pose, at rest."""
         at, row = check_array("pose", pose, (3,), minimum=-1e6, maximum=1e6), self._simulator.cars[self._index]
         row[: k.CONTACT] = 0.0
         row[[k.X, k.Y, k.PSI]] = row[k.AT_X : k.AT_PSI + 1] = at
@@ -195,7 +201,7 @@ class RaceCar:
         return scan
 
     def check_ttc(self, current_scan: Floats) -> bool:
-        """Return whether a scan says that a wall is hit, and stop the car if so."""
+        """Return whether a scan shows a wall hit, and stop the car if so."""
         ahead = self.scan_angles, self.cosines, self.side_distances, self.ttc_thresh
         hit = bool(check_ttc_jit(current_scan, self.state[3], *ahead))
         self.state[3:] *= not hit
@@ -207,7 +213,10 @@ class RaceCar:
 
     @property
     def state(self) -> Floats:
-        """x, y, steering angle, speed, heading and, but for model KS, yaw rate and slip; shape (7,) or (5,)."""
+        """State: x, y, steering angle, speed, heading; without model KS also yaw rate and slip.
+
+        The shape is (7,), or (5,) for KS.
+        """
         return self._simulator.cars[self._index, : 5 if self._simulator.setup.model == k.KS else 7]
 
     @state.setter
@@ -216,24 +225,24 @@ class RaceCar:
 
     @property
     def in_collision(self) -> bool:
-        """Whether the car has hit a wall in the last step."""
+        """True if the car has hit a wall in the last step."""
         return bool(self._simulator.cars[self._index, k.WALL])
 
 
 class SameNoise:
-    """The noise of one seed, which every episode of the gym begins anew and all its cars share: blocks of 64 steps."""
+    """Noise of one seed in blocks of 64 steps, restarted by each episode and shared by all cars."""
 
-    BLOCK, KEPT = 64, 32  # steps drawn at once, and blocks that are kept: 18 MB
+    BLOCK, KEPT = 64, 32  # steps drawn at once, and stored blocks: 18 MB
 
     def __init__(self, seed: int, beams: int) -> None:
         self._beams = beams
         self._rng, self._kept, self._after = np.random.default_rng(seed), list[Floats](), None
 
     def block(self, number: int) -> Floats:
-        """Return what is added to the ranges, shape (64, 1, beams), m; blocks are asked for in order."""
+        """Return the noise of the ranges, shape (64, 1, beams), m; request blocks in order."""
         if number < len(self._kept):
             return self._kept[number]
-        if number == self.KEPT:  # of this episode or of an earlier one
+        if number == self.KEPT:  # in this episode or in an earlier episode
             self._after = self._after or self._rng.bit_generator.state  # type: ignore[assignment]
             self._rng.bit_generator.state = self._after  # type: ignore[assignment]
         drawn = NOISE * self._rng.standard_normal((self.BLOCK, 1, self._beams))
@@ -242,21 +251,21 @@ class SameNoise:
 
 
 class Simulator:
-    """All cars on one map.
+    """Simulator of all cars on one map.
 
-    Nothing is shared between simulators (in the gym a second one changed the map of the first).
+    Simulators share no data (in the gym a second simulator changed the map of the first).
     """
 
-    #: shape (N, COLUMNS): A new array in each step, as programs keep what they were given.
+    #: shape (N, COLUMNS): State of each car; a new array in each step, as programs store the old.
     cars: Floats
-    agent_scans: Floats  #: shape (N, beams), m
+    agent_scans: Floats  #: shape (N, beams): Ranges, m.
 
     def __init__(
         self, params: dict[str, float], cars: int, seed: int, setup: k.Setup, beams: int = BEAMS,
         fov: float = FIELD_OF_VIEW,
     ) -> None:  # fmt: skip
         self.params, self.num_agents, self.seed, self.setup = params, cars, seed, setup
-        self._some_track = load_track(list_tracks()[0])  # read by nobody, but compiled code wants one
+        self._some_track = load_track(list_tracks()[0])  # unused, but required by compiled code
         self.lidar = Lidar(self._some_track, beams, fov, RANGE)
         turn = np.linspace(0.0, 2.0 * np.pi, k.DIRECTIONS)
         self._tables = np.stack([np.sin(turn), np.cos(turn)])
@@ -269,7 +278,7 @@ class Simulator:
     time_step = property(lambda self: self.setup.dt)
     ego_idx = property(lambda self: self.setup.ego)
     model = property(lambda self: "ks" if self.setup.model == k.KS else "st")
-    integrator: Any = None  #: As the environment was given it.
+    integrator: Any = None  #: Integrator given to the environment.
     states = property(lambda self: self.cars[:, :7])
     agent_poses = property(lambda self: self.cars[:, k.AT_X : k.AT_PSI + 1])
     agent_steerings = property(lambda self: self.cars[:, 2])
@@ -277,7 +286,7 @@ class Simulator:
     collision_idx = property(lambda self: self.cars[:, k.CONTACT])
 
     def set_map(self, map_path: Any, map_ext: str | None = None) -> None:
-        """Drive on another map from now on."""
+        """Switch to another map."""
         loaded = map_path if isinstance(map_path, GymMap) else load_map(map_path, map_ext)
         self.scan_simulator = ScanSimulator2D(self.lidar.beams, self.lidar.fov, max_range=RANGE)
         self.scan_simulator.set_map(loaded)
@@ -287,7 +296,7 @@ class Simulator:
         self._build()
 
     def update_params(self, params: Any, agent_idx: int = -1) -> None:
-        """Change parameters of all cars, or of one."""
+        """Change parameters of all cars, or of one car."""
         index = check_whole("index", agent_idx, None, self.num_agents - 1)
         if index < 0:
             self.params = merged_params(self.params, params)
@@ -296,7 +305,7 @@ class Simulator:
         self._build()
 
     def check_collision(self) -> None:
-        """Find contacts of the cars where they are now, and note them in ``collisions`` and ``collision_idx``."""
+        """Find contacts of the cars now, and store them in ``collisions`` and ``collision_idx``."""
         bodies = [get_vertices(car.state[[0, 1, 4]], *car._size()) for car in self.agents]
         self.cars[:, k.CRASHED], self.cars[:, k.CONTACT] = collision_multiple(np.stack(bodies))
 
@@ -305,19 +314,22 @@ class Simulator:
         half_width, half_length = 0.5 * rows[0, k.WIDTH], 0.5 * (rows[0, k.LF] + rows[0, k.LR])
         angles = self.lidar.angles
         with np.errstate(divide="ignore"):
-            # The gym takes the axles for the ends of the car.
+            # The gym uses the axles as the ends of the car.
             sides = np.minimum(half_width / np.abs(np.sin(angles)), half_length / np.abs(np.cos(angles)))
         arrays, beams = self.track.arrays, self.lidar.kernel
         self._world = k.World(self._grid, arrays, self.setup, beams, self._tables, sides, rows)
 
     def reset(self, poses: ArrayLike, rng: np.random.Generator | None = None) -> None:
-        """Put the cars at poses, shape (N, 3), at rest; without the gym's faults the noise is drawn from ``rng``."""
+        """Place the cars at poses, shape (N, 3), at rest.
+
+        Without the gym's faults the noise is drawn from ``rng``.
+        """
         at = check_array("poses", poses, (self.num_agents, 3), minimum=-1e6, maximum=1e6)
         if (np.abs(at[:, 2]) > 900.0).any():
             raise InputError(f"poses: heading {np.abs(at[:, 2]).max():g} rad; it must be from -900 to 900")
         before, self.cars = self.cars, np.zeros((self.num_agents, k.COLUMNS))
         self.cars[:, [0, 1, 4]] = self.cars[:, k.AT_X : k.AT_PSI + 1] = self.cars[:, k.START_X : k.START_PSI + 1] = at
-        if self.setup.faithful:  # the gym shows them once more
+        if self.setup.faithful:  # the gym reports the old laps once more
             self.cars[:, k.LAP_TIME : k.LAPS + 1] = before[:, k.LAP_TIME : k.LAPS + 1]
         elif self.setup.on_circuit:
             self.cars[:, k.PLACE] = self.track.to_frenet(at[:, :2])[:, 0]
@@ -325,7 +337,7 @@ class Simulator:
         self.rng = rng or self.rng
 
     def step(self, control_inputs: ArrayLike) -> dict[str, Any]:
-        """Advance all cars by one step, and return what generation A of the gym does: no laps and no end."""
+        """Advance all cars by one step; return the result of generation A: no laps and no end."""
         self.advance(control_inputs)
         columns = {"poses_x": k.X, "poses_y": k.Y, "poses_theta": k.PSI, "linear_vels_x": k.V, "ang_vels_z": k.PSI_DOT}
         seen = {name: list(self.cars[:, column]) for name, column in columns.items()}
@@ -335,7 +347,7 @@ class Simulator:
     def advance(self, control_inputs: ArrayLike) -> bool:
         """Advance all cars by one step with actions of shape (N, 2): steering, then speed or acceleration.
 
-        Whether the episode ends is returned.
+        Return whether the episode ends.
         """
         try:
             actions = np.array(control_inputs, np.float64, order="C")

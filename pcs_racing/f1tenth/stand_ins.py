@@ -1,6 +1,6 @@
-"""Modules of the names that programs import (gym, f110_gym, f1tenth_gym, pyglet), and names of an older numpy.
+"""Replacement modules for programs (gym, f110_gym, f1tenth_gym, pyglet), and names of older numpy.
 
-They hold what programs use of them. What is not served says so in one sentence.
+They hold the names that programs use. Other names raise an error of one sentence.
 """
 
 import math
@@ -24,7 +24,7 @@ from pcs_racing.f1tenth.observations import FEATURES
 
 
 class NotServedError(InputError, ImportError):
-    """A name of the gym that is not here."""
+    """Error for an unsupported name of the gym."""
 
     def __init__(self, module: str, name: str) -> None:
         hint = " (EnvConfig and its like belong to the gym's development line: use a dictionary as config)"
@@ -50,7 +50,7 @@ def _ignored(*args: Any, **named: Any) -> None:
 
 
 def _contents() -> dict[str, dict[str, Any]]:
-    """What each module holds: those of the gym all names of it that are here."""
+    """Return the content of each module; gym modules hold all supported names of the gym."""
     known = {name: getattr(f1tenth, name) for name in f1tenth.NAMES} | {"gym": gymnasium, "np": np}
     track = {"find_track_dir": lambda name: find_yaml(name).parent, "FEATURES": FEATURES}
     shared = "Env Space make register spaces logger"
@@ -78,12 +78,12 @@ def _contents() -> dict[str, dict[str, Any]]:
 
 
 class _Refuser(MetaPathFinder):
-    """Refuses modules of the gym that are not here, in one sentence, whatever is installed."""
+    """Import hook that refuses unsupported gym modules in one sentence, even if installed."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Raise an error for them; nothing for all other modules."""
+        """Raise an error for unsupported modules; return None for all other modules."""
         package, _, rest = fullname.partition(".")
         if package == "gym" and rest and find_spec("gymnasium") and not rest.startswith("wrappers."):
             sys.modules[fullname] = import_module(f"gymnasium.{rest}")
@@ -94,10 +94,10 @@ class _Refuser(MetaPathFinder):
 
 
 def install() -> None:
-    """Provide the modules in this process, and what an older numpy had."""
+    """Provide the modules in this process, and the names of older numpy."""
     f1tenth.register_environments()
     contents = _contents()
-    # A pyglet that is installed would open windows of its own: everything is drawn by our renderer.
+    # An installed pyglet would open windows of its own: our renderer draws everything.
     for name, values in contents.items():
         module = ModuleType(name, f"What programs use of {name}, by pcs_racing.f1tenth.")
         module.__path__ = []
@@ -135,11 +135,11 @@ _TAKE_ARRAYS = "acos asin atan ceil cos degrees exp fabs floor log radians sin s
 
 
 def restore_numpy() -> None:
-    """Put the names back, and let functions of ``math`` take arrays of one number, as they did up to numpy 2.3."""
+    """Restore the names, and let ``math`` take arrays of one number, as it did up to numpy 2.3."""
     for name, value in _REMOVED.items():
         if name not in vars(np):
             setattr(np, name, value)
-    # numba's own use of ``math`` must have been seen before a module takes its name.
+    # numba must register its own use of ``math`` before a module takes its name.
     from numba.core.registry import cpu_target
 
     cpu_target.typing_context.refresh()
@@ -157,7 +157,7 @@ def _replace(module: ModuleType, name: str, function: Callable[..., Any]) -> Non
     def call(*values: Any) -> Any:
         return function(*[v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in values])
 
-    # Compiled code that names ``math.sin`` means the real one.
+    # In compiled code, ``math.sin`` is the real function.
     def one(x):  # type: ignore[no-untyped-def]
         return lambda x: function(x)
 

@@ -27,48 +27,53 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 LARGEST = 1e9
-"""Largest parameter or coordinate of an archive: their squares are finite, whatever is added up."""
+"""Max parameter or coordinate of an archive; sums of their squares stay finite."""
 
 
 class Explored(NamedTuple):
-    """All policies evaluated during the synthesis of an archive; its "random policies" are drawn from them."""
+    """Policies evaluated during the synthesis of an archive: the source of "random policies"."""
 
     parameters: Floats  #: shape (E, P)
-    coordinates: Floats  #: shape (E, G): In the characteristics' units, as they were measured on the way.
-    own_crash: Floats | None  #: shape (E,): Share of races that ended by a crash of the policy's own fault.
+    #: shape (E, G): Coordinates in the characteristics' units, as measured during the synthesis.
+    coordinates: Floats
+    #: shape (E,): Share of races ended by a crash of the policy's own fault.
+    own_crash: Floats | None
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyArchive:
-    """Policies of one planner and where they lie in the Policy Characteristic Space (Section IV of the paper)."""
+    """Policies of one planner and their coordinates in Policy Characteristic Space (paper, Sec. IV)."""
 
     name: str
-    planner: str  #: Name of the planner that all policies belong to.
-    #: What the columns of ``parameters`` are: parameters of the planner. Those that are missing keep the planner's
-    #: defaults (:meth:`complete`).
+    planner: str  #: Name of the planner of all policies.
+    #: Names of the columns of ``parameters``, which are parameters of the planner. Missing
+    #: parameters keep the planner's defaults (:meth:`complete`).
     parameter_names: tuple[str, ...]
     parameters: Floats  #: shape (K, P)
-    #: Names of the axes (:func:`pcs_racing.game.characteristics.get_characteristics`); more is more on all of them.
+    #: Names of the axes (:func:`pcs_racing.game.characteristics.get_characteristics`); a larger
+    #: value is more on all of them.
     characteristics: tuple[str, ...]
-    #: shape (K, G): Coordinates of the policies, in the characteristics' units. They come from races that were not used
-    #: to choose the policies, since the best of many noisy values is too good to be true.
+    #: shape (K, G): Coordinates of the policies, in the characteristics' units. They come from
+    #: races that were not used to choose the policies, since the best of many noisy values is
+    #: biased upwards.
     coordinates: Floats
-    #: shape (G,): Point that stands for 1 on each normalised axis; by default the largest coordinates.
+    #: shape (G,): Point at 1 on each normalised axis; by default the max coordinates.
     ideal: Floats = None  # type: ignore[assignment]
-    #: shape (G,): Point that stands for 0 on each normalised axis; by default the smallest coordinates.
+    #: shape (G,): Point at 0 on each normalised axis; by default the min coordinates.
     nadir: Floats = None  # type: ignore[assignment]
-    #: shape (E, P): Everything that was evaluated on the way.
+    #: shape (E, P): Parameters of all policies evaluated during the synthesis.
     explored_parameters: Floats = None  # type: ignore[assignment]
-    #: shape (E, G): What it was evaluated to.
+    #: shape (E, G): Coordinates of all policies evaluated during the synthesis.
     explored_coordinates: Floats = None  # type: ignore[assignment]
-    #: How the archive was made: texts and numbers by name. ``segment_seconds`` is the length of the segments of racing
-    #: that the coordinates are means of.
+    #: Settings of the synthesis: texts and numbers by name. ``segment_seconds`` is the length of a
+    #: race segment; the coordinates are means over segments.
     settings: Mapping[str, str | int | float | bool] = field(default_factory=dict)
-    preset: str = "paper"  #: Name of the rules of the races that the coordinates were measured in.
+    preset: str = "paper"  #: Name of the rules of the measured races.
     spread: Floats | None = None  #: shape (K, G): Standard errors of the coordinates.
-    #: shape (K,): Share of the races behind the coordinates that ended by a crash of the policy's own fault, 0 to 1.
+    #: shape (K,): Share of the measured races ended by a crash of the policy's own fault, 0 to 1.
     own_crash: Floats | None = None
-    explored_own_crash: Floats | None = None  #: shape (E,): The same for everything that was evaluated on the way.
+    #: shape (E,): Same share for all policies evaluated during the synthesis.
+    explored_own_crash: Floats | None = None
 
     def __post_init__(self) -> None:
         for key in ("name", "planner", "preset"):
@@ -83,7 +88,7 @@ class PolicyArchive:
         if len(self) == 0:
             raise InputError(f"{where} holds no policy; it must hold at least one")
         self._set_array("coordinates", (len(self), axes))
-        # By default each axis is scaled to what the archive reaches on it.
+        # By default each axis is scaled to the archive's range.
         self._set_array("ideal", (axes,), self.coordinates.max(axis=0))
         self._set_array("nadir", (axes,), self.coordinates.min(axis=0))
         self._set_array("explored_parameters", (None, theta), np.zeros((0, theta)))
@@ -150,8 +155,8 @@ class PolicyArchive:
     def correlations(self) -> dict[tuple[str, str], float]:
         """Correlation of the coordinates of each pair of axes over the policies, -1 to 1.
 
-        At -1 or 1 the two axes are one, and half of the moves are the other half. It is NaN where all policies have the
-        same value on an axis.
+        At -1 or 1 the two axes are equivalent, and half of the moves duplicate the other half. It
+        is NaN if all policies have the same value on an axis.
         """
         # Written out: numpy's corrcoef warns where an axis has no spread, and may leave -1 to 1 by a bit.
         pairs = list(combinations(range(len(self.characteristics)), 2))
@@ -169,9 +174,10 @@ class PolicyArchive:
         return (np.asarray(coordinates, np.float64) - self.nadir) / (self.ideal - self.nadir)
 
     def nearest(self, points: ArrayLike) -> Indices:
-        """Index of the policy nearest to each normalised point, shape (...) for points (..., G).
+        """Return the index of the policy nearest to each normalised point.
 
-        Distances are Euclidean; of policies at the same distance the one with the lowest index is taken.
+        The shape is (...) for points (..., G). Distances are Euclidean; among policies at the same
+        distance the lowest index is taken.
         """
         points = np.asarray(points, np.float64)
         axes = len(self.characteristics)
@@ -181,7 +187,7 @@ class PolicyArchive:
             raise InputError("points hold NaN or infinity; they must be finite")
         flat = points.reshape(-1, axes)
         nearest = np.empty(len(flat), np.int64)
-        for first in range(0, len(flat), 4096):  # bounded memory however many points there are
+        for first in range(0, len(flat), 4096):  # bounded memory for any number of points
             # Differences, not a matrix product: equal distances stay equal, and the lowest index wins everywhere.
             offsets = flat[first : first + 4096, None, :] - self.normalised
             nearest[first : first + 4096] = np.argmin(np.sum(offsets * offsets, axis=-1), axis=1)
@@ -190,7 +196,7 @@ class PolicyArchive:
     # Policies
 
     def family(self) -> Planner:
-        """Return the planner of the archive's policies; an error says why it can't drive them."""
+        """Return the planner of the archive's policies; raise an error if it can't drive them."""
         planner = get_planner(self.planner)
         unknown = [name for name in self.parameter_names if name not in planner.parameter_names]
         if unknown:
@@ -203,9 +209,9 @@ class PolicyArchive:
         return planner
 
     def complete(self, parameters: ArrayLike) -> Floats:
-        """Parameter vectors as the planner takes them, from rows of the archive's parameters, shape (K, P).
+        """Return the planner's parameter vectors for rows of the archive's parameters, (K, P).
 
-        Parameters that the archive does not hold have the planner's defaults.
+        Parameters missing in the archive have the planner's defaults.
         """
         return get_planner(self.planner).complete(self.parameter_names, parameters)
 
@@ -226,13 +232,13 @@ class PolicyArchive:
         return Explored(self.explored_parameters, self.explored_coordinates, self.explored_own_crash)
 
     def select(self, by: str = "middle") -> int:
-        """Index of the policy with the most of a characteristic, or of the one in the ``"middle"``."""
+        """Return the index of the policy with the max of a characteristic, or of the middle policy."""
         if by == "middle":
             return int(self.nearest(np.median(self.normalised, axis=0)))
         return int(np.argmax(self.coordinates[:, self._axis(by)]))
 
     def project(self, characteristics: Sequence[str]) -> "PolicyArchive":
-        """Return the archive seen along some of its axes only, in the order asked for."""
+        """Return the archive with some of its axes only, in the given order."""
         axes = [self._axis(name) for name in characteristics]
         values: dict[str, Any] = {key: getattr(self, key) for key in self.__dataclass_fields__}
         values["characteristics"] = tuple(characteristics)
@@ -241,9 +247,10 @@ class PolicyArchive:
         return PolicyArchive(**values)
 
     def to_dataframe(self) -> "pandas.DataFrame":
-        """Return a table with a row for each policy: parameters, coordinates, and what else is known of it.
+        """Return a table with a row for each policy: parameters, coordinates, and other known data.
 
-        Standard errors stand in columns like ``"restraint_error"``. Needs pandas: ``pip install "pcs-racing[tables]"``.
+        Standard errors are in columns like ``"restraint_error"``. Needs pandas: ``pip install
+        "pcs-racing[tables]"``.
         """
         try:
             import pandas

@@ -1,4 +1,4 @@
-"""Archives of policies as folders: ``archive.npz`` beside a manifest."""
+"""Folders of policy archives: ``archive.npz`` and a manifest."""
 
 import io
 import os
@@ -16,7 +16,7 @@ from pcs_racing.planners.registry import get_planner
 _TEXTS = ("name", "planner", "preset")
 _NAMES = ("parameter_names", "characteristics")
 _ARRAYS = ("parameters", "coordinates", "ideal", "nadir", "explored_parameters", "explored_coordinates")
-_OPTIONAL_ARRAYS = ("spread", "own_crash", "explored_own_crash")  # where they were measured
+_OPTIONAL_ARRAYS = ("spread", "own_crash", "explored_own_crash")  # present if measured
 
 ARCHIVE_FORMAT = ArtifactFormat(
     "archive",
@@ -30,7 +30,7 @@ ARCHIVE_FORMAT = ArtifactFormat(
 
 
 def save_archive(archive: PolicyArchive, folder: str | Path) -> Path:
-    """Write an archive into a folder, which is made if need be; returns the folder."""
+    """Save an archive in a folder, created if missing; return the folder."""
     buffer = io.BytesIO()
     keys = [*_ARRAYS, *(key for key in _OPTIONAL_ARRAYS if getattr(archive, key) is not None)]
     np.savez_compressed(buffer, allow_pickle=False, **{key: getattr(archive, key) for key in keys})
@@ -43,12 +43,12 @@ def save_archive(archive: PolicyArchive, folder: str | Path) -> Path:
 
 
 def list_archives() -> list[str]:
-    """Names of the archives that come with the package, sorted."""
+    """Return the names of the archives shipped with the package, sorted."""
     return ARCHIVE_FORMAT.shipped_names()
 
 
 def load_archive(source: str | os.PathLike[str] | PolicyArchive) -> PolicyArchive:
-    """Return an archive from the name of a shipped one, from its folder, or as it is."""
+    """Return an archive from its shipped name or its folder; return an archive unchanged."""
     if isinstance(source, PolicyArchive):
         return source
     folder = ARCHIVE_FORMAT.find(source)

@@ -16,7 +16,7 @@ from pcs_racing.race.config import DT
 from pcs_racing.race.state import RaceState
 
 BOTH_SIDES = 1.0
-"""Seconds that a car must have driven in front and behind before a reaction to the lead is measured."""
+"""Min time driven both in front and behind before a reaction to the lead is measured, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +25,9 @@ class Segment:
 
     progress: NDArray[np.float64]  #: shape (B, 2): Progress of each car during the segment, m.
     sums: NDArray[np.float64]  #: shape (B, 2, 9): Growth of the running sums (:data:`pcs_racing.race.state.SUMS`).
-    time: NDArray[np.float64]  #: shape (B,): Time driven, s; shorter than asked for after a crash.
-    duration: float  #: Time asked for, s.
+    #: shape (B,): Time driven, s; shorter than ``duration`` after a crash.
+    time: NDArray[np.float64]
+    duration: float  #: Requested time, s.
 
     @classmethod
     def between(cls, before: RaceState, after: RaceState, duration: float) -> "Segment":
@@ -40,7 +41,7 @@ class Segment:
 
     @classmethod
     def so_far(cls, state: RaceState, duration: float) -> "Segment":
-        """Return all that was driven since the start of races."""
+        """Return the segment from the start of races."""
         return cls(state.progress, state.sums, np.asarray(state.tick * DT, np.float64), float(duration))
 
 
@@ -49,12 +50,13 @@ class Characteristic:
     """One axis of the Policy Characteristic Space."""
 
     name: str  #: Name in tables and settings.
-    unit: str  #: Its unit.
-    meaning: str  #: One line for the reader.
-    #: ``evaluate(segment) -> (B, 2)``, one value for each race and car.
+    unit: str  #: Unit of the values.
+    meaning: str  #: Description in one line.
+    #: Function ``evaluate(segment) -> (B, 2)``, one value for each race and car.
     evaluate: Callable[[Segment], NDArray[np.float64]]
-    #: Whether one segment says too little: a policy's coordinate is then evaluated on the sum of all its segments (not
-    #: the mean of their values), and what players observe on all of the race so far.
+    #: True if one segment is too short a sample. A policy's coordinate is then evaluated on the sum
+    #: of all its segments (not the mean of their values), and the players' observation on all of
+    #: the race so far.
     pooled: bool = False
 
 
@@ -145,7 +147,7 @@ def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:
 def measure(
     segment: Segment, characteristics: Sequence[Characteristic], so_far: Segment | None = None
 ) -> NDArray[np.float64]:
-    """Evaluate characteristics on a segment, shape (B, 2, |G|); pooled ones on ``so_far``, where it is given."""
+    """Evaluate characteristics on a segment, (B, 2, |G|); pooled ones on ``so_far``, if given."""
     values = np.empty((*segment.progress.shape, len(characteristics)))
     for k, characteristic in enumerate(characteristics):
         values[..., k] = characteristic.evaluate(so_far if so_far is not None and characteristic.pooled else segment)

@@ -1,16 +1,19 @@
-"""Competitors: who drives a car of the game, and the one way to ask for their moves.
+"""Competitors: the players of a game, and the only function that asks for their moves.
 
-A competitor is one of these:
+A competitor has one of these kinds:
 
-- a **predictor**: ``predict(observation, state, episode_start, deterministic)``, as models of Stable-Baselines3 have;
+- a **predictor**: ``predict(observation, state, episode_start, deterministic)``, as in models of
+  Stable-Baselines3;
 - a **decider**: ``decide(game, state, car)``, for a search with the simulator;
 - a **function** ``f(observation, generator) -> move``;
-- a **driver**, which makes no moves: a :class:`PolicySet` or a single :class:`~pcs_racing.planners.planner.Policy`;
+- a **fixed policy**, which makes no moves: a :class:`PolicySet` or a single
+  :class:`~pcs_racing.planners.planner.Policy`;
 - a **chooser**: ``choose(observation)``, which chooses a policy before each race of a match
-  (:mod:`pcs_racing.game.match`). In the races of a match it keeps that policy, and so does one that is nothing else in
-  a game of its own.
+  (:mod:`pcs_racing.game.match`). It keeps that policy in the races of a match. In a single game, a
+  competitor that is only a chooser also keeps its policy.
 
-Competitors may always stay, whatever moves the rules offer: :attr:`pcs_racing.game.rules.RaceGame.competitor_moves`.
+Competitors may always stay, whatever moves the rules offer:
+:attr:`pcs_racing.game.rules.RaceGame.competitor_moves`.
 """
 
 import sys
@@ -38,7 +41,7 @@ Function = Callable[[Observation, np.random.Generator], Any]
 
 @runtime_checkable
 class Predictor(Protocol):
-    """A model that is asked for the moves in a batch of games, with the interface of Stable-Baselines3."""
+    """A model that predicts moves in a batch of games, with the interface of Stable-Baselines3."""
 
     def predict(
         self,
@@ -47,17 +50,17 @@ class Predictor(Protocol):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        """Return the moves for observations of shape (n, D), and the state to hand over the next time (or None)."""
+        """Return moves for observations, shape (n, D), and the state for the next call (or None)."""
 
 
 @runtime_checkable
 class Decider(Protocol):
-    """A competitor that decides by the whole state of a game instead of an observation, such as a search."""
+    """A competitor that decides by the whole state of a game, such as a search."""
 
     name: str
 
     def decide(self, game: RaceGame, state: GameState, car: int) -> ArrayLike:
-        """Return the moves of one car in a batch of B games, shape (B,); each game must be decided by itself."""
+        """Return the moves of one car in B games, shape (B,); games are decided independently."""
 
 
 @runtime_checkable
@@ -65,22 +68,22 @@ class Chooser(Protocol):
     """A player of a match that chooses the policy of each race before its start."""
 
     def choose(self, observation: Observation) -> ArrayLike:
-        """Return the policies of the archive, shape (n,), for what was observed of n matches, shape (n, D).
+        """Return policies of the archive, shape (n,), for observations of n matches, shape (n, D).
 
-        The numbers are those of :func:`pcs_racing.game.observation.match_elements`.
+        :func:`pcs_racing.game.observation.match_elements` defines the D numbers.
         """
 
 
 @dataclass(frozen=True, eq=False)
 class RandomMoves:
-    """Draw each move from those that may be made, all with the same probability, by the game's own generator."""
+    """Moves drawn uniformly from the allowed ones, by the game's own generator."""
 
     name: str = "random-moves"
 
 
 @dataclass(frozen=True)
 class SameMove:
-    """Make the same move again and again."""
+    """A competitor that always makes the same move."""
 
     name: str
     move: int
@@ -94,31 +97,34 @@ class SameMove:
 
 @dataclass(frozen=True, eq=False)
 class PolicySet:
-    """A driver: it makes no moves; for each game one of its policies is drawn and drives to the end."""
+    """A competitor without moves: one of its policies, drawn for each game, drives to the end."""
 
     name: str
-    policies: tuple[Policy, ...]  #: At least one; all of one planner.
+    policies: tuple[Policy, ...]  #: Policies of one planner, at least one.
 
 
 Competitor = Predictor | Decider | PolicySet | RandomMoves | Policy | Chooser | Function
-"""Who may drive a car of the game."""
+"""Competitors of all kinds."""
 
 
 def competitor_name(competitor: Any) -> str:
-    """Name of a competitor: its own, that of its function or that of its class."""
+    """Return a competitor's name: its own, or the name of its function or class."""
     name = getattr(competitor, "name", None) or getattr(competitor, "__name__", None)
     return name if isinstance(name, str) else type(competitor).__name__
 
 
 def driver_policies(competitor: Any) -> tuple[Policy, ...]:
-    """Policies of a competitor that makes no moves; none for one that makes moves."""
+    """Return the policies of a competitor that makes no moves; none for other competitors."""
     if isinstance(competitor, Policy):
         return (competitor,)
     return competitor.policies if isinstance(competitor, PolicySet) else ()
 
 
 def is_model(candidate: Any) -> bool:
-    """Whether something is a model for steering and speed: a ``.zip``, a torch module, or of two numbers an action."""
+    """Return whether an object is a model for steering and speed.
+
+    Such models are a ``.zip``, a torch module, or a model with two numbers in an action.
+    """
     if isinstance(candidate, str | Path):
         return str(candidate).endswith(".zip")
     torch = sys.modules.get("torch")
@@ -130,8 +136,8 @@ def is_model(candidate: Any) -> bool:
 def check_competitor(game: RaceGame, competitor: Any) -> None:
     """Check, before any race, that a competitor can take part in a game.
 
-    A competitor with a method ``check_fits(game)`` is asked; of a model, ``observation_space`` and ``action_space`` are
-    compared.
+    The check calls the competitor's method ``check_fits(game)``, if there is one, and compares
+    ``observation_space`` and ``action_space`` of a model.
     """
     if isinstance(competitor, type | np.ndarray | np.generic) or not (  # arrays have a method `choose`, too
         isinstance(competitor, RandomMoves | Predictor | Decider | PolicySet | Policy | Chooser) or callable(competitor)
@@ -174,13 +180,14 @@ def ask_moves(
 ) -> NDArray[np.int64]:
     """Ask a competitor for the moves of one car in a batch of B games.
 
-    Returns indices in :attr:`RaceGame.competitor_moves`, shape (B,); 0 for a driver and in games that it is not asked
-    about.
+    Returns indices in :attr:`RaceGame.competitor_moves`, shape (B,); 0 for a fixed policy and in
+    games without a request.
 
-    Asked about are ``rows``, all games by default, without those that are over. ``observation``, shape (B, D), is what
-    the car observes, where it is known already. ``memories``, of length B, are overwritten: the state that a predictor
-    asked to be handed again in each game, None at a game's beginning; without them a predictor is asked as at the
-    beginning. Functions and :class:`RandomMoves` draw from the ``generators`` of the games. A predictor that is not
+    The request covers the games ``rows``, by default all, except finished games. ``observation``,
+    shape (B, D), is the car's observation, if it is known already. ``memories``, of length B, are
+    overwritten: the state that a predictor returned for its next call in each game, None at a
+    game's beginning; without them each call is a predictor's first. Functions and
+    :class:`RandomMoves` draw from the ``generators`` of the games. A predictor that is not
     ``deterministic`` draws its move, by a generator of its own, instead of taking the best one.
     """
     names = game.competitor_moves
@@ -193,16 +200,16 @@ def ask_moves(
         return moves
     answer: Any
     player = f"competitor {competitor_name(competitor)!r}"
-    with one_line(player):  # whatever their code raises
+    with one_line(player):  # any error of their code
         if isinstance(competitor, RandomMoves):
             allowed = [np.flatnonzero(mask) for mask in game.action_mask(state)[rows, car]]
             drawn = [each[generators[row].integers(len(each))] for row, each in zip(rows, allowed, strict=True)]  # type: ignore[index]
             answer = np.array(drawn)
         elif isinstance(competitor, Decider):
             answer = competitor.decide(game, take_games(state, rows), car)
-        # One that only chooses keeps its policy; one that can also predict is asked below.
+        # A mere chooser keeps its policy; a chooser that can also predict is asked below.
         elif isinstance(competitor, Chooser) and not isinstance(competitor, Predictor):
-            answer = np.full(len(rows), len(names) - 1)  # to stay
+            answer = np.full(len(rows), len(names) - 1)  # stay
         else:
             seen = (game.observation(state)[:, car] if observation is None else observation)[rows]
             if isinstance(competitor, Predictor):
@@ -216,9 +223,12 @@ def ask_moves(
 def _predicted(
     competitor: Predictor, seen: Observation, rows: NDArray[np.int64], memories: list[Any] | None, deterministic: bool
 ) -> Any:
-    """Moves of a predictor; one that keeps a state is asked game by game, because games begin at different times."""
+    """Return the moves of a predictor.
+
+    A predictor with a state is asked game by game, because games begin at different times.
+    """
     kept = [None] * len(rows) if memories is None else [memories[row] for row in rows]
-    # One call for all games, unless the answer shows that the predictor keeps a state.
+    # One call for all games, unless the answer shows that the predictor has a state.
     if all(memory is None for memory in kept):
         moves, memory = _answer(competitor, seen, None, np.ones(len(rows), np.bool_), deterministic)
         if memory is None or memories is None:
@@ -250,7 +260,7 @@ ALWAYS = "always-"
 
 
 def competitor_names(game: RaceGame) -> list[str]:
-    """Return the names of all competitors for a game, sorted; the policies of planners have more forms."""
+    """Return the sorted names of all competitors for a game; planner policies have more forms."""
     names = {NEVER_SWITCH, RANDOM_MOVES, *planner_names()}
     names |= {ALWAYS + move for move in game.competitor_moves}
     for collection in collections():
@@ -277,7 +287,7 @@ def make_competitor(text: str, game: RaceGame) -> Competitor:
     name = split_name(text)[0]
     if name in planner_names():
         return parse_policy(text)
-    # Last: what other packages bring is only imported for names that are not ours.
+    # Last: other packages are only imported for names that are not ours.
     for collection in collections():
         if is_model(text) or name in collection.names(game.archive, game.config):
             made: Competitor = collection.make(text, game.archive, game.config)

@@ -1,4 +1,4 @@
-"""Where other packages' competitors are; a file of its own, since the rest of a game takes a second to import."""
+"""Registry of other packages' competitors; a separate file, since a game takes a second to import."""
 
 from functools import lru_cache
 from importlib.metadata import entry_points
@@ -8,13 +8,13 @@ from typing import Any
 from pcs_racing.base.errors import InputError
 
 ENTRY_POINTS = "pcs_racing.opponents"
-"""Entry point group in which a distribution names its module of competitors."""
+"""Entry point group for a distribution's module of competitors."""
 
 _registered: dict[str, str] = {}
 
 
 def register_competitors(name: str, module: str) -> None:
-    """Make the competitors of a module known in this process, under the name of their collection.
+    """Register the competitors of a module in this process, under the name of their collection.
 
     The module, as ``"package.module"``, is imported when a name is not known otherwise.
     """
@@ -28,7 +28,7 @@ def collections() -> list[Any]:
     for name, place in {**_declared(), **_registered}.items():
         try:
             modules.append(resolve_name(place))
-        except Exception as error:  # whatever a third party's module raises when it is imported
+        except Exception as error:  # any error of a third-party module at its import
             raise InputError(f"the competitors {name!r} can't be loaded from {place}: {error}") from error
     return modules
 

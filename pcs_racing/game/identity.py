@@ -1,4 +1,4 @@
-"""The identity of a game: which archive, moves and observations a network, an agent, a fit or a tree was made for."""
+"""Identity of a game: archive, moves and observations of a network, an agent, a fit or a tree."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
@@ -12,19 +12,20 @@ from pcs_racing.game.observation import observation_elements
 
 
 class GameIdentity(NamedTuple):
-    """The game that something was made for, as plain values that a manifest can hold; any circuit belongs to it.
+    """The game of an artifact, as plain values that a manifest can hold; any track belongs to it.
 
-    A manifest need not record all of it: names of elements and moves follow from the archive, epsilon and the number of
-    decisions. What is not recorded is empty or 0, and is not compared.
+    A manifest need not record all of it: names of elements and moves follow from the archive,
+    epsilon and the number of decisions. A value that is not recorded is empty or 0, and is not
+    compared.
     """
 
     elements: tuple[str, ...]  #: Names of the numbers of an observation, in order: the encoding of a history.
     moves: tuple[str, ...]  #: Names of the moves, in order.
     epsilon: tuple[float, ...]  #: Lengths of the moves, in units of the archive's range.
     archive: str  #: Name of the archive of policies.
-    archive_sha256: str  #: Its :attr:`pcs_racing.PolicyArchive.content_hash`.
+    archive_sha256: str  #: Hash of the archive, :attr:`pcs_racing.PolicyArchive.content_hash`.
     preset: str  #: Name of the rules of the race.
-    decisions: int = 0  #: Moves that each player makes.
+    decisions: int = 0  #: Number of moves of each player.
 
 
 class _HasRules(Protocol):
@@ -55,14 +56,15 @@ def game_identity(game: _HasRules) -> GameIdentity:
 def check_same_game(own: GameIdentity, other: GameIdentity, owner: str, other_owner: str = "the game") -> None:
     """Check that two games have the same number of moves, observations, moves and archive.
 
-    The other game may have the move "stay" in addition. The preset and the archive's name may differ: what was made
-    under other rules of the race may be tried. The owners are what the games belong to, for the message.
+    The other game may have the move "stay" in addition. The preset and the archive's name may
+    differ: an artifact made under other rules of the race may be tried. The owners name the
+    artifacts or games in the message.
     """
     if own.decisions and other.decisions and own.decisions != other.decisions:
         raise InputError(f"{owner} was made for games of {own.decisions} moves; {other_owner} has {other.decisions}")
     if own.elements and own.elements != other.elements:
         raise InputError(f"{owner} {_difference(own.elements, other.elements, 'sees', other_owner)}")
-    # To stay can always be offered: who never does so plays the same game.
+    # The move "stay" can always be offered: a player that never stays plays the same game.
     if own.moves and other.moves not in (own.moves, (*own.moves, STAY)):
         raise InputError(f"{owner} {_difference(own.moves, other.moves, 'values moves', other_owner)}")
     if own.epsilon != other.epsilon:

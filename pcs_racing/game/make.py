@@ -1,4 +1,4 @@
-"""A game from names: of a circuit, an archive and rules."""
+"""Construction of a game from the names of a track, an archive and rules."""
 
 from pathlib import Path
 from typing import Any
@@ -26,10 +26,11 @@ def make_game(
     most_delay: float = 0.0,
     **settings: Any,
 ) -> RaceGame:
-    """Make a game from names, or from what they stand for.
+    """Make a game from names or objects.
 
-    Rules are those of the game, or of the race alone: a configuration, a preset's name or a YAML file; ``settings`` are
-    fields of :class:`GameConfig` to change. The others are fields of :class:`RaceGame`.
+    ``race`` holds the rules of the game, or of the race alone: a config, a preset's name or a YAML
+    file; ``settings`` are fields of :class:`GameConfig` to change. The other arguments are fields
+    of :class:`RaceGame`.
     """
     rules = load_game_config(race, **settings)
     planners = opponent_planner, threads, ego_planner

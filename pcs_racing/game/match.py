@@ -1,17 +1,18 @@
-"""The rules of a match: a series of races against the same opponent.
+"""Rules of a match: a series of races against the same opponent.
 
-1. **Before each race** each player chooses the policy of the archive that its car starts with; both choose at the same
-   time (:meth:`MatchGame.start`). What happened in the earlier races has been observed
+1. **Before each race** each player chooses the policy of the archive that its car starts with; both
+   choose at the same time (:meth:`MatchGame.start`). The players have observed the earlier races
    (:mod:`pcs_racing.game.observation`).
-2. **The race** is a game of :class:`pcs_racing.game.rules.RaceGame` on a start line of its own: its players watch the
-   first step, and may then move (:meth:`MatchGame.move`). Who keeps the policy of the start makes the move "stay".
-   The two cars swap their places on the grid from race to race.
-3. **Score.** A race counts 1 for a car that wins it, 1/2 for both if it is a tie, and nothing for a car that loses
-   it or in a no-contest crash. A player's reward is the score of each race, paid when the race is over; the sum
-   is the number of races won.
+2. **The race** is a game of :class:`pcs_racing.game.rules.RaceGame` on a start line of its own: its
+   players watch the first step, and may then move (:meth:`MatchGame.move`). A player that keeps the
+   policy of the start makes the move "stay". The two cars swap their places on the grid from race
+   to race.
+3. **Score.** A race counts 1 for the winner, 1/2 for both cars in a tie, and 0 for the loser and in
+   a no-contest crash. A player's reward is the score of each race, paid when the race is over; the
+   sum is the number of races won.
 
-A race that ends by a crash in its first step counts, because its policies were chosen; a game of its own would be drawn
-again.
+A race that ends by a crash in its first step counts, because its policies were chosen; a single
+game would be drawn again.
 """
 
 from collections.abc import Sequence
@@ -38,28 +39,29 @@ Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 KEEP = -1
-"""In place of a chosen policy: the one that the car started the last race with."""
+"""Choice that repeats the car's policy at the start of the last race."""
 
 
 class MatchState(NamedTuple):
     """A batch of B matches of R races at one moment: plain arrays, match axis first."""
 
-    #: The race that goes on; between two races the one that is over, before the first the cars on the grid.
+    #: Running race; between two races the finished race, before the first race the cars on the
+    #: grid.
     game: GameState
-    race: Indices  #: shape (B,): Races that are over.
-    racing: NDArray[np.bool_]  #: shape (B,): Whether a race goes on.
+    race: Indices  #: shape (B,): Number of finished races.
+    racing: NDArray[np.bool_]  #: shape (B,): True while a race is running.
     starts: Floats  #: shape (B, R): Arc length of the start line of each race, m.
-    sides: Indices  #: shape (B, R): 0 where car 0 starts a race on the left or in front, 1 where car 1 does.
+    sides: Indices  #: shape (B, R): Car that starts a race on the left or in front, 0 or 1.
     noise: NDArray[np.uint64]  #: shape (B, R): Key of the noise of each race.
-    #: shape (B, 2): Policy that each car starts the next race with if its player does not choose; -1 for a driver from
-    #: outside the archive.
+    #: shape (B, 2): Policy of each car at the start of the next race if its player does not choose;
+    #: -1 for a policy from outside the archive.
     policy: Indices
-    theta: Floats  #: shape (B, 2, P): Parameters of the drivers from outside the archive.
-    #: shape (B, 2, R, G): Mean over each race of the normalised archive coordinates of each car's policy; for a driver
-    #: from outside what was measured.
+    theta: Floats  #: shape (B, 2, P): Parameters of the policies from outside the archive.
+    #: shape (B, 2, R, G): Mean over each race of the normalised archive coordinates of each car's
+    #: policy; measured coordinates for a policy from outside.
     own: Floats
-    #: shape (B, 2, R, G): Normalised coordinates of each car as measured over each race: mean of its steps, weighted by
-    #: their time.
+    #: shape (B, 2, R, G): Measured normalised coordinates of each car over each race: mean of its
+    #: steps, weighted by their time.
     measured: Floats
     leads: Floats  #: shape (B, R): Lead of car 0 at the end of each race, m.
     driven: Floats  #: shape (B, R): Share of its duration that each race lasted; 0 until it is over.
@@ -77,7 +79,7 @@ class MatchState(NamedTuple):
 
 
 def put_matches(state: MatchState, indices: ArrayLike, values: MatchState) -> None:
-    """Overwrite some matches of a batch, in place, with the matches of another."""
+    """Overwrite some matches of a batch, in place, with the matches of another batch."""
     chosen = np.asarray(indices)
     put_games(state.game, chosen, values.game)
     for array, new in zip(state[1:], values[1:], strict=True):
@@ -86,11 +88,12 @@ def put_matches(state: MatchState, indices: ArrayLike, values: MatchState) -> No
 
 @dataclass(frozen=True, eq=False)
 class MatchGame:
-    """The game of a match: functions from one :class:`MatchState` to the next, for many matches at once."""
+    """Game of a match: functions from one :class:`MatchState` to the next, for many matches."""
 
     game: RaceGame  #: Track, archive and rules of the races.
-    races: int = 3  #: Races of a match, at least one.
-    race_moves: bool = False  #: Whether a player who chooses before the races also makes the moves of the races.
+    races: int = 3  #: Number of races in a match, at least 1.
+    #: True if a player that chooses before the races also makes the moves of the races.
+    race_moves: bool = False
 
     @cached_property
     def observation_elements(self) -> tuple[ObservationElement, ...]:
@@ -112,12 +115,13 @@ class MatchGame:
         sides: ArrayLike | None = None,
         opponents: Policy | Sequence[Policy | None] | None = None,
     ) -> MatchState:
-        """Return matches before their first race, drawn from a key each, whatever the size of the batch.
+        """Return matches before their first race, each drawn from its own key, for any batch size.
 
-        What is not given is drawn: the ``policies`` of cars whose players do not choose, shape (B, 2) or (2,), where -1
-        draws one, uniformly from the archive; the ``lines``, shape (B, R) or (B, 1), arc lengths of the start line of
-        each race, or of all races of a match, m; and the ``sides``, shape (B,), 0 where car 0 starts the first race on
-        the left or in front, 1 where car 1 does. ``opponents`` are drivers of car 1 from outside the archive, as in
+        Arguments that are not given are drawn. ``policies``, shape (B, 2) or (2,), are the first
+        policies of cars whose players do not choose; -1 draws one uniformly from the archive.
+        ``lines``, shape (B, R) or (B, 1), are arc lengths of the start line of each race, or of all
+        races of a match, m. ``sides``, shape (B,), are the cars (0 or 1) that start the first race
+        on the left or in front. ``opponents`` are policies of car 1 from outside the archive, as in
         :meth:`RaceGame.reset`.
         """
         game, races, count = self.game, self.races, len(keys)
@@ -153,7 +157,7 @@ class MatchGame:
     # Races
 
     def done(self, state: MatchState) -> NDArray[np.bool_]:
-        """Whether each match is over, shape (B,)."""
+        """Return whether each match is over, shape (B,)."""
         return state.race >= self.races
 
     def start(
@@ -163,10 +167,11 @@ class MatchGame:
         rows: Indices | None = None,
         conditions: RaceConditions = AS_THE_SETUP,
     ) -> MatchState:
-        """Start the next race of every match that is between two races, or of some, and drive its first step.
+        """Start the next race of matches that are between two races, and drive its first step.
 
-        Choices, shape (B, 2), are the policies of the archive that the cars start with, or :data:`KEEP`. That of a
-        driver from outside the archive does nothing.
+        It starts all such matches, or only ``rows``. ``choices``, shape (B, 2), are the policies of
+        the archive at the start of the race, or :data:`KEEP`. A choice has no effect on a car with
+        a policy from outside the archive.
         """
         new = state.copy()
         between = np.flatnonzero(~state.racing & ~self.done(state))
@@ -188,9 +193,10 @@ class MatchGame:
     def move(
         self, state: MatchState, moves: Indices, rows: Indices | None = None, conditions: RaceConditions = AS_THE_SETUP
     ) -> MatchState:
-        """Let both players move in the races that go on, or in some, and drive a step.
+        """Let both players move in the running races, or only in ``rows``, and drive a step.
 
-        Moves, shape (B, 2), are indices in :attr:`RaceGame.competitor_moves`, conditions those of :meth:`start`.
+        ``moves``, shape (B, 2), are indices in :attr:`RaceGame.competitor_moves`; ``conditions``
+        are as in :meth:`start`.
         """
         new = state.copy()
         going = np.flatnonzero(state.racing)
@@ -227,14 +233,14 @@ class MatchGame:
         state.race[rows] += 1
         state.racing[rows] = False
 
-    # What players get and see
+    # Rewards and observations
 
     def reward(self, before: MatchState, after: MatchState) -> Floats:
-        """Reward of each car, shape (B, 2): its score in the races that ended between two moments."""
+        """Return the reward of each car, (B, 2): its score in races ended between two moments."""
         return after.scores.sum(axis=2) - before.scores.sum(axis=2)
 
     def memory(self, state: MatchState) -> NDArray[np.float32]:
-        """What each player observes between two races, shape (B, 2, D): all that it knows of the match."""
+        """Return each player's observation between races, (B, 2, D): its knowledge of the match."""
         between = ~state.racing & ~self.done(state)
         # After the last race there is no next side; the index stays inside the array and is masked.
         side = state.sides[np.arange(state.matches), np.minimum(state.race, self.races - 1)]
@@ -242,7 +248,7 @@ class MatchGame:
         return encode_match(state.own, state.measured, state.leads, state.scores, state.driven, state.race, front)
 
     def observation(self, state: MatchState) -> NDArray[np.float32]:
-        """What each player observes, shape (B, 2, D), in the order of :attr:`observation_elements`."""
+        """Return the players' observations, (B, 2, D), in the order of :attr:`observation_elements`."""
         match = self.memory(state)
         if not self.race_moves:
             return match
@@ -261,11 +267,12 @@ def ask_choices(
     rows: NDArray[np.int64] | None = None,
     memory: NDArray[np.float32] | None = None,
 ) -> NDArray[np.int64]:
-    """Ask a competitor for the policy of one car in the next race of each match that is between two races.
+    """Ask a competitor for the policy of one car in the next race of matches between two races.
 
-    Returns policies of the archive, shape (B,); :data:`KEEP` where nobody is asked, and for a competitor that does not
-    choose. Asked about are ``rows``, all matches by default; ``memory``, shape (B, D), is what the car observes between
-    races (:meth:`MatchGame.memory`), where it is known already.
+    Returns policies of the archive, shape (B,); :data:`KEEP` in matches without a request, and for
+    a competitor that does not choose. The request covers ``rows``, all matches by default.
+    ``memory``, shape (B, D), is the car's observation between races (:meth:`MatchGame.memory`), if
+    it is known already.
     """
     choices = np.full(state.matches, KEEP, np.int64)
     between = np.flatnonzero(~state.racing & ~match.done(state))

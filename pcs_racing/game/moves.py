@@ -1,7 +1,7 @@
 """Moves between the policies of an archive: more or less of one characteristic.
 
-A move asks for the point a step farther along one normalised axis and leads to the policy of the archive that is
-nearest to it. It starts from the policy in use, not from the point that an earlier move asked for.
+A move requests the point a step farther along one normalised axis and leads to the nearest policy
+of the archive. It starts from the policy in use, not from the point requested by an earlier move.
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,9 @@ EPSILON = 0.5
 """Default length of a move: half of the archive's range on an axis."""
 
 STAY = "stay"
-"""Name of the move that keeps the policy; where there is one, it comes last."""
+"""Name of the move that keeps the policy; it is the last move, if there is one."""
 
-MOST_NAMES = 24  # moves that an error lists by name
+MOST_NAMES = 24  # max number of moves that an error lists by name
 
 
 def move(archive: PolicyArchive, index: ArrayLike, axis: int, sign: ArrayLike, epsilon: float) -> Indices:
@@ -37,10 +37,11 @@ def move(archive: PolicyArchive, index: ArrayLike, axis: int, sign: ArrayLike, e
 
 
 def move_table(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON, stay: bool = False) -> Indices:
-    """Return where every move leads from every policy, shape (K, M).
+    """Return the policy that every move leads to from every policy, shape (K, M).
 
-    The moves of the first epsilon come first: characteristic 0 more, characteristic 0 less, characteristic 1 more, and
-    so on; then those of the next epsilon; the move that keeps the policy, if there is one, comes last.
+    The moves of the first epsilon come first: characteristic 0 more, characteristic 0 less,
+    characteristic 1 more, and so on; then the moves of the next epsilon; the move that keeps the
+    policy, if there is one, comes last.
     """
     policies = np.arange(len(archive))
     columns = [
@@ -55,8 +56,10 @@ def move_table(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILO
 def move_names(
     archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON, stay: bool = False
 ) -> tuple[str, ...]:
-    """Names of the moves in the order of :func:`move_table`: ``"aggressiveness +"`` (with several epsilons
-    ``"aggressiveness + 0.5"``) and ``"stay"``.
+    """Return names of the moves in the order of :func:`move_table`.
+
+    They are ``"aggressiveness +"`` (with several epsilons ``"aggressiveness + 0.5"``) and
+    ``"stay"``.
     """
     steps = check_epsilon(epsilon)
     names = [
@@ -69,17 +72,20 @@ def move_names(
 
 
 def no_op_share(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON) -> float:
-    """Share of all (policy, move) pairs in which the move leads back to the policy itself."""
+    """Return the share of all (policy, move) pairs that lead back to the policy itself."""
     return float(np.mean(move_table(archive, epsilon) == np.arange(len(archive))[:, None]))
 
 
 def duplicate_share(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON) -> float:
-    """Share of all (policy, move) pairs in which an earlier move of the same policy leads to the same place."""
+    """Return the share of all (policy, move) pairs with the same target as an earlier move."""
     return float(np.mean(duplicate_moves(move_table(archive, epsilon))))
 
 
 def duplicate_moves(table: Indices) -> NDArray[np.bool_]:
-    """Whether an earlier move of the same policy leads to the same place, for a table of moves (K, M)."""
+    """Return which moves of a table, shape (K, M), are duplicates.
+
+    A duplicate leads to the same policy as an earlier move from the same policy.
+    """
     same = table[:, :, None] == table[:, None, :]
     return np.triu(same, 1).any(axis=1)
 
@@ -104,10 +110,10 @@ def check_moves(
     rows: Indices | None = None,
     player: str = "",
 ) -> Indices:
-    """Return moves, indices in ``names``, as whole numbers: the one check that every move passes into a game.
+    """Return moves, indices in ``names``, as whole numbers: the only check of the moves of a game.
 
-    Errors say which move is wrong by what the axes of its shape count, such as ``("game", "car")``, by the game that
-    each entry of the first axis belongs to (``rows``), and by the player.
+    Errors locate a wrong move by the names of the axes of its shape, such as ``("game", "car")``,
+    by the game of each entry of the first axis (``rows``), and by the player.
     """
     given = as_array(moves)
     if isinstance(moves, list | tuple) and any(is_flag(move) for move in moves):

@@ -1,4 +1,4 @@
-"""What the players of a game and of a match observe: name, unit, bounds and meaning of each number, and its value."""
+"""Observations of a game and of a match: name, unit, bounds, meaning and value of each number."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,25 +14,25 @@ Floats = NDArray[np.float64]
 LOW, HIGH = -1.0, 2.0
 """Bounds of the normalised characteristics that players observe."""
 LEAD_SCALE = 20.0
-"""Metres of lead that players observe as 1."""
+"""Lead that players observe as 1, m."""
 LEAD_BOUND = 5.0
 
-# Of an observation between the races of a match:
+# Observation between the races of a match:
 AFTER_AXES = 3  # lead, score and share of the duration follow the coordinates of a race
 
 
 class ObservationElement(NamedTuple):
-    """What one number of an observation is: spaces and documentation are made of these."""
+    """One number of an observation, for spaces and documentation."""
 
     name: str
     unit: str
-    low: float  #: Smallest value, inclusive.
-    high: float  #: Largest value, inclusive.
+    low: float  #: Min value, inclusive.
+    high: float  #: Max value, inclusive.
     meaning: str
 
 
 def observation_elements(characteristics: Sequence[Characteristic], moves: int) -> tuple[ObservationElement, ...]:
-    """What each number of an observation is, for these axes and so many moves."""
+    """Return the elements of an observation, for these axes and this number of moves."""
     elements = []
     for k in range(moves + 1):
         for axis in characteristics:
@@ -49,7 +49,10 @@ def observation_elements(characteristics: Sequence[Characteristic], moves: int) 
 
 
 def observation_table(elements: Sequence[ObservationElement], moves: int | None = None) -> str:
-    """Table of an observation's elements in Markdown; with ``moves``, those of all steps ``k`` share a row."""
+    """Return a table of an observation's elements in Markdown.
+
+    With ``moves``, the elements of all steps ``k`` share a row.
+    """
     rows = [(str(i), *element) for i, element in enumerate(elements)]
     if moves is not None:
         block = (len(elements) - 1) // (moves + 1)
@@ -64,10 +67,10 @@ def observation_table(elements: Sequence[ObservationElement], moves: int | None 
 
 
 def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indices) -> NDArray[np.float32]:
-    """Put what the players saw in the order of :func:`observation_elements`, shape (B, 2, D).
+    """Encode the players' observations in the order of :func:`observation_elements`, (B, 2, D).
 
-    The arrays are those of :class:`pcs_racing.game.state.GameState`, for ``N = moves + 1`` steps of which ``step`` are
-    over; of later steps nothing is shown, whatever the arrays hold.
+    The arrays are fields of :class:`pcs_racing.game.state.GameState`, for ``N = moves + 1`` steps;
+    ``step`` is the last finished step. The elements of later steps are 0, whatever the arrays hold.
     """
     games, steps = leads.shape
     axes = own.shape[-1]
@@ -88,18 +91,19 @@ def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indi
 
 
 class RaceMemory(NamedTuple):
-    """What an observation says of the earlier races of B matches."""
+    """Earlier races of B matches, decoded from an observation."""
 
     own: Floats  #: shape (B, R, G): Normalised coordinates of the own policy.
     opponent: Floats  #: shape (B, R, G): Normalised coordinates of the opponent, as measured.
-    lead: Floats  #: shape (B, R): Own lead at the end, 20 m.
+    lead: Floats  #: shape (B, R): Own lead at the end, in units of 20 m.
     score: Floats  #: shape (B, R): 1 for a race won, 1/2 for a tie.
-    #: shape (B, R): Share of the duration that a race lasted; 0 for races to come, of which all numbers are 0.
+    #: shape (B, R): Share of the duration that a race lasted; 0 for future races, like all their
+    #: numbers.
     driven: Floats
 
 
 def match_elements(characteristics: Sequence[Characteristic], races: int) -> tuple[ObservationElement, ...]:
-    """What each number of an observation between races is, for these axes and so many races."""
+    """Return the elements of an observation between races, for these axes and number of races."""
     elements = []
     for r in range(races):
         for axis in characteristics:
@@ -130,10 +134,11 @@ def encode_match(
     race: NDArray[np.int64],
     front: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
-    """Put what the players saw of earlier races in the order of :func:`match_elements`, shape (B, 2, D).
+    """Encode the players' observations of earlier races in the order of :func:`match_elements`.
 
-    The arrays are those of :class:`pcs_racing.game.match.MatchState`; ``front``, of shape (B, 2), says whether each car
-    starts the next race on the left or in front, and is false where there is no next race.
+    The shape is (B, 2, D). The arrays are fields of :class:`pcs_racing.game.match.MatchState`;
+    ``front``, of shape (B, 2), is true if the car starts the next race on the left or in front, and
+    false if there is no next race.
     """
     matches, races = leads.shape
     lead = np.clip(leads / LEAD_SCALE, -LEAD_BOUND, LEAD_BOUND)
@@ -146,7 +151,7 @@ def encode_match(
 
 
 def decode_match(observation: NDArray[np.float32], races: int, axes: int) -> RaceMemory:
-    """Return what observations of shape (B, D) say of the earlier races."""
+    """Return the earlier races in observations of shape (B, D)."""
     width = 2 * axes + AFTER_AXES
     blocks = np.asarray(observation[:, : races * width], np.float64).reshape(len(observation), races, width)
     rest = (blocks[:, :, 2 * axes + i] for i in range(AFTER_AXES))

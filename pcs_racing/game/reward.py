@@ -1,7 +1,8 @@
-"""The reward: what races pay, for all environments.
+"""Rewards of races, for all environments.
 
-A game of moves pays once, when it ends (:func:`reward`); the two cars' rewards add up to 0. An environment at the level
-of steering and speed pays in every step (:func:`step_reward`), and for a win if asked to (:func:`win_sign`).
+A game of moves pays once, when it ends (:func:`reward`); the two cars' rewards add up to 0. An
+environment at the level of steering and speed pays in every step (:func:`step_reward`), and
+optionally for a win (:func:`win_sign`).
 """
 
 import numpy as np
@@ -14,9 +15,9 @@ from pcs_racing.race.state import RaceState
 
 
 def reward(config: GameConfig, races: RaceState, moves: ArrayLike) -> NDArray[np.float64]:
-    """Reward of car 0 for games that ended like this after so many moves, shape (B,); car 1 gets the negative of it.
+    """Return the reward of car 0 for finished games, shape (B,); car 1 gets the negative of it.
 
-    Of the races only progress, crashes and faults count.
+    ``moves`` are the numbers of moves made. Only progress, crashes and faults of the races count.
     """
     if config.utility == "win":
         winner = winners(config.race, races)
@@ -28,7 +29,7 @@ def reward(config: GameConfig, races: RaceState, moves: ArrayLike) -> NDArray[np
     fault = races.fault.astype(np.float64)
     first = first + config.fault_penalty * (fault[:, 1] - fault[:, 0])
     made = np.asarray(moves)
-    # A running product instead of "**", the last bits of which depend on the processor.
+    # A running product instead of "**": the last bits of "**" depend on the processor.
     factors = np.full(made.max(initial=0) + 1, config.discount)
     factors[0] = 1.0
     return np.asarray(first * np.cumprod(factors)[made], np.float64)
@@ -36,9 +37,11 @@ def reward(config: GameConfig, races: RaceState, moves: ArrayLike) -> NDArray[np
 
 @inner_kernel
 def step_reward(own, opponent, fault, weights):  # type: ignore[no-untyped-def]
-    """Reward of one step of driving: progress, less a share of the opponent's, less a penalty for a crash by own fault.
+    """Return the reward of one step of driving.
 
-    The weights are the reward for a metre, the share of the opponent's progress that is taken off, and the penalty.
+    It is the progress, minus a share of the opponent's progress, minus a penalty for a crash by own
+    fault. The weights are the reward for a metre, the share of the opponent's progress, and the
+    penalty.
     """
     per_metre, rivalry, penalty = weights
     return per_metre * (own - rivalry * opponent) - (penalty if fault == 1 else 0.0)
@@ -46,9 +49,10 @@ def step_reward(own, opponent, fault, weights):  # type: ignore[no-untyped-def]
 
 @kernel
 def win_sign(lead, crashed, fault, opponent_fault, fault_loses):  # type: ignore[no-untyped-def]
-    """1.0 for a race that was won, -1.0 for one that was lost, else 0.0.
+    """Return 1.0 for a won race, -1.0 for a lost race, else 0.0.
 
-    The rule of :func:`pcs_racing.race.races.winners`, compiled. Without ``fault_loses`` a crash is no contest.
+    This is the rule of :func:`pcs_racing.race.races.winners`, compiled. Without ``fault_loses`` a
+    crash is a no-contest.
     """
     if crashed:
         return float(opponent_fault) - float(fault) if fault_loses else 0.0

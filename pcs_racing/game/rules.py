@@ -1,19 +1,23 @@
-"""The rules of the game: start, moves, end, winner, fault and reward.
+"""Rules of the game: start, moves, end, winner, fault and reward.
 
-1. **Start.** Two cars stand on the grid of a start line; each is driven by a motion planner with a policy of an
-   archive. Both drive one step (8 s; none where the rules say so) in which the players only watch:
-   :meth:`RaceGame.reset`.
-2. **Moves.** Then each player moves: more or less of one characteristic, to the nearest policy of the archive that lies
-   there (:attr:`RaceGame.table`), or to stay. Both moves are made at the same time, and a step is driven with the new
-   policies: :meth:`RaceGame.step`. What the players observe is in :mod:`pcs_racing.game.observation`.
+1. **Start.** Two cars are on the grid of a start line; a motion planner drives each of them with a
+   policy of an archive. Both drive one step (8 s; no step in some rules) while the players only
+   watch: :meth:`RaceGame.reset`.
+2. **Moves.** Then each player moves: more or less of one characteristic, to the nearest policy of
+   the archive there (:attr:`RaceGame.table`), or stay. Both moves are made at the same time, and a
+   step is driven with the new policies: :meth:`RaceGame.step`. The observations of the players are
+   in :mod:`pcs_racing.game.observation`.
 3. **End.** The game is over after the last move (4) or a crash: :meth:`RaceGame.done`.
-4. **Fault.** A car that runs into a wall is at fault; of two that touch, the one that :mod:`pcs_racing.car.collision`
-   finds to have caused it: :meth:`RaceGame.fault`.
-5. **Winner.** The car that is ahead; after a crash nobody, or the car that is not at fault: :meth:`RaceGame.winner`.
-6. **Reward.** Paid at the end, zero-sum: :meth:`RaceGame.reward` and :func:`pcs_racing.game.reward.reward`.
+4. **Fault.** A car that runs into a wall is at fault; after a contact of two cars,
+   :mod:`pcs_racing.car.collision` finds the car at fault: :meth:`RaceGame.fault`.
+5. **Winner.** The car ahead; after a crash no car, or the car that is not at fault:
+   :meth:`RaceGame.winner`.
+6. **Reward.** Paid at the end, zero-sum: :meth:`RaceGame.reward` and
+   :func:`pcs_racing.game.reward.reward`.
 
-The numbers are settings (:class:`pcs_racing.game.config.GameConfig`). Environments, game trees and tournaments all play
-through :class:`RaceGame`: functions from one :class:`GameState` to the next, for many games at once.
+The numbers are settings (:class:`pcs_racing.game.config.GameConfig`). Environments, game trees and
+tournaments all play through :class:`RaceGame`: functions from one :class:`GameState` to the next,
+for many games at once.
 """
 
 from collections.abc import Sequence
@@ -46,37 +50,40 @@ Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 OUTSIDE = -1
-"""In a state's ``policy``: a driver from outside the archive."""
+"""Index in a state's ``policy`` of a policy from outside the archive."""
 
-REDRAWS = 20  # times that a game which ends before the first move is drawn again
+REDRAWS = 20  # max redraws of a game that ends before the first move
 
 PAPER_GAME = GameConfig()
 
 
 @dataclass(frozen=True, eq=False)
 class RaceGame:
-    """The game on one track with one archive."""
+    """Game on one track with one archive."""
 
     track: Track
-    archive: PolicyArchive  #: Where both players' policies come from.
-    config: GameConfig = PAPER_GAME  #: The rules.
-    #: Planner of car 1, where its drivers come from outside the archive (``reset(opponents=...)``); by default the
-    #: archive's.
+    archive: PolicyArchive  #: Archive of both players' policies.
+    config: GameConfig = PAPER_GAME  #: Rules of the game.
+    #: Planner of car 1 for policies from outside the archive (``reset(opponents=...)``); by default
+    #: the archive's planner.
     opponent_planner: Planner | str | None = None
-    #: Threads to share the races of a batch; all cores by default. It does not change the result.
+    #: Threads that share the races of a batch; all cores by default. The number does not change the
+    #: result.
     threads: int | None = None
-    ego_planner: Planner | str | None = None  #: The same for car 0 (``reset(egos=...)``).
-    vehicles: tuple[VehicleParams, ...] = (F1TENTH, F1TENTH)  #: Car 0 and car 1.
-    most_delay: float = 0.0  #: Longest ``steer_delay`` of a car in a game that has cars of its own (``conditions``), s.
+    #: Planner of car 0, as ``opponent_planner`` (``reset(egos=...)``).
+    ego_planner: Planner | str | None = None
+    vehicles: tuple[VehicleParams, ...] = (F1TENTH, F1TENTH)  #: Vehicles of car 0 and car 1.
+    #: Max ``steer_delay`` of a car in a game with cars of its own (``conditions``), s.
+    most_delay: float = 0.0
 
     def __post_init__(self) -> None:
         if self.config.characteristics is not None and self.config.characteristics != self.archive.characteristics:
             object.__setattr__(self, "archive", self.archive.project(self.config.characteristics))
-        # What can't be raced is refused here, not when games begin: unknown planners, a circuit without start lines.
+        # Reject unknown planners and a track without start lines here, not when games begin.
         _ = self.start_lines
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle what the game was made of, not what was derived from it."""
+        """Pickle the fields of the game, not the values derived from them."""
         return RaceGame, tuple(getattr(self, one.name) for one in fields(self))
 
     def __copy__(self) -> "RaceGame":
@@ -87,11 +94,11 @@ class RaceGame:
         """Return the game itself: it never changes."""
         return self
 
-    # What is known before a game begins
+    # Properties of a game before it begins
 
     @cached_property
     def setup(self) -> RaceSetup:
-        """Track, race rules and planners, as :func:`pcs_racing.advance` wants them."""
+        """Track, race rules and planners, as input of :func:`pcs_racing.advance`."""
         family = self.archive.family()
         first, second = (
             get_planner(planner) if isinstance(planner, str) else planner or family
@@ -128,7 +135,7 @@ class RaceGame:
 
     @cached_property
     def start_lines(self) -> Floats:
-        """Arc lengths of the lines that :meth:`reset` draws from, m; places of training, which no table uses."""
+        """Arc lengths of the start lines of :meth:`reset`, m; train places, which no table uses."""
         return start_lines(self.track, self.setup.config, np.random.SeedSequence(0, spawn_key=(0,)), split="train")
 
     @cached_property
@@ -138,7 +145,10 @@ class RaceGame:
 
     @cached_property
     def competitor_moves(self) -> tuple[str, ...]:
-        """Names of the moves that a competitor may make: those of the rules and, whatever the rules offer, to stay."""
+        """Names of the moves of a competitor.
+
+        They are the moves of the rules and, whatever the rules offer, "stay".
+        """
         return move_names(self.archive, self.config.epsilon, True)
 
     @cached_property
@@ -161,30 +171,33 @@ class RaceGame:
         redraw: bool = True,
         conditions: RaceConditions = AS_THE_SETUP,
     ) -> GameState:
-        """Start a batch of games and drive the step in which the players only watch.
+        """Start a batch of games and drive the first step, which the players only watch.
 
-        Everything that is drawn for a game (start line, side, policies, noise) is a function of its own key, whatever
-        the size of the batch.
+        All random values of a game (start line, side, policies, noise) are a function of its own
+        key, for any batch size.
 
         Parameters
         ----------
         seeds : int or array of int, shape (B,), optional
-            Key of each game. By default they are derived from ``seed`` for as many games as ``games`` says (1).
+            Key of each game. By default ``games`` keys (1) are derived from ``seed``.
         games : int, optional
             Number of games, if there are no ``seeds``.
         seed : int
             Root of the keys, if there are no ``seeds``.
         policies : array of int, shape (B, 2) or (2,), optional
-            Policies that the cars of each game start with; -1 draws one, uniformly from the archive.
+            Policies of the cars at the start of each game; -1 draws one, uniformly from the
+            archive.
         starts : Starts, optional
-            Where the cars start; by default drawn out of ``config.race.start_lines`` lines and both sides.
+            Start positions of the cars; by default drawn out of ``config.race.start_lines`` lines
+            and both sides.
         opponents : Policy or sequence of B (Policy or None), optional
-            Drivers of car 1 from outside the archive, all of ``opponent_planner``: its moves do nothing then.
+            Policies of car 1 from outside the archive, all of ``opponent_planner``; the moves of
+            car 1 have no effect then.
         egos : Policy or sequence of B (Policy or None), optional
-            The same for car 0 and ``ego_planner``.
+            Policies of car 0 from outside the archive, all of ``ego_planner``; likewise.
         redraw : bool
-            Draw a game again (up to 20 times) if it ends by a crash before the first move. A game of which start and
-            policies are given is never drawn again: it is over at once.
+            Draw a game again (up to 20 times) if it ends by a crash before the first move. A game
+            with given start and policies is never drawn again: it is over at once.
         conditions : RaceConditions
             Cars and tracks of single games.
         """
@@ -205,7 +218,7 @@ class RaceGame:
             return self.start(policy, grid, bits[:, 4], theta[rows], outside[rows], conditions.take(rows))
 
         state = begin(np.arange(count), 0)
-        # Drawn again the same way, a game that is fixed would crash again.
+        # A fully specified game would crash again.
         free = drawn.any(axis=1) | (starts is None)
         for attempt in range(1, REDRAWS + 1):
             again = np.flatnonzero(state.race.crashed & free)
@@ -215,7 +228,10 @@ class RaceGame:
         return state
 
     def outside_drivers(self, given: Sequence[Any], games: int) -> tuple[NDArray[np.bool_], Floats]:
-        """Which cars have drivers from outside the archive, shape (games, 2), and their parameters, (games, 2, P)."""
+        """Return which cars have policies from outside the archive, and their parameters.
+
+        The shapes are (games, 2) and (games, 2, P).
+        """
         drivers = [
             driver_parameters(self.archive, self.setup.planners[car], car, drivers, games, self.setup.theta_size)
             for car, drivers in enumerate(given)
@@ -232,10 +248,11 @@ class RaceGame:
         outside: NDArray[np.bool_],
         conditions: RaceConditions = AS_THE_SETUP,
     ) -> GameState:
-        """Put the cars of B games on the grid, and drive the step in which the players only watch.
+        """Put the cars of B games on the grid, and drive the step that the players only watch.
 
-        Policies are those of the archive that each car starts with, shape (B, 2); where its driver is from ``outside``,
-        it is -1, and ``theta``, of shape (B, 2, P), holds its parameters.
+        ``policy``, shape (B, 2), is the index of each car's first policy in the archive, or -1 for
+        a policy from ``outside``; ``theta``, of shape (B, 2, P), holds the parameters of the
+        latter.
         """
         state = self.empty_state(start_races(self.setup, starts, noise, conditions))
         state.policy[:] = policy
@@ -249,7 +266,7 @@ class RaceGame:
         return state
 
     def _starts(self, bits: NDArray[np.uint64]) -> Starts:
-        """Lines and sides that follow from the random bits of games, shape (B, 5)."""
+        """Return lines and sides from the random bits of games, shape (B, 5)."""
         line = (bits[:, 0] % np.uint64(len(self.start_lines))).astype(np.int64)
         return Starts(self.start_lines[line], (bits[:, 1] % np.uint64(2)).astype(np.int64))
 
@@ -260,17 +277,17 @@ class RaceGame:
         starts: Starts | None = None,
         conditions: RaceConditions = AS_THE_SETUP,
     ) -> RaceState:
-        """Return the race on the grid from which :meth:`reset` drove the first step of the game with this key.
+        """Return the race on the grid at the start of a game of :meth:`reset` with this key.
 
-        The key of its race's noise says how often the game was drawn again; starts and conditions are those of
-        :meth:`reset`.
+        ``noise``, the key of its race's noise, shows how often the game was drawn again; starts and
+        conditions are the arguments of :meth:`reset`.
         """
         attempts = [random_bits(key, attempt) for attempt in range(REDRAWS + 1)]
         bits = next(bits for bits in attempts if bits[0, 4] == noise[0])
         return start_races(self.setup, self._starts(bits) if starts is None else starts, noise, conditions)
 
     def empty_state(self, races: RaceState) -> GameState:
-        """Games of which these races are on the grid and nothing else is known yet: every other number is 0."""
+        """Return games with these races on the grid; every other number is 0."""
         games, steps, axes = races.races, self.config.moves + 1, len(self.characteristics)
         return GameState(
             race=races,
@@ -285,22 +302,23 @@ class RaceGame:
     # Moves
 
     def step(self, state: GameState, actions: ArrayLike) -> GameState:
-        """Let both players of every game move, and drive on for a step.
+        """Let both players of every game move, and drive a step.
 
-        Actions, shape (B, 2), are indices of each car's move in :attr:`move_names`; that of a driver from outside the
-        archive does nothing. Games that are over stand still. The state that is given stays as it is.
+        ``actions``, shape (B, 2), are indices of each car's move in :attr:`move_names`; the action
+        of a policy from outside the archive has no effect. Finished games do not change. The given
+        state is not modified.
         """
         return self.apply(state, check_moves(actions, self.move_names, (state.games, 2), ("game", "car")))
 
     def apply(self, state: GameState, moves: Indices, conditions: RaceConditions = AS_THE_SETUP) -> GameState:
-        """Do what :meth:`step` does with moves that were checked already, indices in :attr:`competitor_moves`.
+        """Do the work of :meth:`step` with checked moves, indices in :attr:`competitor_moves`.
 
-        The conditions are those of :meth:`reset`.
+        The conditions are as in :meth:`reset`.
         """
         new = state.copy()
         going = ~self.done(state)
         moving = going[:, None] & (state.policy != OUTSIDE)
-        # What is looked up for a driver from outside (policy -1) is not used.
+        # The value looked up for a policy from outside (-1) is not used.
         new.policy[:] = np.where(moving, self.next_policy(state.policy, moves), state.policy)
         new.theta[:] = np.where(moving[..., None], self.theta(new.policy), state.theta)
         new.step[:] = state.step + going
@@ -308,13 +326,14 @@ class RaceGame:
         return new
 
     def next_policy(self, policies: Indices, moves: Indices) -> Indices:
-        """Policies of the archive that moves lead to, indices in :attr:`competitor_moves`."""
+        """Return the policies of the archive that moves (:attr:`competitor_moves`) lead to."""
         return self._table_with_stay[policies, moves]
 
     def action_mask(self, state: GameState) -> NDArray[np.bool_]:
-        """Moves that a player may make, shape (B, 2, M).
+        """Return the mask of allowed moves, shape (B, 2, M).
 
-        With ``mask_duplicates`` those that lead where "stay", or else an earlier one, leads are ruled out.
+        With ``mask_duplicates`` it excludes moves with the same target as "stay" or an earlier
+        move.
         """
         if not self.config.mask_duplicates:
             return np.ones((state.games, 2, len(self.move_names)), np.bool_)
@@ -326,28 +345,31 @@ class RaceGame:
     def _duplicates(self) -> NDArray[np.bool_]:
         if not self.config.stay:
             return duplicate_moves(self.table)
-        # "stay" comes last, and is the one to keep among moves that change nothing.
+        # "stay" comes last, and is the allowed one among moves that change nothing.
         return np.roll(duplicate_moves(np.roll(self.table, 1, axis=1)), -1, axis=1)
 
     # End, fault, winner, reward
 
     def done(self, state: GameState) -> NDArray[np.bool_]:
-        """Whether each game is over, shape (B,): all moves made and driven, or a crash."""
+        """Return whether each game is over, shape (B,): all moves made and driven, or a crash."""
         return (state.step >= self.config.moves) | state.race.crashed
 
     def fault(self, state: GameState) -> NDArray[np.bool_]:
-        """Whether each car is to blame for the crash that ended its game, shape (B, 2)."""
+        """Return whether each car is to blame for the crash that ended its game, shape (B, 2)."""
         return (state.race.fault > 0) & (state.race.crash != NO_CRASH)
 
     def winner(self, state: GameState) -> NDArray[np.int8]:
-        """The car that won (0 or 1), shape (B,); -1 for a tie, a no-contest crash, and while a game goes on."""
+        """Return the winner (0 or 1), (B,); -1 for ties, no-contest crashes and running games."""
         over = self.done(state)
         if not over.any():
             return np.full(state.games, -1, np.int8)
         return np.where(over, winners(self.config.race, state.race), -1).astype(np.int8)
 
     def reward(self, state: GameState) -> Floats:
-        """Reward of each car, shape (B, 2): 0 while a game goes on, then :func:`pcs_racing.game.reward.reward`."""
+        """Return the reward of each car, shape (B, 2).
+
+        It is 0 while a game is running, then :func:`pcs_racing.game.reward.reward`.
+        """
         over, both = self.done(state), np.zeros((state.games, 2))
         if over.any():
             both[:, 0] = np.where(over, reward(self.config, state.race, state.step), 0.0)
@@ -357,20 +379,20 @@ class RaceGame:
     # Observations
 
     def observation(self, state: GameState) -> NDArray[np.float32]:
-        """What each player observes, shape (B, 2, D), in the order of :attr:`observation_elements`."""
+        """Return the players' observations, (B, 2, D), in the order of :attr:`observation_elements`."""
         return encode_observation(state.own, state.estimates, state.leads, state.step)
 
     # A step of driving
 
     def _drive(self, state: GameState, going: NDArray[np.bool_], conditions: RaceConditions) -> None:
-        """Drive a step in place, and record what can be observed of the games that went on."""
+        """Drive a step in place, and record the observable values of games that were running."""
         estimates = self._advance(state.race, state.theta, conditions)
         self.record_step(state, np.flatnonzero(going), estimates)
 
     def record_step(self, state: GameState, rows: Indices, estimates: Floats) -> None:
-        """Write, in place, what can be observed of the step that some of the games have just driven.
+        """Write, in place, the observable values of the last step of some games.
 
-        The estimates, of shape (B, 2, G), are what :meth:`measure` says of it.
+        The estimates, of shape (B, 2, G), are the result of :meth:`measure`.
         """
         now = state.step[rows]
         estimates = estimates[rows]
@@ -388,13 +410,14 @@ class RaceGame:
     def drive_step(
         self, races: RaceState, theta: Floats, conditions: RaceConditions = AS_THE_SETUP, *, ittc: bool = True
     ) -> None:
-        """Drive races in place to the end of their next step, each of its own; those that are over stand still."""
+        """Drive each race in place to the end of its next step; finished races do not change."""
         ends = self.config.end_ticks
         lengths = np.append(ends, ends[-1])[np.searchsorted(ends, races.tick, side="right")] - races.tick
         lengths[races.crashed] = 0
         different = np.unique(lengths[lengths > 0])
         if len(different) == 1:
-            # Steps of a usual batch are equally long: no races are taken out and put back. Those that are over stand.
+            # Steps of a usual batch are equally long: no races are taken out and put back. Finished
+            # races do not move.
             advance(self.setup, races, theta, int(different[0]), threads=self.threads, ittc=ittc, conditions=conditions)
             return
         for ticks in different:
@@ -405,20 +428,21 @@ class RaceGame:
                 getattr(races, name)[rows] = driven
 
     def measure(self, before: RaceState, after: RaceState) -> Floats:
-        """Normalised coordinates of each car as measured between two moments a step apart, shape (B, 2, G)."""
+        """Return the cars' measured normalised coordinates between moments a step apart, (B, 2, G)."""
         segment = Segment.between(before, after, self.config.step_seconds)
         so_far = Segment.so_far(after, self.config.step_seconds)
         points = self.archive.normalise(measure(segment, self.characteristics, so_far))
         return np.minimum(np.maximum(points, LOW), HIGH)  # in a third of the time of np.clip
 
     def drive(self, races: RaceState, policies: Indices) -> Floats:
-        """Drive a step of the game in place, with policies of the archive: what :meth:`step` does between two moves.
+        """Drive a step of the game in place, with policies of the archive.
 
-        For those who keep no :class:`GameState`, such as builders of game trees. Races that are over stand still.
-        Returns what :attr:`GameState.estimates` would hold of this step, shape (B, 2, G).
+        This is the driving part of :meth:`step`, for callers without a :class:`GameState`, such as
+        builders of game trees. Finished races do not change. Returns the entry of
+        :attr:`GameState.estimates` for this step, shape (B, 2, G).
         """
         return self._advance(races, self.theta(policies))
 
     def theta(self, policies: Indices) -> Floats:
-        """Parameters of policies of the archive, as :func:`pcs_racing.advance` wants them, shape (..., P)."""
+        """Return the parameters of archive policies for :func:`pcs_racing.advance`, (..., P)."""
         return self._theta[policies]

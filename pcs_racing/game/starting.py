@@ -1,4 +1,4 @@
-"""How a batch of games begins: checks of what is given, and random numbers for the rest, from each game's own key."""
+"""Start of a batch of games: checks of arguments, and random numbers from each game's own key."""
 
 from collections.abc import Sequence
 
@@ -13,11 +13,11 @@ from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 
 DRAW = -1
-"""In place of a policy's index: draw one."""
+"""Policy index that draws a policy."""
 
 
 def game_keys(seeds: ArrayLike | None, games: int | None, seed: int) -> NDArray[np.uint64]:
-    """Key of each game: the given seeds, or as many as asked for, derived from one seed."""
+    """Return the key of each game: the given seeds, or keys derived from one seed."""
     if seeds is None:
         return race_seeds(check_whole("seed", seed), 1 if games is None else check_whole("games", games))
     if games is not None:
@@ -29,7 +29,7 @@ def game_keys(seeds: ArrayLike | None, games: int | None, seed: int) -> NDArray[
 
 
 def check_policies(archive: PolicyArchive, policies: ArrayLike | None, games: int) -> NDArray[np.int64]:
-    """Index of the policy that each car starts with, shape (games, 2); :data:`DRAW` where it is to be drawn."""
+    """Return the first policy of each car, shape (games, 2); :data:`DRAW` if it will be drawn."""
     if policies is None:
         return np.full((games, 2), DRAW, np.int64)
     given = check_whole_array("policies", policies, (2,), (games, 2))
@@ -52,9 +52,10 @@ def driver_parameters(
     games: int,
     size: int,
 ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-    """Whether a car's driver is from outside the archive, shape (games,), and its parameters, shape (games, size).
+    """Return a mask of policies from outside the archive, shape (games,), and their parameters.
 
-    Drivers are given for all games or for each, as policies of the car's planner; None where the archive's drive.
+    The parameters have shape (games, size). ``drivers`` are policies of the car's planner, one for
+    all games or one for each; None is a policy of the archive.
     """
     role = ("ego", "opponent")[car]
     given = [drivers] * games if drivers is None or isinstance(drivers, Policy) else list(drivers)
@@ -80,10 +81,11 @@ def driver_parameters(
 
 
 def random_bits(keys: NDArray[np.uint64], attempt: int) -> NDArray[np.uint64]:
-    """Five numbers of 64 random bits for each key, shape (B, 5), by splitmix64 (Steele et al. 2014).
+    """Return five numbers of 64 random bits for each key, shape (B, 5).
 
-    A hash of the key and not a stream: a game is the same in a batch of any size.
+    They are a hash of the key by splitmix64 (Steele et al. 2014) and not a stream: a game is the
+    same in a batch of any size.
     """
-    # Every attempt has numbers of its own, none of which another attempt reads.
+    # Every attempt has its own numbers; no other attempt reads them.
     counters = np.arange(5, dtype=np.uint64) + np.uint64(5 * attempt + 1)
     return np.asarray(scramble(scramble(keys)[:, None] + counters * GOLDEN))

@@ -12,19 +12,20 @@ from pcs_racing.race.state import take as take_races
 class GameState(NamedTuple):
     """A batch of B games at one moment: plain arrays, game axis first.
 
-    A game has ``N = moves + 1`` steps of driving; step 0 is the one in which the players only watch.
+    A game has ``N = moves + 1`` steps of driving; in step 0 the players only watch.
     """
 
-    race: RaceState  #: Where the cars are.
-    step: NDArray[np.int64]  #: shape (B,): Moves made so far.
-    #: shape (B, 2): Policy in use: its index in the archive, or -1 for a driver from outside the archive.
+    race: RaceState  #: State of the cars.
+    step: NDArray[np.int64]  #: shape (B,): Number of moves made so far.
+    #: shape (B, 2): Policy in use: its index in the archive, or -1 for a policy from outside the
+    #: archive.
     policy: NDArray[np.int64]
-    theta: NDArray[np.float64]  #: shape (B, 2, P): Its parameters.
-    #: shape (B, 2, N, G): Normalised archive coordinates of the policy that each car used in each step; for a driver
-    #: from outside what was estimated.
+    theta: NDArray[np.float64]  #: shape (B, 2, P): Parameters of the policy in use.
+    #: shape (B, 2, N, G): Normalised archive coordinates of each car's policy in each step;
+    #: estimates for a policy from outside.
     own: NDArray[np.float64]
-    #: shape (B, 2, N, G): Normalised coordinates of each car as seen from outside: measured on that step of driving
-    #: alone.
+    #: shape (B, 2, N, G): Normalised coordinates of each car, measured from outside on that step of
+    #: driving alone.
     estimates: NDArray[np.float64]
     leads: NDArray[np.float64]  #: shape (B, N): Lead of car 0 at the end of each step, m.
 
@@ -40,13 +41,13 @@ class GameState(NamedTuple):
 
 
 def take_games(state: GameState, indices: ArrayLike) -> GameState:
-    """Return copies of some games, in the order asked for (a game may be taken more than once)."""
+    """Return copies of some games, in the given order (a game may be taken more than once)."""
     chosen = np.asarray(indices)
     return GameState(take_races(state.race, chosen), *(np.ascontiguousarray(array[chosen]) for array in state[1:]))
 
 
 def put_games(state: GameState, indices: ArrayLike, values: GameState) -> None:
-    """Overwrite some games of a batch, in place, with the games of another."""
+    """Overwrite some games of a batch, in place, with the games of another batch."""
     chosen = np.asarray(indices)
     for array, new in zip(_arrays(state), _arrays(values), strict=True):
         array[chosen] = new

@@ -1,1 +1,1 @@
-"""The policy families: motion planners that drive a car inside the compiled race."""
+"""Policy families: motion planners that drive a car inside the compiled race."""

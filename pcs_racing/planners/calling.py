@@ -1,7 +1,8 @@
-"""How the compiled race calls a planner's functions: by the address of their machine code.
+"""Calls from the compiled race to a planner's functions, by the address of their machine code.
 
-An address is a plain number. Numba's own function pointers do the same, but looking up the types of the four that a
-race needs took longer than the step of a single race (``dev/benchmarks/environment_speed.py --against`` compares).
+An address is a plain number. Numba's own function pointers do the same, but looking up the types
+of the four pointers of a race took longer than the step of a single race
+(``dev/benchmarks/environment_speed.py --against`` compares).
 """
 
 from collections.abc import Callable
@@ -45,23 +46,23 @@ _TRACK = types.NamedTuple(
 )
 
 _PLAN = (_TRACK, _VECTOR, _VECTOR, _VECTOR, _VECTOR, _MATRIX)
-"""Of track, theta, view, memory, scratch and path."""
+"""Argument types of ``plan``: track, theta, view, memory, scratch and path."""
 _CONTROL = (*_PLAN, _VECTOR)
-"""The same, and of the command to write."""
+"""Argument types of ``control``: the same, and the command to write."""
 
 
 @cache
 def plan_address(function: Callable[..., None]) -> Any:
     """Compile a planner's ``plan`` and return the address of its machine code, for `call_plan`.
 
-    Without compilation (``NUMBA_DISABLE_JIT``) it is the function itself.
+    Without compilation (``NUMBA_DISABLE_JIT``), return the function itself.
     """
     return _address(function, _PLAN)
 
 
 @cache
 def control_address(function: Callable[..., None]) -> Any:
-    """Compile a planner's ``control`` and return the address of its machine code, for `call_control`."""
+    """Compile a planner's ``control`` and return its machine code's address, for `call_control`."""
     return _address(function, _CONTROL)
 
 
@@ -93,9 +94,9 @@ def _address(function: Callable[..., None], arguments: tuple[types.Type, ...]) -
 
 
 def bounds_checked(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a planner's function that raises an IndexError where it would read or write beyond an array's end.
+    """Return a copy of a planner's function that raises an IndexError beyond an array's end.
 
-    Compiled functions that it calls are not checked.
+    Reads and writes are checked, but not in the compiled functions that it calls.
     """
     own = _renamed(getattr(function, "py_func", function), "checked")
     own.bounds_checked = True  # type: ignore[attr-defined]
@@ -103,18 +104,24 @@ def bounds_checked(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def _renamed(python: Any, what: str) -> FunctionType:
-    """Return a function under a name of its own, or numba would take code from its cache that has other options."""
+    """Return a copy of a function under its own name.
+
+    Under a shared name, numba would take code with other options from its cache.
+    """
     own = FunctionType(python.__code__, python.__globals__, python.__name__, python.__defaults__, python.__closure__)
     own.__module__, own.__qualname__ = python.__module__, f"{python.__qualname__}.{what}"
     return own
 
 
 _kept: list[Any] = []
-"""Machine code whose address was given away."""
+"""Machine code with addresses in use."""
 
 
 def _call(wanted: tuple[types.Type, ...], given: tuple[types.Type, ...]) -> tuple[Any, Callable[..., Any]]:
-    """Signature and machine code of a call: numba's own way to call, with the address of a function it compiled."""
+    """Return the signature and the code generator of a call.
+
+    The call is numba's own, with the address of a function compiled by numba.
+    """
     if given != wanted:
         raise TypingError(f"a planner's function takes {wanted}, not {given}")
 
@@ -122,7 +129,7 @@ def _call(wanted: tuple[types.Type, ...], given: tuple[types.Type, ...]) -> tupl
         function = context.call_conv.get_function_type(types.none, wanted)
         callee = builder.inttoptr(values[0], function.as_pointer())
         status, _ = context.call_conv.call_function(builder, callee, types.none, wanted, values[1:])
-        with builder.if_then(status.is_error, likely=False):  # what the planner raised, the race raises
+        with builder.if_then(status.is_error, likely=False):  # the race raises the planner's error
             context.call_conv.return_status_propagate(builder, status)
         return context.get_dummy_value()
 

@@ -1,16 +1,18 @@
-"""Drivers of others: classes in a Python file, in the forms in which courses and workshops have them handed in.
+"""Third-party drivers: classes in a Python file, in the hand-in formats of courses and workshops.
 
-A class is a driver if it has one of these methods, of which the first counts:
+A class is a driver if it has one of these methods; of several, the first counts:
 
 - ``process_observation(ranges, ego_odom)`` and ``process_lidar(ranges)`` return speed (m/s) and steering angle (rad);
-- ``plan(obs)`` returns steering angle and speed, as in the benchmarks that call it.
+- ``plan(obs)`` returns steering angle and speed, as in benchmarks with this method.
 
-``ranges`` are 1080 beams over 4.7 rad from right to left, up to 30 m; ``ego_odom`` has ``pose_x``, ``pose_y``,
-``pose_theta``, ``linear_vel_x``, ``linear_vel_y`` and ``angular_vel_z``; ``obs`` has these, the ranges as ``scan`` and
-the vehicle's state. A node of ROS 2 is a driver as well (:mod:`pcs_racing.planners.ros_nodes`). The file is run again
-for every race (:mod:`pcs_racing.planners.own_files`), and its driver asked every 0.02 s. What it keeps in attributes
-and globals is no part of the race's state: such a race repeats from its start, but cannot go on from a copy in its
-middle.
+``ranges`` are 1080 beams over 4.7 rad from right to left, up to 30 m. ``ego_odom`` has ``pose_x``,
+``pose_y``, ``pose_theta``, ``linear_vel_x``, ``linear_vel_y`` and ``angular_vel_z``. ``obs`` has
+the same fields, the ranges as ``scan``, and the vehicle's state. A node of ROS 2 is a driver as
+well (:mod:`pcs_racing.planners.ros_nodes`).
+
+The file is run again for every race (:mod:`pcs_racing.planners.own_files`), and its driver is
+called every 0.02 s. The driver's attributes and globals are no part of the race's state: such a
+race repeats from its start, but cannot resume from a copy of its middle.
 """
 
 import os
@@ -40,18 +42,19 @@ ODOMETRY = {
 STATE = [_view.OWN_X, _view.OWN_Y, _view.OWN_DELTA, _view.OWN_V, _view.OWN_PSI, _view.OWN_PSI_DOT, _view.OWN_BETA]
 
 MAX_RUNS = 4096
-"""Races of a file whose modules and drivers are in memory."""
+"""Max number of races of a file with modules and drivers in memory."""
 
 _lidar = lru_cache(maxsize=8)(Lidar)  # 1080 beams over 4.7 rad, up to 30 m
 
 
 @dataclass(eq=False)
 class _Drivers:
-    """The function ``drive`` of a planner: the first parameter says which class of the file drives."""
+    """Function ``drive`` of a planner; the first parameter selects a class of the file."""
 
     path: str
-    names: list[str] = field(init=False)  #: The file's drivers.
-    racing: dict[float, Run] = field(init=False, default_factory=dict)  #: Runs of the file by the number in memory.
+    names: list[str] = field(init=False)  #: Names of the file's drivers.
+    #: Runs of the file by the number in memory.
+    racing: dict[float, Run] = field(init=False, default_factory=dict)
     numbers: "count[int]" = field(init=False, default_factory=lambda: count((os.getpid() << 24) + 1))
     takes_seed = True  # as two more arguments: seed and car
 
@@ -69,9 +72,7 @@ class _Drivers:
     ) -> tuple[float, float]:  # fmt: skip
         name = self.names[min(int(theta[0]), len(self.names) - 1)]
         if memory[0] == 0.0:
-            if (
-                len(self.racing) >= MAX_RUNS
-            ):  # the oldest race is over: more races than that are not driven side by side
+            if len(self.racing) >= MAX_RUNS:  # the oldest race is over: fewer races run at once
                 self.racing.pop(next(iter(self.racing))).forget()
             number = next(self.numbers)
             self.racing[number] = Run(Path(self.path), number, (seed, car))
@@ -90,7 +91,7 @@ class _Drivers:
 
 
 def _ask(driver: Any, track: Track, view: NDArray[np.float64]) -> tuple[float, float]:
-    """Return the steering angle and the speed that a driver answers."""
+    """Return a driver's steering angle and speed."""
     opponent = view[[_view.OPP_X, _view.OPP_Y, _view.OPP_PSI]]
     size = (float(view[_view.OPP_LENGTH]), float(view[_view.OPP_WIDTH]))
     ranges = _lidar(track).scan(view[[_view.OWN_X, _view.OWN_Y, _view.OWN_PSI]], opponent, opponent_size=size)
@@ -111,14 +112,17 @@ def _ask(driver: Any, track: Track, view: NDArray[np.float64]) -> tuple[float, f
 
 
 def is_driver(made: Any) -> bool:
-    """Return whether an object is a class that drives."""
+    """Return whether an object is a driver class."""
     if not isinstance(made, type) or made is Node:
         return False
     return issubclass(made, Node) or any(callable(getattr(made, method, None)) for method in METHODS)
 
 
 def driver_classes(path: str | Path) -> dict[str, type]:
-    """Return the drivers of a file, which is run, by name: first its classes, then classes of its folder's modules."""
+    """Run a file and return its drivers by name.
+
+    The file's own classes come first, then classes of its folder's modules.
+    """
     module = run_file(path)
     found = {name: value for name, value in vars(module).items() if isinstance(value, type)}
     with one_line(f"{path} can't be loaded"):
@@ -128,10 +132,10 @@ def driver_classes(path: str | Path) -> dict[str, type]:
 
 
 def drivers_from(path: str | Path) -> dict[str, Policy]:
-    """Return the drivers of a Python file, which is run, by the names of their classes.
+    """Run a Python file and return its drivers by class name.
 
-    From then on this process knows them as ``"their_file.py:Class"``, with the path as it is given here, wherever a
-    driver is named; ``"their_file.py"`` is the first one.
+    From then on ``"their_file.py:Class"``, with the path as given here, is the name of a driver in
+    this process; ``"their_file.py"`` is the name of the first driver.
     """
     name = Path(path).as_posix()
     if name not in planner_names():

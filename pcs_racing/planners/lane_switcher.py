@@ -1,17 +1,21 @@
-"""The lane switcher: race line or overtaking lane, after the method that won the F1TENTH race of ICRA 2022.
+"""Lane switcher: race line or overtaking lane, after the winner of the F1TENTH race at ICRA 2022.
 
-It drives on the race line, and on straights changes to a second lane when a slower opponent blocks the first. The
-second lane lies on the side of the race line that has more room, some way off the wall. The steering is proportional
-to the pursuit error of a look-ahead point, with a derivative part on straights. Ten times a second ``plan`` chooses
-the lane; fifty times a second ``control`` steers. Its numbers are parameters; 20 variants, named "0" to "19",
-surround the default.
+The planner drives on the race line, and on straights changes to a second lane when a slower
+opponent blocks the race line. The second lane lies on the side of the race line with more room,
+some way off the wall. The steering is proportional to the pursuit error of a look-ahead point, with
+a derivative part on straights. ``plan`` chooses the lane ten times a second; ``control`` steers
+fifty times a second. The planner's numbers are parameters; 20 variants, named "0" to "19", surround
+the default.
 
-It differs from the original in what it takes to race against cars that move. It crosses from lane to lane at a
-limited speed, and closes up on the opponent no faster than that allows. It changes lanes only where the second one
-goes on for 10 m, and drops back behind the opponent where it ends early. Beside an opponent that is nearer to the
-race line it keeps its place. The pursuit error is measured from the car's course, and what the car understeers is
-added to the steering. The farthest look-ahead is 1.3 m instead of 2.0 m, and the second lane lies 0.38 m from the
-wall instead of 0.3 m: race lines with 0.15 m of air leave little room for cutting corners.
+Races against moving cars need some differences from the original:
+
+- The speed from lane to lane is limited, and so is the closing speed during a lane change.
+- A lane change needs 10 m of second lane ahead; where the second lane ends early, the car drops
+  back behind the opponent.
+- Next to an opponent that is nearer to the race line, the car keeps its lateral position.
+- The pursuit error is measured from the car's course, and the understeer is added to the steering.
+- The max look-ahead is 1.3 m instead of 2.0 m, and the second lane lies 0.38 m from the wall
+  instead of 0.3 m: race lines with 0.15 m of air leave little room for cutting corners.
 """
 
 from pcs_racing.base.compilation import compiled
@@ -52,39 +56,41 @@ SPEED_SHARE, LOOKAHEAD_SLOW, LOOKAHEAD_FAST, GAIN_SLOW, GAIN_FAST, GAIN_CORNER =
 DERIVATIVE, BLOCKING_DISTANCE, NOTICE_TIME, RETURN_COUNT, FOLLOW_FACTOR, OTHER_LANE_FACTOR = range(6, len(PARAMETERS))
 
 VARIANTS = 20
-VARIATION = 0.5  # share of the way from the default to the bounds that they fill
+VARIATION = 0.5  # share of the range from the default to the bounds, filled by the variants
 
-FAST = 7.0  # m/s at which the look-ahead and the gain reach their second value
+FAST = 7.0  # m/s; at this speed the look-ahead and the gain reach their second value
 NOTICE_SPEED = 3.0  # m/s
 STEER_LIMIT = 0.3  # rad
-CORNER = 0.3  # 1/m, curvature from which the line is a corner
-ZONE = 6  # m of race line ahead that must be free of corners on the overtaking lane
-ENTRY = 10  # m of it, and of room for a second lane, for a change to it
-FOLLOW_DISTANCE = 0.9  # m between the cars' middles that is kept while crossing behind the opponent
-YIELD = 0.8  # share of the opponent's speed at which the car drops back behind it
-MOST_OFFSET = 1.0  # m between the two lanes
-LEAST_OFFSET = 0.45  # m; where the track has no room for it there is no second lane
-SMOOTHING = 1.5  # m either way over which the lane is averaged
+CORNER = 0.3  # 1/m, min curvature of a corner
+ZONE = 6  # m of race line without corners ahead, needed on the overtaking lane
+ENTRY = 10  # m of race line without corners and with room for the lane, needed to change to it
+FOLLOW_DISTANCE = 0.9  # m between the cars' centres while crossing behind the opponent
+YIELD = 0.8  # share of the opponent's speed for dropping back behind it
+MOST_OFFSET = 1.0  # max distance between the two lanes, m
+LEAST_OFFSET = 0.45  # min distance, m; without room for it there is no second lane
+SMOOTHING = 1.5  # m to either side, averaged for the lane
 SMOOTHING_POINTS = 7
-CROSSING_SPEED = 1.2  # m/s sideways from lane to lane
+CROSSING_SPEED = 1.2  # m/s, lateral speed from lane to lane
 SPEED_PREVIEW = 0.1  # s
 
-# The lanes: race line, overtaking lane, and no lane, but the car's own place across the track.
+# Lanes: race line, overtaking lane, and the car's own lateral position (no lane).
 RACE_LINE, OVERTAKING, OWN_PLACE = 0.0, 1.0, 2.0
 
-# Memory: the lane; side of the overtaking lane (-1 right, 1 left); the place across the track that is steered for, on
-# its way from lane to lane, m from the race line; decisions in a row with a free race line; highest speed while
-# following (below 0: none); the previous error; and whether the race has begun.
+# Memory: the lane; the side of the overtaking lane (-1 right, 1 left); the lateral position of the
+# steering target on its way from lane to lane, m from the race line; consecutive decisions with a
+# free race line; max speed while following (below 0: none); the previous error; 1 once the race has
+# begun.
 _LANE, _SIDE, _PLACE, _FREE_COUNT, _MOST_SPEED, _ERROR, _BEGUN = range(7)
 MEMORY = 7
 
 
 @compiled
 def lane_offset(track, s, side):  # type: ignore[no-untyped-def]
-    """Distance in m of the overtaking lane on one side (-1 right, 1 left) from the race line at an arc length.
+    """Return the distance (m) of the overtaking lane from the race line at an arc length.
 
-    Where there is room, the lane keeps ``WALL_MARGIN`` to the wall and lies at most ``MOST_OFFSET`` from the race line,
-    averaged over 3 m of track; where there is none it runs into the race line.
+    The lane lies on one ``side`` (-1 right, 1 left). Where there is room, the lane keeps
+    ``WALL_MARGIN`` to the wall and lies at most ``MOST_OFFSET`` from the race line, averaged over
+    3 m of track. Without room, the lane runs into the race line.
     """
     column = _frenet.LEFT if side > 0.0 else _frenet.RIGHT
     total = 0.0
@@ -98,7 +104,7 @@ def lane_offset(track, s, side):  # type: ignore[no-untyped-def]
 
 @compiled
 def _room(track, s, side, reach):  # type: ignore[no-untyped-def]
-    """Least offset of the overtaking lane within so many metres ahead, m."""
+    """Return the min offset (m) of the overtaking lane within ``reach`` metres ahead."""
     least = MOST_OFFSET
     for k in range(reach + 1):
         least = min(least, lane_offset(track, s + k, side))
@@ -107,13 +113,13 @@ def _room(track, s, side, reach):  # type: ignore[no-untyped-def]
 
 @compiled
 def _in_zone(track, s, reach):  # type: ignore[no-untyped-def]
-    """Whether the race line is free of corners for so many metres."""
+    """Return whether the race line is free of corners for ``reach`` metres."""
     return sharpest_bend(track, s, reach, 0.25) <= CORNER
 
 
 @compiled
 def _lane_d(track, memory, lane, s):  # type: ignore[no-untyped-def]
-    """Distance of a lane from the race line at an arc length, m."""
+    """Return the distance (m) of a lane from the race line at an arc length."""
     if lane == OVERTAKING:
         return memory[_SIDE] * lane_offset(track, s, memory[_SIDE])
     return memory[_PLACE] if lane == OWN_PLACE else 0.0
@@ -121,7 +127,7 @@ def _lane_d(track, memory, lane, s):  # type: ignore[no-untyped-def]
 
 @compiled
 def _blocked(track, theta, view, memory, lane):  # type: ignore[no-untyped-def]
-    """Whether a corner of the opponent's box lies near a lane."""
+    """Return whether a corner of the opponent's box lies near a lane."""
     n, c = sine_cosine(view[_view.OPP_PSI])
     for k in range(4):
         u = 0.5 * view[_view.OPP_LENGTH] if k in (0, 3) else -0.5 * view[_view.OPP_LENGTH]
@@ -150,7 +156,7 @@ def _choose_lane(track, theta, view, memory):  # type: ignore[no-untyped-def]
         if narrow or (ahead and _blocked(track, theta, view, memory, OVERTAKING)):
             memory[_MOST_SPEED] = min(theta[FOLLOW_FACTOR], YIELD) * view[_view.OPP_V]
         elif ahead and side_air(view) < IN_THE_WAY:
-            # Not across yet: no faster than leaves the time for it.
+            # Still crossing: a speed that leaves the time for it.
             memory[_MOST_SPEED] = max(view[_view.OPP_V] + FOLLOW_GAIN * (gap - FOLLOW_DISTANCE), 0.0)
         if beside and line_blocked:
             return OVERTAKING
@@ -185,7 +191,7 @@ def _speed(track, theta, view, memory, s):  # type: ignore[no-untyped-def]
 
 @compiled
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Choose the lane, and write the piece of it ahead for replays."""
+    """Choose the lane, and write its next piece for replays."""
     s0 = view[_view.OWN_S]
     if memory[_BEGUN] == 0.0:
         memory[_BEGUN] = 1.0
@@ -227,9 +233,10 @@ def control(track, theta, view, memory, scratch, path, command):  # type: ignore
 
 
 def _variants() -> dict[str, tuple[float, ...]]:
-    """Parameter vectors spread evenly around the default, by name.
+    """Return parameter vectors spread evenly around the default, by name.
 
-    Points of the additive sequence of the generalised golden ratio: no random numbers, so that they stay what they are.
+    The vectors are points of the additive sequence of the generalised golden ratio. They need no
+    random numbers, and so never change.
     """
     size = len(PARAMETERS)
     ratio = 2.0
@@ -250,4 +257,4 @@ def _variants() -> dict[str, tuple[float, ...]]:
 LANE_SWITCHER = Planner(
     name="lane-switcher", parameters=PARAMETERS, plan=plan, control=control, memory_size=MEMORY, variants=_variants()
 )
-"""Two lanes, after the winner of ICRA 2022."""
+"""Planner with two lanes, after the winner of ICRA 2022."""

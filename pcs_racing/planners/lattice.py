@@ -1,20 +1,30 @@
-"""A lattice planner along the race line: moves across the track at several speeds, chosen by a weighted cost.
+"""Lattice planner along the race line: moves across the track at several speeds, chosen by cost.
 
-Ten times a second the planner lays a lattice of goals around the race line ahead (two distances, eight positions across
-the track). A move is a cubic in the distance from the race line, as in [1]_ and [2]_: it begins where the last plan is
-by now and ends at a goal, along the line. So a plan goes on where the last one was, and does not follow every stray of
-the car: most of a stray is led back within a few metres, and the next plan forgives the rest. Each move is considered
-at four speeds, 64 candidates in all: an attack, faster than the profile on straights, while a car is to be passed; the
-profile; a slower one; and the speed that keeps a distance behind the other car, even when that brakes. A candidate that
-comes too close to a wall, asks for more grip than there is, or meets the predicted opponent within two seconds is
-rejected; of the others the one with the smallest weighted sum of costs wins. The weights, on a log scale, and a few
-traits (pace, attack, side margin) are the parameters of the policy.
+Ten times a second the planner lays a lattice of goals around the race line ahead (two distances,
+eight positions across the track). A move is a cubic in the distance from the race line, as in [1]_
+and [2]_. It begins at the present point of the last plan and ends at a goal, along the line. So a
+plan continues the last plan, and does not follow every deviation of the car: most of a deviation is
+led back within a few metres, and the next plan forgives the rest.
 
-Of two cars the one ahead has the right of way, and holds its place while the other one follows; beside each other both
-keep their lanes. What differs from the paper's planner, and why: ``docs/paper.md``.
+Each move is considered at four speeds, 64 candidates in all:
 
-All steps of a plan stand in this file. They share the rows of the scratch, and are compiled without the wrappers for
-calls from Python that functions of several files would need: half of the time of compiling them.
+- an attack, faster than the profile on straights, while a car is to be passed;
+- the profile;
+- a slower profile;
+- the speed that keeps a distance behind the other car, even when the other car brakes.
+
+A candidate is rejected if it comes too close to a wall, asks for more grip than there is, or meets
+the predicted opponent within two seconds. Of the others, the candidate with the min weighted sum of
+costs wins. The weights, on a log scale, and a few traits (pace, attack, side margin) are the
+parameters of the policy.
+
+Of two cars, the car ahead has the right of way and keeps its line, while the other car follows.
+Side by side, both keep their lanes. Differences from the paper's planner, with reasons:
+``docs/paper.md``.
+
+All steps of a plan are in this file. They share the rows of the scratch. They are compiled without
+the wrappers for calls from Python that functions of several files would need, which take half of
+the compile time.
 
 References
 ----------
@@ -39,51 +49,51 @@ from pcs_racing.track.frenet import angle_between, offset
 ACROSS = 8
 DISTANCES = 2
 GOALS = ACROSS * DISTANCES
-SEGMENTS = 8  # of each move, at whose ends it is measured
-BEYOND = 4  # points behind the end of a move at which its bends are measured
+SEGMENTS = 8  # segments of each move, which is measured at their ends
+BEYOND = 4  # points beyond the end of a move, where bends are measured
 SPEEDS = 4
 CANDIDATES = GOALS * SPEEDS
 
 HORIZON_STEPS = 10
 HORIZON_STEP = 0.25  # s
-ALONE_STEPS = 5  # enough to compare speeds when there is nobody to meet
-REJECT_STEPS = 7  # overlaps within 1.75 s reject a candidate: on a straight that is time enough to fall back again
-WRONG_WAY = 10.0  # times as bad is an overlap for a car that speeds on where it must give way, or brakes where not
-RIGHT_STEPS = 3  # the same for a car with the right of way
-REJECTED = 1e6  # costs from here on mean that a candidate was rejected
+ALONE_STEPS = 5  # steps without an opponent to meet, enough to compare speeds
+REJECT_STEPS = 7  # overlaps within 1.75 s reject a candidate: time to fall back on a straight
+WRONG_WAY = 10.0  # factor on overlaps: the car must give way but speeds on, or need not but brakes
+RIGHT_STEPS = 3  # in place of `REJECT_STEPS`, for a car with the right of way
+REJECTED = 1e6  # min cost of a rejected candidate
 LATER = 30.0  # cost of a later overlap, per m of its depth
 
-NEAR, NEAR_TIME, FAR = 1.2, 0.4, 1.7  # m, s: the near goals are so far away, the far ones so many times as far
-LED_BACK = 0.7  # share of a stray from the plan that the car is led back from; the next plan forgives the rest
-LOST = 0.4  # m from the plan, beyond which a new one begins where the car is
+NEAR, NEAR_TIME, FAR = 1.2, 0.4, 1.7  # m, s: distance of the near goals; factor for the far goals
+LED_BACK = 0.7  # share of a deviation from the plan to lead back; the next plan forgives the rest
+LOST = 0.4  # m from the plan; beyond it a new plan begins at the car
 
-BODY_AIR = 0.25  # m to keep from a wall at a goal, unless it lies on the race line
+BODY_AIR = 0.25  # m to keep from a wall at a goal, unless the goal lies on the race line
 TOUCH = 0.06  # m; a move that comes closer to a wall is rejected
 WALL_AIR = 0.3  # m to keep from a wall on the way, unless the race line itself comes closer
-WALL_COST = 300.0  # per m that is missing
+WALL_COST = 300.0  # cost per missing m of air
 
-LATERAL_OF_PROFILE = 5.0  # m/s^2 in the bends of the race line at speed scale 1
-GRIP = 5.3  # m/s^2 that a move may ask for at speed scales up to 1, and with the square of the scale above
+LATERAL_OF_PROFILE = 5.0  # m/s^2 of lateral acceleration in the race line's bends at speed scale 1
+GRIP = 5.3  # m/s^2 allowed to a move up to speed scale 1; above, times the scale squared
 STRAIN = 0.5  # cost per m/s^2 beyond the grip
-SPIN_BEYOND = 1.0  # m/s^2 beyond the grip, from where on a move is rejected
-BRAKING = 4.5  # m/s^2 with which a car comes down to the speed of a bend
-OWN_BRAKING, OPPONENT_BRAKING, ACCELERATION = 4.4, 4.4, 5.0  # m/s^2 at most in predictions
+SPIN_BEYOND = 1.0  # m/s^2 beyond the grip; above it a move is rejected
+BRAKING = 4.5  # m/s^2, braking down to the speed of a bend
+OWN_BRAKING, OPPONENT_BRAKING, ACCELERATION = 4.4, 4.4, 5.0  # m/s^2, limits in predictions
 
-SIGHT = 12.0  # m within which the opponent is predicted
-CLOSE = 4.0  # m along the track within which a predicted opponent costs
-BUMPER_AIR = 0.3  # m to keep in front of an opponent that was passed, and behind one
-UNSURE = 0.04  # m that a prediction gets less sure at each step, unless the car follows and can correct it
-MOVE_TIME = 0.4  # s for which an opponent goes on moving sideways
-FOLLOW_GAP = 0.8  # m between the middles of the cars
+SIGHT = 12.0  # m, max distance of a predicted opponent
+CLOSE = 4.0  # m along the track, max distance at which a predicted opponent costs
+BUMPER_AIR = 0.3  # m to keep ahead of a passed opponent, and behind an opponent
+UNSURE = 0.04  # m of uncertainty added per step, unless the car follows and can correct
+MOVE_TIME = 0.4  # s, duration of an opponent's sideways motion
+FOLLOW_GAP = 0.8  # m between the cars' centres
 LEVEL = 1.0  # m of lead from wholly ahead to wholly behind
 
-PROFILES, OPPONENT = SPEEDS + 1, SPEEDS  # how many profiles are laid, and which one is the opponent's
-METRES = 64  # for which they are laid at most; they begin a metre behind the car
-BRAKES_EARLIER = 8.0  # m beyond the last prediction, from where a car may have to brake for a bend
+PROFILES, OPPONENT = SPEEDS + 1, SPEEDS  # number of profiles; index of the opponent's profile
+METRES = 64  # max length of the profiles, m; they begin a metre behind the car
+BRAKES_EARLIER = 8.0  # m beyond the last prediction; a bend there may require braking
 
-ATTACKS, FOLLOWS = 0, SPEEDS - 1  # candidates' speeds: an attack (the profile if there is nobody to pass) is the first
+ATTACKS, FOLLOWS = 0, SPEEDS - 1  # speeds; without a car to pass, an attack is the profile
 _SPEED_FACTORS = (1.0, 1.0, 0.85)
-SLOWEST = 0.65  # in place of following, where there is nobody to follow
+SLOWEST = 0.65  # factor in place of following, with no car to follow
 
 _WEIGHTS = (
     ("length", -2.0, 0.0, -1.0, "length of the move: 2.5 m over its length"),
@@ -120,26 +130,27 @@ PARAMETERS = (
     ),
 )
 
-# Memory: the chosen move. Whether there is one, where it began (m of arc length), how long it is (m), where it ends (m
-# from the race line), and two coefficients of its cubic, see `_lateral`; and whether the car attacks.
+# Memory: the chosen move, and 1 if the car attacks. The move is stored as 1 if there is a move, its
+# start (m of arc length), its length (m), its end (m from the race line), and two coefficients of
+# its cubic, see `_lateral`.
 _M_VALID, _M_S, _M_LENGTH, _M_GOAL, _M_A, _M_B, _M_ATTACKS = range(7)
 MEMORY = 7
 
-# Rows of the scratch, each GOALS wide: where a move ends, its length and coefficients; its curvature, the largest one,
-# the mean, and the largest change along it; the lateral acceleration that it asks for; how much longer it is than the
-# line, and how much its bends slow a car down; air that the race line and the move leave, nearness to walls, least air
-# beside a wall, cost whatever the speed. Then, for all candidates, costs without the opponent and costs; and points and
-# air at the ends of all segments.
+# Rows of the scratch, each GOALS wide: end, length and coefficients of a move; its curvature, the
+# max and mean curvature, and the max change of curvature along it; its lateral acceleration; its
+# length relative to the line, and the slow-down by its bends; air along the race line and along the
+# move, nearness to walls, min air to a wall, cost independent of the speed. Then, for all
+# candidates, costs without the opponent and costs; then points and air at the ends of all segments.
 _GOAL_D, _LENGTH, _A, _B, _KAPPA, _MAX_KAPPA, _MEAN_KAPPA, _KAPPA_RATE, _SIDEWAYS = (GOALS * k for k in range(9))
 _STRETCH, _SLOWED, _LINE_AIR, _MOVE_AIR, _WALL_COST, _MIN_AIR, _BASE, _LEAST = (GOALS * k for k in range(9, 17))
 _COSTS = _LEAST + CANDIDATES
 _POINT_X = _COSTS + CANDIDATES
 _POINT_Y = _POINT_X + SEGMENTS * GOALS
 _AIR = _POINT_Y + SEGMENTS * GOALS
-# Profiles, a row for each metre ahead: the squared speed that a car means to drive there, at each speed and for the
-# opponent, and where the track's edges are. Speed scales, arc length and speed at present; predictions, a row for each
-# step: own arc lengths and speeds at each speed and the room across the track; the opponent's arc length, position
-# across the track and speed.
+# Profiles, a row for each metre ahead: the squared target speed, at each speed and for the
+# opponent, and the track's edges. Speed scales, present arc length and speed. Predictions, a row
+# for each step: own arc lengths and speeds at each speed, and the room across the track; the
+# opponent's arc length, position across the track and speed.
 _SQUARE = _AIR + SEGMENTS * GOALS
 _RIGHT = _SQUARE + PROFILES * METRES
 _LEFT = _RIGHT + METRES
@@ -156,19 +167,19 @@ SCRATCH = _OPP_V + HORIZON_STEPS
 
 @inner_kernel(forceinline=True)
 def _near(v):  # type: ignore[no-untyped-def]
-    """Distance of the near goals in m; the far ones are ``FAR`` times as far."""
+    """Return the distance (m) of the near goals; the far goals are ``FAR`` times as far."""
     return NEAR + NEAR_TIME * v
 
 
 @inner_kernel(forceinline=True)
 def _return_length(v):  # type: ignore[no-untyped-def]
-    """Distance within which a car that strays from its plan is led back onto it, m; also how much of it is written."""
+    """Return the distance (m) for leading a car back onto its plan, also the length of the path."""
     return 1.5 + 0.2 * v
 
 
 @inner_kernel(forceinline=True)
 def _sample_at(line, per_ds, s):  # type: ignore[no-untyped-def]
-    """Index of the line's sample at an arc length above -length; a few laps more do no harm."""
+    """Return the index of the line's sample at an arc length above -length, or some laps on."""
     n = line.shape[0]
     i = int(s * per_ds + n) - n
     if i < 0:
@@ -180,10 +191,11 @@ def _sample_at(line, per_ds, s):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _lay_profiles(line, per_ds, s0, metres, attack, scratch):  # type: ignore[no-untyped-def]
-    """Lay what every prediction reads: squared speeds at all scales, a metre apart, and where the track's edges are.
+    """Lay the profiles of all predictions: squared speeds at all scales, and the track's edges.
 
-    From far to near, so that a car comes down to each bend as hard as it may brake, no harder: above speed scale 1 the
-    profile brakes harder than that. An attack tops the profile by the share ``attack`` where bends allow.
+    Rows are a metre apart, laid from far to near: a car brakes for each bend as hard as it may, and
+    no harder, while above speed scale 1 the race line's profile brakes harder. An attack exceeds
+    the profile by the share ``attack`` where bends allow.
     """
     scale = scratch[_SCALE + ATTACKS]
     lateral = LATERAL_OF_PROFILE * scale * scale
@@ -200,7 +212,7 @@ def _lay_profiles(line, per_ds, s0, metres, attack, scratch):  # type: ignore[no
             own = scratch[_SCALE + f] * scratch[_SCALE + f] * square
             scratch[row + f] = min(own, scratch[beyond + f] + 2.0 * MOST_BRAKING)
         fast = min(top * top * square, lateral / max(abs(line[i, _frenet.KAPPA]), 1e-6))
-        # Bends between these metres count by the profile, which is never above an attack.
+        # Bends between these metres count by the profile, which never exceeds an attack.
         scratch[row] = (
             max(min(fast, scratch[beyond] + 2.0 * BRAKING), scratch[row + 1]) if attack > 0.0 else scratch[row + 1]
         )
@@ -210,7 +222,7 @@ def _lay_profiles(line, per_ds, s0, metres, attack, scratch):  # type: ignore[no
 
 @inner_kernel(forceinline=True)
 def _metre_at(driven):  # type: ignore[no-untyped-def]
-    """Row of the profiles at ``driven`` m from the car, and the share of the way to the next one."""
+    """Return the profiles' row ``driven`` m from the car, and the share of the way to the next."""
     at = min(max(driven + 1.0, 0.0), METRES - 1.001)
     k = int(at)
     return k, at - k
@@ -218,14 +230,14 @@ def _metre_at(driven):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _speed_ahead(scratch, f, k, share):  # type: ignore[no-untyped-def]
-    """Speed of the profile ``f`` at a row and share: linear in its square, as a car brakes."""
+    """Return the speed of the profile ``f`` at a row and share: linear in its square."""
     square = scratch[_SQUARE + k * PROFILES + f]
     return np.sqrt(square + share * (scratch[_SQUARE + (k + 1) * PROFILES + f] - square))
 
 
 @inner_kernel(forceinline=True)
 def _power_of_ten(x):  # type: ignore[no-untyped-def]
-    """10**x for x in [-2, 2] to a relative 1e-7, cheaper than the library's power."""
+    """Return 10**x for x in [-2, 2] to a relative 1e-7, cheaper than the library's power."""
     t = x * (2.302585092994046 / 16.0)
     t = 1.0 + t * (1.0 + t * (1 / 2 + t * (1 / 6 + t * (1 / 24 + t * (1 / 120 + t * (1 / 720 + t / 5040))))))
     t *= t
@@ -236,7 +248,10 @@ def _power_of_ten(x):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _lateral(u, goal, a, b):  # type: ignore[no-untyped-def]
-    """A move's distance from the race line where the share ``u`` of it is driven: the goal from u = 1 on."""
+    """Return a move's distance from the race line at the share ``u`` of the move.
+
+    From u = 1 on it is the goal.
+    """
     u = min(max(u, 0.0), 1.0)
     q = 1.0 - u
     return goal + q * q * (a + u * b)
@@ -244,7 +259,7 @@ def _lateral(u, goal, a, b):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _lateral_slope(u, a, b):  # type: ignore[no-untyped-def]
-    """Derivative of `_lateral` by ``u``."""
+    """Return the derivative of `_lateral` by ``u``."""
     u = min(max(u, 0.0), 1.0)
     q = 1.0 - u
     return q * (q * b - 2.0 * (a + u * b))
@@ -252,13 +267,13 @@ def _lateral_slope(u, a, b):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _lateral_bend(u, a, b):  # type: ignore[no-untyped-def]
-    """Second derivative of `_lateral` by ``u``; 0 from u = 1 on."""
+    """Return the second derivative of `_lateral` by ``u``; 0 from u = 1 on."""
     return 2.0 * (a + u * b) - 4.0 * (1.0 - u) * b if u < 1.0 else 0.0
 
 
 @inner_kernel(forceinline=True)
 def _fade_out(u, d, slope):  # type: ignore[no-untyped-def]
-    """Cubic from d with a slope (per unit of u) to 0 at u = 1, and 0 from there on."""
+    """Return a cubic from d, with a slope (per unit of u), to 0 at u = 1; 0 from there on."""
     u = min(max(u, 0.0), 1.0)
     q = 1.0 - u
     return q * q * (d + u * (slope + 2.0 * d))
@@ -266,10 +281,10 @@ def _fade_out(u, d, slope):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _pace_now(pace, pace_behind, gap):  # type: ignore[no-untyped-def]
-    """The pace at a gap: ``pace`` in front, ``pace + pace_behind`` behind.
+    """Return the pace at a gap: ``pace`` in front, ``pace + pace_behind`` behind.
 
-    Level cars take the mean of the two, and the ramp reaches half a metre to either side, about a car's length. With a
-    step instead, two such cars side by side would change their speeds at every plan.
+    Level cars take the mean of the two. The ramp reaches half a metre to either side, about a car's
+    length. With a step instead, two such cars side by side would change their speeds at every plan.
     """
     behind = min(max(0.5 + gap / LEVEL, 0.0), 1.0)
     return min(max(pace + behind * pace_behind, 0.0), 1.0)
@@ -277,10 +292,10 @@ def _pace_now(pace, pace_behind, gap):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _following_speed(scratch, s, first):  # type: ignore[no-untyped-def]
-    """Speed at ``s`` from which even braking keeps `FOLLOW_GAP` behind the predicted opponent, from step ``first`` on.
+    """Return the max speed at ``s`` from which uniform braking keeps `FOLLOW_GAP` to the opponent.
 
-    So a car begins to fall back before the one ahead brakes: at half of the speed the same time between two cars is
-    half of the distance.
+    The predicted opponent counts from step ``first`` on. So a car begins to fall back before the
+    car ahead brakes: at half of the speed, the same time between two cars is half of the distance.
     """
     speed = 1e9
     for k in range(first, HORIZON_STEPS):
@@ -291,9 +306,9 @@ def _following_speed(scratch, s, first):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _plan_by_now(memory, s0, length, d0, slope0):  # type: ignore[no-untyped-def]
-    """Where the last plan is by now: distance from the line (m), slope, and change of slope (1/m).
+    """Return the last plan's present distance from the line (m), slope, and change of slope (1/m).
 
-    A car that lost its plan, or has none, begins a new one where it is.
+    A car that lost its plan, or has no plan, begins a new plan at its position.
     """
     driven = s0 - memory[_M_S]
     if driven < -0.5 * length:
@@ -310,9 +325,9 @@ def _plan_by_now(memory, s0, length, d0, slope0):  # type: ignore[no-untyped-def
 
 @inner_kernel
 def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside_slope, scratch):  # type: ignore[no-untyped-def]
-    """Lay the goals, join each to the plan by a move, and measure the moves.
+    """Lay the goals, join each goal to the plan by a move, and measure the moves.
 
-    The points are those of the path that is driven: of the move, and of the way back onto it from ``aside``.
+    The points lie on the driven path: on the move, and on the way back onto it from ``aside``.
     """
     per_ds = 1.0 / ds
     count = line.shape[0]
@@ -345,7 +360,7 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
             driven = u * length
             at = s0 + driven
             i = _sample_at(line, per_ds, at)
-            # Between two samples the line is taken for straight: a millimetre.
+            # Between two samples the line is taken as straight: a millimetre.
             beyond = at - np.floor(at * per_ds) * ds
             x = line[i, _frenet.X] + beyond * line[i, _frenet.COS]
             y = line[i, _frenet.Y] + beyond * line[i, _frenet.SIN]
@@ -355,7 +370,7 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
             fastest = scale * line[i, _frenet.SPEED]
             square = min(fastest * fastest, v * v + 8.0 * driven)
             back = _fade_out(driven * per_return, aside, aside_slope)
-            # A narrow place is passed between two points: the least room around this one counts.
+            # A narrow place may lie between two points: the min room around this point counts.
             around = int(0.5 * length / SEGMENTS * per_ds) + 1
             right = line[i, _frenet.RIGHT] - 0.5 * width
             left = line[i, _frenet.LEFT] - 0.5 * width
@@ -385,7 +400,8 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
                 scratch[_KAPPA_RATE + g] = max(scratch[_KAPPA_RATE + g], rate)
                 scratch[_SIDEWAYS + g] = max(scratch[_SIDEWAYS + g], abs(bent) * square)
                 scratch[_KAPPA + g] = bent
-        # A near move may not end where the bend behind it cannot be driven: bends count as far as far moves reach.
+        # A near move must not end before a bend that cannot be driven: bends count up to the end
+        # of the far moves.
         for j in range(BEYOND if first == 0 else 0):
             driven = length * (1.0 + (j + 1) / BEYOND * (FAR - 1.0))
             i = _sample_at(line, per_ds, s0 + driven)
@@ -399,7 +415,7 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
 
 @inner_kernel
 def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
-    """Air beside each move's points, from the distance field."""
+    """Measure the air around each move's points, from the distance field."""
     distance = track.distance
     height, width = distance.shape
     cells = distance.reshape(height * width)
@@ -411,7 +427,7 @@ def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
         col = min(max(int(scratch[_POINT_X + k] * per_cell + first_x), 0), width - 1)
         row = min(max(int(scratch[_POINT_Y + k] * per_cell + first_y), 0), height - 1)
         scratch[_AIR + k] = row * width + col
-    # In a loop of its own, which is so short that the processor waits for many cells of the field at the same time.
+    # A separate loop, short enough for the processor to wait for many cells of the field at once.
     for k in range(GOALS * SEGMENTS):
         scratch[_AIR + k] = cells[np.uint64(int(scratch[_AIR + k]))]
     for g in range(GOALS):
@@ -429,13 +445,14 @@ def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
 def _predict(s, v, follows, keep, steps, scratch):  # type: ignore[no-untyped-def]
     """Drive along the race line from (s, v) towards the profiles, at every speed.
 
-    Keeps arc lengths (unwrapped), speeds, and how far right and left the track lets the car be by then.
+    The results are arc lengths (unwrapped), speeds, and the car's limits on the track to the right
+    and left.
     """
     for f in range(SPEEDS):
         scratch[_NOW_S + f] = s
         scratch[_NOW_V + f] = v
     for k in range(steps):
-        # The speeds do not wait for each other, but each waits for its own last step: so they take turns.
+        # Steps of different speeds are interleaved: each waits only for its own last step.
         for f in range(SPEEDS):
             own_s = scratch[_NOW_S + f]
             own_v = scratch[_NOW_V + f]
@@ -456,9 +473,9 @@ def _predict(s, v, follows, keep, steps, scratch):  # type: ignore[no-untyped-de
 
 @inner_kernel
 def _predict_opponent(view, s, gap, gives_way, beside, scratch):  # type: ignore[no-untyped-def]
-    """The opponent carries on along the track from ``s + gap`` with its share of the profile."""
+    """Predict the opponent along the track from ``s + gap``, with its share of the profile."""
     v = view[_view.OPP_V]
-    # The track pushes the other car sideways where it narrows; who has the right of way leaves it air there.
+    # A narrowing track pushes the other car sideways; a car with the right of way leaves it air.
     room = 0.5 * view[_view.OPP_WIDTH] + (0.0 if gives_way else BODY_AIR)
     driven = gap
     row, share = _metre_at(driven)
@@ -469,7 +486,7 @@ def _predict_opponent(view, s, gap, gives_way, beside, scratch):  # type: ignore
         t = (k + 1) * HORIZON_STEP
         d = view[_view.OPP_D]
         if not beside:
-            # What moves sideways goes on moving for a while; a driver may be anywhere for reasons of its own.
+            # Sideways motion goes on for a while; a policy may have its own reasons for a position.
             d += view[_view.OPP_D_DOT] * t / (1.0 + t / MOVE_TIME)
         row, share = _metre_at(driven)
         low = min(room - scratch[_RIGHT + row], 0.0)
@@ -481,10 +498,10 @@ def _predict_opponent(view, s, gap, gives_way, beside, scratch):  # type: ignore
 
 @inner_kernel
 def _meet_opponent(scratch, f, g, s0, gap, side, reach, unsure, side_reach, body, rejects, wrong, later, w_near, most):  # type: ignore[no-untyped-def]
-    """Cost of overlaps with the predicted opponent, and of being near it, of the move ``g`` at the speed ``f``.
+    """Return the cost of the predicted opponent for the move ``g`` at the speed ``f``.
 
-    ``gap`` and ``side`` are the distances at present, along and across the track; ``reach`` grows by ``unsure`` at each
-    step. A cost above ``most`` is not added up to its end.
+    Overlaps cost, and nearness costs. ``gap`` and ``side`` are the present distances along and
+    across the track; ``reach`` grows by ``unsure`` at each step. The sum stops above ``most``.
     """
     goal, a, b = scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g]
     length = scratch[_LENGTH + g]
@@ -507,23 +524,23 @@ def _meet_opponent(scratch, f, g, s0, gap, side, reach, unsure, side_reach, body
         if cost > most:
             break
         along = driven + gains * min(driven, length) - ahead
-        # The track pushes the car sideways where it narrows.
+        # A narrowing track pushes the car sideways.
         low = scratch[_OWN_LOW + k * SPEEDS + f]
         high = scratch[_OWN_HIGH + k * SPEEDS + f]
         d = _lateral((along + ahead) * per_length, goal, a, b)
         side = min(max(d, low), high) - scratch[_OPP_D + k]
         across = abs(side)
-        # The least distance across while the cars are level, at this step or between the last one and this.
+        # Min distance across while the cars are level, at this step or since the last step.
         nearest = across if abs(along) < reach else side_reach
         if along * before < 0.0:
-            # One passes the other between two steps: what counts is where both are then.
+            # A car passes between two steps: the positions at that time count.
             aside = side_before + (side - side_before) * before / (before - along)
             nearest = min(nearest, abs(aside))
         elif side * side_before < 0.0 and abs(before) < reach:
-            nearest = 0.0  # it changes sides beside the other car
+            nearest = 0.0  # a change of sides next to the other car
         before = along
         side_before = side
-        # A move cannot lead through the other car: what overlapped once is no better on the other side.
+        # A move cannot lead through the other car: an overlap counts on the other side as well.
         deepest = max(deepest, side_reach - nearest)
         cost += hard * deepest * (1.0 + deepest)
         if abs(along) < CLOSE:
@@ -535,7 +552,7 @@ def _meet_opponent(scratch, f, g, s0, gap, side, reach, unsure, side_reach, body
 
 @inner_kernel
 def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):  # type: ignore[no-untyped-def]
-    """Sum up what a move costs whatever the speed, rejections by walls included, into the base row."""
+    """Sum up each move's speed-independent costs, with rejections by walls, in the base row."""
     w_length = 2.5 * _power_of_ten(theta[LENGTH])
     w_max = _power_of_ten(theta[MAX_CURVATURE])
     w_mean = _power_of_ten(theta[MEAN_CURVATURE])
@@ -571,17 +588,20 @@ def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
 
 @inner_kernel
 def _write_path(line, ds, length, view, scratch, g, f, cap, grip, attacks, aside, aside_slope, path):  # type: ignore[no-untyped-def]
-    """Write the beginning of the move ``g`` at the speed ``f``, and the way back onto it, as fast as bends allow."""
+    """Write the beginning of the move ``g`` and the way back onto it, at the speed ``f``.
+
+    Bends limit the speed.
+    """
     per_ds = 1.0 / ds
     at_scale = scratch[_SCALE + f]
     most = cap if f == FOLLOWS else np.inf
-    braking = min(BRAKING * grip / GRIP, MOST_BRAKING)  # as the profile brakes at this scale, if the car may
+    braking = min(BRAKING * grip / GRIP, MOST_BRAKING)  # as in the profile at this scale, limited
     s0 = view[_view.OWN_S]
     v = view[_view.OWN_V]
     goal, a, b = scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g]
     per_length = 1.0 / scratch[_LENGTH + g]
     reach = _return_length(max(v, 0.5))
-    # Bends that come after what is written: from the end of the move backwards, what can be braked down to.
+    # Bends beyond the written path: max speeds by braking, from the end of the move backwards.
     square = 1e9
     step = 0.25 * max(scratch[_LENGTH + g] - reach, 0.0)
     for j in range(4):
@@ -619,7 +639,10 @@ def _write_path(line, ds, length, view, scratch, g, f, cap, grip, attacks, aside
 
 @inner_kernel
 def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[no-untyped-def]
-    """Choose a candidate and write its path; candidates within ``slack`` of the best are weighed to the end."""
+    """Choose a candidate and write its path.
+
+    Candidates within ``slack`` of the best get a full cost.
+    """
     v = max(view[_view.OWN_V], 0.5)
     s0 = view[_view.OWN_S]
     d0 = view[_view.OWN_D]
@@ -631,7 +654,7 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
     slope0 *= max(1.0 - line[here, _frenet.KAPPA] * d0, 0.25)
     pace = _pace_now(theta[PACE], theta[PACE_BEHIND], view[_view.GAP])
     scale = view[_view.SPEED_LOW] + pace * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
-    # What the line asks for at this pace the car can do, and at slow paces more than that.
+    # The car has the grip that the line needs at this pace, and more at slow paces.
     grip = GRIP * max(scale * scale, 1.0)
 
     d, slope, bend, since, remembered = _plan_by_now(memory, s0, track.length, d0, slope0)
@@ -642,29 +665,30 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
 
     gap = view[_view.GAP]
     laps = np.floor((gap + 0.5 * track.length) / track.length)
-    gap -= laps * track.length  # what matters to a driver is where the other car stands, not how often it came round
+    gap -= laps * track.length  # the position of the other car counts, not its laps
     long_reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + BUMPER_AIR
     body = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
-    # Who follows has to see to it that nothing happens: a car that is followed holds its place.
+    # The following car must avoid contact; the leading car keeps its line.
     in_line = abs(d0 - view[_view.OPP_D]) < body
     meets = -(long_reach - (BUMPER_AIR if in_line else 0.0)) < gap < SIGHT
-    # Right of way: the car ahead; level, the one nearer to the race line; as near, the one on the right.
+    # Right of way: the car ahead; if level, the car nearer to the race line; if as near, the car
+    # on the right.
     claim = gap + 0.5 * (abs(d0) - abs(view[_view.OPP_D]))
     gives_way = claim > 0.0 or (claim == 0.0 and d0 > view[_view.OPP_D])
     follows = meets and (gap > 0.0 or (gives_way and gap > -long_reach))
     for f in range(FOLLOWS):
         scratch[_SCALE + f] = scale * _SPEED_FACTORS[f]
     scratch[_SCALE + FOLLOWS] = scale * (1.0 if follows else SLOWEST)
-    # An attack begins wholly behind and ends wholly ahead. If who is passed answered it when level, and who passes
-    # stopped there, both would stay side by side into the next bend.
+    # An attack begins wholly behind and ends wholly ahead. If level cars changed roles (the passing
+    # car stops, the passed car attacks), both would stay side by side into the next bend.
     attacks = meets and (gap > LEVEL or memory[_M_ATTACKS] > 0.5)
     memory[_M_ATTACKS] = 1.0 if attacks else 0.0
     attack = theta[ATTACK] if attacks else 0.0
-    # Side by side, each keeps its lane.
+    # Side by side, each car keeps its lane.
     beside = abs(gap) < long_reach and abs(d0 - view[_view.OPP_D]) > 0.8 * body
     carried = view[_view.OPP_V] / max(line[_sample_at(line, per_ds, view[_view.OPP_S]), _frenet.SPEED], 0.5)
     if beside:
-        # It speeds up as the own car will.
+        # The opponent speeds up as the own car will.
         carried = max(carried, scale * min(view[_view.OPP_V] / max(view[_view.OWN_V], 0.5), 1.0))
     scratch[_SCALE + OPPONENT] = max(carried, 0.0)
     steps = HORIZON_STEPS if meets else ALONE_STEPS
@@ -679,8 +703,8 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
         if follows:
             cap = _following_speed(scratch, s0, 0)
     _predict(s0, v, cap < np.inf, 0.5 * view[_view.OWN_WIDTH] + BODY_AIR, steps, scratch)
-    # Who has the right of way goes on, and only keeps out of what is about to happen: if both held back, they would
-    # stay side by side into the next bend.
+    # A car with the right of way goes on, and avoids only imminent contact: if both held back, they
+    # would stay side by side into the next bend.
     margin = theta[SIDE_MARGIN] if gives_way else 0.5 * theta[SIDE_MARGIN]
     reject_steps = REJECT_STEPS if gives_way else RIGHT_STEPS
     later = LATER if gives_way else 0.0
@@ -704,7 +728,7 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
         speed_cost = w_progress / driven + w_braking * abs(soon - v)
         ahead = scratch[_OPP_S + HORIZON_STEPS - 1] - s0 if meets else -100.0
         in_time = w_rate * fast
-        share = soon / scratch[_OWN_V + 2 * SPEEDS + ATTACKS + 1]  # of the speed for which the bends were measured
+        share = soon / scratch[_OWN_V + 2 * SPEEDS + ATTACKS + 1]  # of the measured bends' speed
         share *= share
         for g in range(GOALS):
             sideways = share * scratch[_SIDEWAYS + g]
@@ -719,8 +743,8 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
                 + STRAIN * max(sideways - grip, 0.0)
                 + 0.03 * REJECTED * max(sideways - grip - SPIN_BEYOND, 0.0)
             )
-    # Meeting the opponent only adds to a cost: so the candidate that costs least without it is looked at first, and
-    # of the others those that could still be better than the best.
+    # The opponent only adds to a cost. So the candidate with the min cost without the opponent
+    # comes first, and of the others only candidates that could still beat the best.
     first = chosen = np.int64(np.argmin(scratch[_LEAST:_COSTS]))
     best = 1e30
     for k in range(-1, CANDIDATES):
@@ -732,7 +756,7 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
         if meets:
             falls_back = c // GOALS == FOLLOWS
             unsure = 0.0 if falls_back else UNSURE
-            wrong = WRONG_WAY if gives_way != falls_back else 1.0  # in a pinch one falls back and the other goes on
+            wrong = WRONG_WAY if gives_way != falls_back else 1.0  # one falls back, one goes on
             later_on = 0.0 if falls_back else later
             cost += _meet_opponent(
                 scratch, c // GOALS, c % GOALS, s0, gap, d - view[_view.OPP_D], long_reach, unsure, body + margin, body,
@@ -762,21 +786,21 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 @kernel
 def _weigh_all(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Do as ``plan``, and leave the whole cost of every candidate in the scratch."""
+    """Choose as ``plan`` does, with the full cost of every candidate in the scratch."""
     _search(track, theta, view, memory, scratch, path, np.inf)
 
 
 def candidates(
     track: _frenet.TrackArrays, theta: NDArray[np.float64], view: NDArray[np.float64], memory: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """All candidates that ``plan`` would choose from, for pictures.
+    """Return all candidates of ``plan``, for pictures.
 
     Returns
     -------
     points : ndarray, shape (64, 9, 2)
         Points of each candidate in m (the four speeds of one move share them).
     costs : ndarray, shape (64,)
-        Weighted cost; infinite where the candidate is rejected.
+        Weighted cost; infinite for a rejected candidate.
     """
     scratch = np.zeros(SCRATCH)
     _weigh_all(track, theta, view, memory.copy(), scratch, np.zeros((PATH_POINTS, 4)))
@@ -798,4 +822,4 @@ LATTICE = Planner(
     candidates=candidates,
     sight=SIGHT,
 )
-"""The lattice planner: moves across the track along the race line."""
+"""Lattice planner: moves across the track along the race line."""

@@ -1,8 +1,9 @@
-"""What drivers with a map share: a lane along the race line, the path that eases the car onto it, and trailing.
+"""Shared parts of planners with a map: a lane along the race line, the path onto it, and trailing.
 
-A *lane* is where a driver wants to be: distances from the race line (m, positive to the left), ``lane_step`` apart from
-the car on. `ease_onto` turns it into the path of the protocol, with speeds of the circuit's profile that the lane's
-bends allow. So drivers of different papers differ in where they want to be, and not in how well they follow a path.
+A *lane* is a planner's target: distances from the race line (m, positive to the left),
+``lane_step`` apart, from the car on. `ease_onto` turns a lane into the path of the protocol, with
+the speeds of the track's profile that the lane's bends allow. So planners of different papers
+differ in their target, not in how well they follow a path.
 """
 
 import numpy as np
@@ -24,7 +25,7 @@ TRAILING = (
     Parameter("trailing_p", 0.1, 3.0, 0.5, "closing speed per metre beyond that distance, 1/s"),
     Parameter("trailing_d", 0.0, 1.0, 0.2, "how much of the difference of speeds is taken off while trailing"),
 )
-"""Parameters with which planners begin that use `trailing_speed`; the values are those of [1]_.
+"""First parameters of planners that use `trailing_speed`; the values are from [1]_.
 
 .. [1] N. Baumann et al., "ForzaETH Race Stack: Scaled autonomous head-to-head racing on fully commercial off-the-shelf
    hardware", Journal of Field Robotics, 2024, and its published configuration.
@@ -32,64 +33,70 @@ TRAILING = (
 _PACE, _GAP, _P, _D = range(len(TRAILING))
 
 LANE_POINTS = 20
-"""Points of a lane: those of the path, and as many more as it takes to brake for what comes."""
-ANCHORS = 8  # of a curve that keeps the lane off the walls
+"""Number of points of a lane: the path's points, and enough more to brake for the bends beyond."""
+ANCHORS = 8  # points of a curve that keeps the lane off the walls
 LANE_SIZE = LANE_POINTS + ANCHORS
-"""Numbers of an array that holds a lane, with working memory for `ease_onto`."""
+"""Size of a lane's array, with working memory for `ease_onto`."""
 
 KEPT_LANE = 3 + LANE_POINTS
-"""Numbers of memory that a lane takes: whether there is one, where it begins, its step, and its points."""
+"""Size of a lane in the memory: 1 if there is a lane, its start, its step, and its points."""
 
 ANCHOR_STEP = 2.0  # m
-WALL_NEAR, WALL_PUSH = 0.60, 0.30  # m: a lane nearer to a wall is pushed off it, by 0.145 m where it is at 0.305 m
+WALL_NEAR, WALL_PUSH = 0.60, 0.30  # m; a wall pushes a nearer lane away, by 0.145 m at 0.305 m
 
-LOST = 0.4  # m from the last plan, beyond which a new one begins where the car is
-FORGIVEN, MOST_FORGIVEN = 0.5, 0.1  # share of a stray (m, or slope) where the path does not begin: all would weave
-OFF_LINE = 0.30  # m from the race line, where a lane is a driver's own business
-ON_LINE = 0.15  # m from the race line within which a lane is as good as the line itself
-BEND = 3  # points of the lane to either side of one by which it bends there
-EASE_LATERAL = 6.0  # m/s^2 that a car may ask for on its way to the lane
-GRIP = 5.3  # m/s^2 that the lane's bends may ask for at speed scales up to 1, and with the square of the scale above
-COMFORT = 4.5  # m/s^2 with which a car comes down to the speed of a bend
+LOST = 0.4  # m from the last plan; beyond it a new plan begins at the car
+# Share and max of a deviation (m, or slope) that the path forgives: with a path that begins at the
+# car itself, the car would weave.
+FORGIVEN, MOST_FORGIVEN = 0.5, 0.1
+OFF_LINE = 0.30  # m from the race line; walls do not push a lane beyond it
+ON_LINE = 0.15  # m from the race line; a lane within it is as good as the line itself
+BEND = 3  # points of the lane to either side that give its bend at a point
+EASE_LATERAL = 6.0  # m/s^2, lateral acceleration allowed on the way to the lane
+GRIP = 5.3  # m/s^2 allowed in the lane's bends up to speed scale 1; above, times the scale squared
+COMFORT = 4.5  # m/s^2, braking down to the speed of a bend
 
 
 @kernel(forceinline=True)
 def speed_scale(view, pace):  # type: ignore[no-untyped-def]
-    """Factor of the circuit's speed profile at a pace."""
+    """Return the factor of the track's speed profile at a pace."""
     return view[_view.SPEED_LOW] + pace * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
 
 
 @kernel(forceinline=True)
 def trailing_speed(theta, view, gap):  # type: ignore[no-untyped-def]
-    """Speed in m/s that keeps the distance to a car ahead; ``theta`` begins with the parameters `TRAILING`."""
+    """Return the speed (m/s) that keeps the distance to a car ahead.
+
+    ``theta`` begins with the parameters `TRAILING`.
+    """
     closing = view[_view.OWN_V] - view[_view.OPP_V]
     return max(view[_view.OPP_V] + theta[_P] * (gap - theta[_GAP]) - theta[_D] * closing, 0.0)
 
 
 @kernel(forceinline=True)
 def _reach(view):  # type: ignore[no-untyped-def]
-    """Distance in m within which the car eases onto the lane, and how much of it is written."""
+    """Return the distance (m) for easing onto the lane, which is also the length of the path."""
     return 1.5 + 0.2 * view[_view.OWN_V]
 
 
 @kernel(forceinline=True)
 def lane_step(view):  # type: ignore[no-untyped-def]
-    """Distance in m along the race line between two points of a lane."""
+    """Return the distance (m) along the race line between two points of a lane."""
     return _reach(view) / (PATH_POINTS - 1)
 
 
 @kernel
 def follow_line(track, theta, view, gap, sight, lane):  # type: ignore[no-untyped-def]
-    """Lay the lane of a driver that does not pass: the race line; returns the speed to trail a car ahead at, m/s.
+    """Lay the lane of a planner that does not overtake, and return the trailing speed (m/s).
 
-    Beside a car that is nearer to the race line, and close behind it, it is the own place across the track.
-    ``gap`` is the distance to the other car (m), which is trailed within ``sight`` if the car would run into it.
+    The lane is the race line. Next to a car that is nearer to the race line, and close behind such
+    a car, the lane is the own lateral position. ``gap`` is the distance to the other car (m). The
+    other car is trailed within ``sight`` if the own car would run into it.
     """
     beside = -0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) < gap < theta[_GAP]
     waits = beside and side_air(view) > 0.0 and abs(view[_view.OPP_D]) < abs(view[_view.OWN_D])
     d = within_walls(track, view[_view.OWN_S], view[_view.OWN_D], WALL_MARGIN) if waits else 0.0
     lane[:LANE_POINTS] = d
-    # Of the car where it is, and of the race line.
+    # Air at the car's position, and on the race line.
     air = min(side_air(view), abs(view[_view.OPP_D]) - 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]))
     ahead = 0.0 < gap < sight and air < IN_THE_WAY
     return trailing_speed(theta, view, gap) if waits or ahead else np.inf
@@ -97,7 +104,10 @@ def follow_line(track, theta, view, gap, sight, lane):  # type: ignore[no-untype
 
 @kernel
 def sharpest_bend(track, s, reach, step):  # type: ignore[no-untyped-def]
-    """Largest curvature of the race line at places a step apart, within a reach after an arc length (all m), 1/m."""
+    """Return the max curvature (1/m) of the race line within a reach after an arc length.
+
+    The curvature is read at places a step apart; all distances are in m.
+    """
     sharpest = 0.0
     for k in range(int(reach / step)):
         sharpest = max(sharpest, abs(track.line[line_index(track, s + step * k), _frenet.KAPPA]))
@@ -106,7 +116,7 @@ def sharpest_bend(track, s, reach, step):  # type: ignore[no-untyped-def]
 
 @kernel
 def lane_fits(track, view, keep, lane):  # type: ignore[no-untyped-def]
-    """Whether a lane leaves ``keep`` (m) to the walls wherever it has left the race line."""
+    """Return whether a lane leaves ``keep`` (m) to the walls wherever it is off the race line."""
     step = lane_step(view)
     for j in range(LANE_POINTS):
         sample = track.line[line_index(track, view[_view.OWN_S] + j * step)]
@@ -119,7 +129,7 @@ def lane_fits(track, view, keep, lane):  # type: ignore[no-untyped-def]
 
 @kernel
 def hold_off(track, view, keep, lane):  # type: ignore[no-untyped-def]
-    """Move a lane to where it leaves ``keep`` (m) to the walls, or as much as the race line does."""
+    """Move a lane so that it leaves ``keep`` (m) to the walls, or as much as the race line does."""
     step = lane_step(view)
     for j in range(LANE_POINTS):
         lane[j] = within_walls(track, view[_view.OWN_S] + j * step, lane[j], keep)
@@ -127,9 +137,10 @@ def hold_off(track, view, keep, lane):  # type: ignore[no-untyped-def]
 
 @kernel
 def lay_lane(view, d, along, across, lane):  # type: ignore[no-untyped-def]
-    """Lay a lane through places: cubics from the distance ``d`` (m) on, through all of a plan.
+    """Lay a lane of cubics from the distance ``d`` (m) through all places of a plan.
 
-    ``along`` and ``across`` are the places' distances along the race line from the car on, rising, and from it, m.
+    ``along`` holds the places' distances from the car along the race line, increasing; ``across``
+    holds their distances from the race line; both in m.
     """
     last = along.shape[0] - 1
     k = 0
@@ -153,7 +164,7 @@ def lay_lane(view, d, along, across, lane):  # type: ignore[no-untyped-def]
 
 @kernel
 def keep_lane(view, lane, memory):  # type: ignore[no-untyped-def]
-    """Remember a lane in the first `KEPT_LANE` numbers of the memory."""
+    """Save a lane in the first `KEPT_LANE` numbers of the memory."""
     memory[0], memory[1], memory[2] = 1.0, view[_view.OWN_S], lane_step(view)
     for j in range(LANE_POINTS):
         memory[3 + j] = lane[j]
@@ -161,7 +172,10 @@ def keep_lane(view, lane, memory):  # type: ignore[no-untyped-def]
 
 @kernel
 def kept_lane(track, memory, s):  # type: ignore[no-untyped-def]
-    """Distance from the race line (m) and slope of the remembered lane at an arc length; 0 where there is none."""
+    """Return the distance from the race line (m) and slope of the saved lane at an arc length.
+
+    Both are 0 without a saved lane.
+    """
     if memory[0] == 0.0:
         return 0.0, 0.0
     driven = s - memory[1]
@@ -174,27 +188,30 @@ def kept_lane(track, memory, s):  # type: ignore[no-untyped-def]
 
 @kernel
 def last_lane(track, view, memory):  # type: ignore[no-untyped-def]
-    """Do as `kept_lane` beside the own car, and say whether that may go on: else there is none, or the car lost it."""
+    """Return `kept_lane` at the own car, and whether the lane may go on.
+
+    It may not if there is no saved lane, or if the car lost it.
+    """
     d, slope = kept_lane(track, memory, view[_view.OWN_S])
     return d, slope, memory[0] != 0.0 and abs(d - view[_view.OWN_D]) <= LOST
 
 
 @kernel
 def course_off_line(track, view):  # type: ignore[no-untyped-def]
-    """Angle of the own course to the race line beside the car, rad."""
+    """Return the angle (rad) of the own course to the race line at the car."""
     here = track.line[line_index(track, view[_view.OWN_S])]
     return angle_between(steady_course(view, here[_frenet.KAPPA]), here[_frenet.PSI])
 
 
 @kernel(forceinline=True)
 def _stray(x):  # type: ignore[no-untyped-def]
-    """What is left of a stray from the lane, after what the path forgives."""
+    """Return a deviation from the lane, less the part that the path forgives."""
     return x - min(max(FORGIVEN * x, -MOST_FORGIVEN), MOST_FORGIVEN)
 
 
 @inner_kernel
 def _keep_off_walls(track, s0, step, lane):  # type: ignore[no-untyped-def]
-    """Move a lane off walls that the race line comes near to, by a quadratic B-spline along the track."""
+    """Move a lane off walls near the race line, by a quadratic B-spline along the track."""
     first = np.floor(s0 / ANCHOR_STEP - 1.0)
     for k in range(ANCHORS):
         left = right = 0.0
@@ -214,9 +231,10 @@ def _keep_off_walls(track, s0, step, lane):  # type: ignore[no-untyped-def]
 
 @kernel
 def ease_onto(track, view, scale, cap, lane, path):  # type: ignore[no-untyped-def]
-    """Write a path that eases from the car onto a lane, with a factor of the speed profile and a ``cap`` (m/s).
+    """Write a path that eases from the car onto a lane.
 
-    The lane, shape (LANE_SIZE,), is moved off walls.
+    ``scale`` is a factor of the speed profile; ``cap`` is the max speed (m/s). The lane, shape
+    (LANE_SIZE,), is moved off walls.
     """
     line, ds, length = track.line, track.ds, track.length
     s0 = view[_view.OWN_S]
@@ -230,7 +248,7 @@ def ease_onto(track, view, scale, cap, lane, path):  # type: ignore[no-untyped-d
     aside = _stray(d0 - lane[0])
     ease = max(reach, view[_view.OWN_V] * np.sqrt(6.0 * abs(aside) / EASE_LATERAL))
     rise = ease * _stray(slope - (lane[1] - lane[0]) / step)
-    # What the line asks for at this scale the car can do, and at slow ones more than that.
+    # The car has the grip that the line needs at this scale, and more at slow scales.
     grip = GRIP * max(scale * scale, 1.0)
     braking = 2.0 * step * min(COMFORT * grip / GRIP, BRAKING)
     square = 1e9
@@ -255,7 +273,10 @@ def ease_onto(track, view, scale, cap, lane, path):  # type: ignore[no-untyped-d
 
 @kernel
 def hold_back(track, view, scale, along, step, path):  # type: ignore[no-untyped-def]
-    """Take a path's speeds from a plan where the plan is held up: ``along`` (m) are its places every ``step`` s."""
+    """Take a path's speeds from a plan where the plan is held up.
+
+    ``along`` (m) holds the plan's places, every ``step`` s.
+    """
     last, k = along.shape[0] - 1, 0
     for j in range(PATH_POINTS):
         while k < last and along[k] < j * lane_step(view):

@@ -1,9 +1,10 @@
-"""A small neural network as a planner: its weights are the policy's parameter vector, or constants of its code.
+"""Small neural network as a planner; its weights are the policy's parameters, or constants.
 
-The network sees a handful of numbers of order one (:data:`INPUTS`) and puts out the steering angle and the speed,
-fifty times a second. Every layer is ``tanh(W x + b)``, the output layer included: outputs -1 and 1 stand for the
-largest steering angle right and left, and for standing still and :data:`TOP_SPEED`. Nothing else is needed to evolve,
-imitate or distil a network: its weights are as good a ``theta`` as the lattice planner's.
+The network's inputs are a few numbers of order one (:data:`INPUTS`). Its outputs are the steering
+angle and the speed, fifty times a second. Every layer is ``tanh(W x + b)``, the output layer
+included: outputs -1 and 1 mean the max steering angle right and left, and standstill and
+:data:`TOP_SPEED`. No other code is needed to evolve, imitate or distil a network: its weights are a
+``theta`` like the lattice planner's.
 """
 
 from collections.abc import Sequence
@@ -42,7 +43,7 @@ INPUTS: dict[str, str] = {
     "opponent_side": "that nearness times how far it is to the left, m",
     "opponent_speed": "that nearness times its speed minus own, in 4 m/s",
 }
-"""What the network sees, in order, with its unit; all of order one."""
+"""Inputs of the network in order, with units; all of order one."""
 
 OUTPUTS = 2
 CALL_STEPS = 2  # simulation steps of 0.01 s from one call of a planner's ``control`` to the next
@@ -54,7 +55,7 @@ MOST_WEIGHTS = 100_000
 
 @compiled
 def network_inputs(track, view, out):  # type: ignore[no-untyped-def]
-    """Write the network's inputs (:data:`INPUTS`) for a driver's view into ``out``, shape (16,)."""
+    """Write the network's inputs (:data:`INPUTS`) for a view into ``out``, shape (16,)."""
     v = view[_view.OWN_V]
     s = view[_view.OWN_S]
     own_place = track.line[line_index(track, s)]
@@ -83,10 +84,10 @@ def network_inputs(track, view, out):  # type: ignore[no-untyped-def]
 
 @cache
 def _control(hidden: tuple[int, ...], hold: int, frozen: bytes | None) -> Any:
-    """Compile a network that decides every ``hold`` steps of 0.01 s, with its own weights or those of ``theta``.
+    """Compile a network that decides every ``hold`` steps of 0.01 s.
 
-    Sizes and frozen weights are constants of the code. Of the sizes as a tuple each number of layers would compile a
-    forward pass of its own.
+    The weights are frozen, or come from ``theta``. Sizes and frozen weights are constants of the
+    code. With the sizes as a tuple, each number of layers would compile its own forward pass.
     """
     sizes = np.array((len(INPUTS), *hidden, OUTPUTS))
     widest = int(sizes.max())
@@ -121,7 +122,7 @@ def _control(hidden: tuple[int, ...], hold: int, frozen: bytes | None) -> Any:
 def make_network_planner(
     name: str, hidden: tuple[int, ...], hold: int, parameters: tuple[Parameter, ...], frozen: bytes | None = None
 ) -> Planner:
-    """Return a planner with the weights of its parameters, or with frozen ones (float64, as bytes)."""
+    """Return a planner with weights as parameters, or with frozen weights (float64, as bytes)."""
     return Planner(
         name=name,
         parameters=parameters,
@@ -133,7 +134,7 @@ def make_network_planner(
 
 
 def driver_weight_count(hidden: Sequence[int]) -> int:
-    """Return how many weights a network with these hidden layers has."""
+    """Return the number of weights of a network with these hidden layers."""
     return weight_count((len(INPUTS), *hidden, OUTPUTS))
 
 
@@ -147,10 +148,12 @@ def network_planner(
     hidden : sequence of int
         Widths of the hidden layers, each at least 1; may be empty.
     weights : array_like, shape (driver_weight_count(hidden),), optional
-        The default policy's weights (:meth:`pcs_racing.base.dense.DenseLayers.flat`): of each layer its biases, then
-        for each input the weights to all neurons. All 0 by default, which drives straight on at 4 m/s.
+        Weights of the default policy (:meth:`pcs_racing.base.dense.DenseLayers.flat`): for each
+        layer its biases, then for each input the weights to all neurons. By default all are 0,
+        which drives straight on at 4 m/s.
     hold : int
-        Simulation steps of 0.01 s for which a decision holds, an even number: 2 for fifty decisions a second.
+        Duration of a decision in simulation steps of 0.01 s, an even number: 2 for fifty decisions
+        a second.
 
     Returns
     -------
@@ -182,8 +185,8 @@ def network_planner(
 def check_driver(name: str, sizes: Sequence[int], weights: ArrayLike | None, hold: int) -> None:
     """Check that a network can drive; its name is for messages.
 
-    ``sizes`` and ``weights`` are those of :class:`pcs_racing.base.dense.DenseLayers`, its ``sizes`` and ``flat()``. A
-    decision holds for ``hold`` simulation steps.
+    ``sizes`` and ``weights`` are ``sizes`` and ``flat()`` of
+    :class:`pcs_racing.base.dense.DenseLayers`. A decision holds for ``hold`` simulation steps.
     """
     if (sizes[0], sizes[-1]) != (len(INPUTS), OUTPUTS):
         raise InputError(

@@ -1,9 +1,10 @@
-"""Runs of a Python file of somebody else: each run has its own globals, modules, random numbers and clock.
+"""Runs of a third-party Python file, each with its own globals, modules, random numbers and clock.
 
-A module in the file's folder, or in a folder that the file adds to ``sys.path``, belongs to the run: two files with a
-``utils`` in each of their folders use two modules. A race runs the file again, so that its globals are fresh. While its
-code runs, the global generators of ``random``, numpy and torch are the run's own, seeded by the race, and its module
-``time`` shows the time of the race.
+A module in the file's folder, or in a folder that the file adds to ``sys.path``, belongs to the
+run: two files with a ``utils`` in each of their folders use two modules. A race runs the file
+again, so that its globals are fresh. While the file's code runs, the global generators of
+``random``, numpy and torch are the run's own, seeded by the race. The run's module ``time`` shows
+the race time.
 """
 
 import argparse
@@ -31,28 +32,29 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.planners import ros_nodes
 
 EPOCH = 1_700_000_000.0
-"""Time that a clock of a race shows at its start, s since 1970: programs take 0 for "not yet"."""
+"""Clock time at the start of a race, s since 1970: programs take 0 for "not yet"."""
 
 _PREFIX = "drivers of "
 _SHARED = {*sys.builtin_module_names, "pcs_racing", "pcs_racing_agents"}
 _PLAIN = {*_SHARED, *sys.stdlib_module_names, "numpy", "numba"} - {"random"}
 """Packages that draw no random numbers unless the file asks for them."""
-_TICK = 1e-5  # s that a reading of the clock takes: a loop that waits for a time ends
+_TICK = 1e-5  # s added by each reading of the clock, so that a loop that waits for a time ends
 
 _import = builtins.__import__
 _entropy: Any = importlib.import_module("numpy.random.bit_generator")
-_lock = RLock()  # held while own code runs: it has the global generators, and may not be made for threads
+# Held while a file's code runs: it has the global generators, and may not be thread-safe.
+_lock = RLock()
 _runs: dict[str, "Run"] = {}
 
 
 class Run:
-    """One run of a file: as in a race with a seed and a clock, or once in this process without them."""
+    """One run of a file: in a race, with a seed and a clock, or once per process, without them."""
 
     def __init__(self, path: Path, number: int = 0, seed: tuple[int, ...] = (0,)) -> None:
         self.path = Path(check_path("a Python file", path))
         self.template = _template(path)
         self.name = f"{self.template}#{number}" if number else self.template
-        self.now = 0.0  #: Time of the race, s.
+        self.now = 0.0  #: Race time, s.
         self.driver: Any = None
         self._folders, self._known_path = [str(path.resolve().parent)], list[str]()
         self._owned: dict[str, bool] = {}
@@ -61,7 +63,7 @@ class Run:
         states = random.Random(self._seed).getstate(), np.random.MT19937(self._seed), {"has_gauss": 0}
         tensor = torch.Generator().manual_seed(self._seed).get_state() if torch is not None else None
         self._generators: Any = *states, tensor, lambda size: random.getrandbits(size)
-        self._outside: Any = None  # the generators of this process while own code runs
+        self._outside: Any = None  # the generators of this process while the file's code runs
         self._stand_ins = {"argparse": _over(argparse, ArgumentParser=_Parser), **ros_nodes.modules()}
         self._stand_ins["importlib"] = _over(importlib, import_module=self._import_module)
         if number:
@@ -94,7 +96,10 @@ class Run:
 
     @contextmanager
     def entered(self, what: str) -> Iterator[None]:
-        """Let own code run within the block; an error of any kind becomes one line that begins with ``what``."""
+        """Let the file's code run within the block.
+
+        An error of any kind becomes one line that begins with ``what``.
+        """
         with _lock, one_line(what, ()):
             argv, self._known_path, self._active = sys.argv, sys.path[:], True
             sys.argv = [str(self.path)]
@@ -109,7 +114,7 @@ class Run:
                     self._generators, self._outside = _swap(self._outside), None
 
     def _note_folders(self) -> None:
-        """Take the folders that own code has added to ``sys.path`` for folders of the run."""
+        """Add the folders that the file's code added to ``sys.path`` to the run's folders."""
         if sys.path != self._known_path:
             added = [one for one in sys.path if one not in self._known_path and one not in self._folders]
             self._folders += added
@@ -120,7 +125,7 @@ class Run:
             self._outside = _swap(self._generators)
 
     def _owns(self, head: str) -> bool:
-        """Return whether a module belongs to the run: it lies in one of its folders."""
+        """Return whether a module belongs to the run, by its folder."""
         if self._active:
             self._note_folders()
         if head not in self._owned:
@@ -134,7 +139,10 @@ class Run:
     def import_own(
         self, name: str, names: Any = None, local: Any = None, fromlist: Sequence[str] | None = (), level: int = 0
     ) -> Any:
-        """Import as ``__import__`` does; the run's own modules under its name, and stand-ins for some others."""
+        """Import as ``__import__`` does, with the run's own modules under the run's name.
+
+        Some other modules have replacements.
+        """
         head, dot, _ = name.partition(".")
         if level == 0 and self._owns(head):
             module = _import(f"{self.name}.{name}", names, local, fromlist)
@@ -148,7 +156,8 @@ class Run:
         module = _import(name, names, local, fromlist, level)
         if head == "torch" and self._outside is not None and self._outside[3] is None:
             sys.modules["torch"].manual_seed(self._seed)
-        if self.name != self.template and head.startswith("pcs_racing"):  # what the first run has registered stays
+        # Registrations by the first run stay.
+        if self.name != self.template and head.startswith("pcs_racing"):
             shown = [one for one in fromlist or getattr(module, "__all__", ()) if one.startswith("register_")]
             return _over(module, **dict.fromkeys(shown, lambda *given, **named: None)) if shown else module
         return module
@@ -157,7 +166,7 @@ class Run:
         return importlib.import_module(name, package) if name[0] == "." else self.import_own(name, fromlist=("x",))
 
     def draw(self) -> None:
-        """Give own code generators of its own from now on: it may draw random numbers."""
+        """Give the file's code its own generators from now on: it may draw random numbers."""
         self._draws = True
         if self._active:
             self._seed_generators()
@@ -180,24 +189,24 @@ class Run:
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser in a file that is given no arguments: what it misses is an error of the file."""
+    """Parser in a file without arguments; a missing argument is an error of the file."""
 
     def error(self, message: str) -> NoReturn:
         raise SystemExit(f"it reads arguments of a command line, and there are none for it: {message}")
 
 
 def _over(real: ModuleType, **own: Any) -> ModuleType:
-    """Return a module with some values of its own, and all others of another module."""
+    """Return a module with some own values, and all other values from another module."""
     module = ModuleType(real.__name__, real.__doc__)
     module.__dict__.update(own, __getattr__=partial(getattr, real))
     return module
 
 
 def _swap(given: Any) -> Any:
-    """Set the global generators, and return the generators before."""
+    """Set the global generators, and return the previous generators."""
     torch, (state, bits, gauss, torch_state, randbits) = sys.modules.get("torch"), given
     tensor = torch.get_rng_state() if torch is not None else None
-    theirs: Any = np.random  # its global generator, which no type describes
+    theirs: Any = np.random  # numpy's global generator has no type
     was = random.getstate(), theirs.get_bit_generator(), theirs.get_state(legacy=False), tensor, _entropy.randbits
     random.setstate(state)
     theirs.set_bit_generator(bits)
@@ -205,13 +214,16 @@ def _swap(given: Any) -> Any:
         theirs.set_state(gauss)
     if torch is not None and torch_state is not None:
         torch.set_rng_state(torch_state)
-    _entropy.randbits = randbits  # where numpy's generators without a seed get one
+    _entropy.randbits = randbits  # source of seeds for numpy's unseeded generators
     return was
 
 
 @contextmanager
 def one_line(what: str, passing: type[Exception] | tuple[()] = InputError) -> Iterator[None]:
-    """Turn an error of any kind, the end of the process among them, into one line; Ctrl-C passes, and our errors."""
+    """Turn any error, the end of the process included, into one line.
+
+    Ctrl-C passes, and so do the errors ``passing``, by default our errors.
+    """
     try:
         yield
     except KeyboardInterrupt:
@@ -221,19 +233,19 @@ def one_line(what: str, passing: type[Exception] | tuple[()] = InputError) -> It
     except BaseException as error:
         try:
             said = f"{type(error).__name__}: {error}"
-        except Exception:  # an error whose text raises one
+        except Exception:  # the text of the error raised an error
             said = type(error).__name__
         raise InputError(f"{what}: {said}") from error
 
 
 @lru_cache(maxsize=1024)
 def _code(path: str) -> CodeType | None:
-    """Bytecode of a file, the same for all runs in this process."""
+    """Return the bytecode of a file, the same for all runs in this process."""
     return SourceFileLoader("-", path).get_code("-")
 
 
 class _Loader(SourceFileLoader):
-    """Runs a file of a run, with the run's imports."""
+    """Loader of a run's files, with the run's imports."""
 
     def get_code(self, fullname: str) -> CodeType | None:
         return _code(self.path)
@@ -244,7 +256,7 @@ class _Loader(SourceFileLoader):
         if b"random" in self.get_data(self.path):
             run.draw()
         super().exec_module(module)
-        # What numba has compiled for one run does for all: it takes globals as constants.
+        # All runs share numba's compiled code: numba takes globals as constants.
         first = sys.modules.get(module.__name__.replace(run.name, run.template, 1))
         for name, value in vars(first).items() if first is not None else ():
             if isinstance(value, Dispatcher) and isinstance(vars(module).get(name), Dispatcher):
@@ -252,7 +264,7 @@ class _Loader(SourceFileLoader):
 
 
 class _Finder(MetaPathFinder):
-    """Finds the modules of runs, by which pickle finds their classes as well."""
+    """Finder of the modules of runs, also used by pickle for their classes."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
@@ -267,16 +279,19 @@ sys.meta_path.insert(0, _Finder())
 
 
 def run_file(path: str | Path) -> ModuleType:
-    """Run a Python file, once in this process, and return it as a module."""
+    """Run a Python file, once per process, and return it as a module."""
     path = Path(check_path("a Python file", path))
     return (_runs.get(_template(path)) or Run(path)).module
 
 
 def _template(path: Path) -> str:
-    """Return the name of the first run of a file; of a dot in it, pickle would make a package."""
+    """Return the name of a file's first run, without dots: pickle takes a dot for a package."""
     return f"{_PREFIX}{path.resolve()}".replace(".", ":")
 
 
 def files_run() -> list[str]:
-    """Return the files that this process has run: another one needs them to unpack objects of their classes."""
+    """Return the files run in this process.
+
+    Another process needs them to unpickle objects of their classes.
+    """
     return [str(run.path.resolve()) for run in _runs.values() if run.name == run.template]

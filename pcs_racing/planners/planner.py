@@ -1,11 +1,12 @@
-"""What a motion planner must offer to drive a car inside the compiled race.
+"""Interface of a motion planner that drives a car inside the compiled race.
 
-A :class:`Planner` is two small functions and the names of its parameters. ``plan`` runs ten times a second and writes a
-path; ``control`` runs fifty times a second and turns it into a target steering angle and speed (by default pure
-pursuit). Both are written in the subset of Python that numba compiles and are called by their address, so that
-third parties' planners run inside the same compiled, GIL-free loop as ours; a planner in plain Python gives one
-function ``drive`` instead, and is called between steps of that loop. A :class:`Policy` is a planner with one vector of
-parameters: a point that synthesis can move and an archive can keep.
+A :class:`Planner` is two small functions and the names of its parameters. ``plan`` runs ten times a
+second and writes a path. ``control`` runs fifty times a second and turns the path into a target
+steering angle and speed (by default pure pursuit). Both are written in numba's subset of Python and
+are called by their address, so that third-party planners run inside the same compiled, GIL-free
+loop as ours. A planner in plain Python has one function ``drive`` instead, called between steps of
+the loop. A :class:`Policy` is a planner with one vector of parameters: a point that synthesis can
+move and an archive can store.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,13 +23,13 @@ from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, hold_command
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a policy's parameter vector."""
+    """Element of a policy's parameter vector."""
 
-    name: str  #: Unique within its planner.
+    name: str  #: Name, unique within the planner.
     low: float  #: Lower bound; a policy outside the bounds is refused.
     high: float  #: Upper bound, above ``low``.
-    default: float  #: The value of a sensible driver.
-    meaning: str  #: What it does, with the unit ("log10 weight of ..." for weights on a log scale).
+    default: float  #: Value of a sensible policy.
+    meaning: str  #: Effect, with the unit ("log10 weight of ..." for weights on a log scale).
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
@@ -39,37 +40,39 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Planner:
-    """A family of policies: compiled driving code and the parameters that tell its members apart.
+    """Family of policies: compiled driving code, and the parameters that distinguish its members.
 
     ``track`` is a :class:`pcs_racing.track.frenet.TrackArrays`; ``view`` holds the numbers of
-    :data:`pcs_racing.planners.view.VIEW`. All other arguments are float64 arrays. The functions must return nothing,
-    should not raise (what one raises ends all races of the batch), and must depend on nothing but their arguments: that
-    is what makes a race a value that can be saved and restored.
+    :data:`pcs_racing.planners.view.VIEW`. All other arguments are float64 arrays. The functions
+    must return nothing, should not raise (an error ends all races of the batch), and must depend
+    only on their arguments. So a race is a value that can be saved and restored.
     """
 
-    name: str  #: Name under which it is registered.
-    parameters: tuple[Parameter, ...]  #: What ``theta`` holds, in order.
-    #: ``plan(track, theta, view, memory, scratch, path) -> None``, ten times a second: writes ``path`` (12, 4).
+    name: str  #: Name in the registry.
+    parameters: tuple[Parameter, ...]  #: Elements of ``theta``, in order.
+    #: Function ``plan(track, theta, view, memory, scratch, path) -> None``, called ten times a
+    #: second; writes ``path`` (12, 4).
     plan: Callable[..., None] = leave_path
-    #: ``control(track, theta, view, memory, scratch, path, command) -> None``, fifty times a second: writes the target
-    #: steering angle (rad) and speed (m/s).
+    #: Function ``control(track, theta, view, memory, scratch, path, command) -> None``, called
+    #: fifty times a second; writes the target steering angle (rad) and speed (m/s).
     control: Callable[..., None] = follow_path
-    #: Numbers that the planner keeps from call to call; they belong to the race's state and start at 0.
+    #: Size of the memory between calls, which belongs to the race's state and starts at 0.
     memory_size: int = 0
-    #: Numbers that it may scribble on within a call; their contents are undefined at the start of each call.
+    #: Size of the scratch buffer (undefined at the start of each call).
     scratch_size: int = 0
-    #: For planners in plain Python: ``drive(track, theta, view, memory) -> (steer, speed)``, fifty times a second, in
-    #: place of ``plan`` and ``control``. It gets the :class:`pcs_racing.Track` itself, and may keep what it remembers
-    #: in ``memory`` (``memory_size`` numbers).
+    #: Function of a planner in plain Python, called fifty times a second in place of ``plan`` and
+    #: ``control``: ``drive(track, theta, view, memory) -> (steer, speed)``. It gets the
+    #: :class:`pcs_racing.Track` itself, and may store ``memory_size`` numbers in ``memory``.
     drive: Callable[..., tuple[float, float]] | None = None
-    #: ``candidates(track, theta, view, memory) -> (points (C, P, 2), costs (C,))`` for pictures; rejected candidates
-    #: cost infinity.
+    #: Function ``candidates(track, theta, view, memory) -> (points (C, P, 2), costs (C,))`` for
+    #: pictures; rejected candidates cost infinity.
     candidates: Callable[..., tuple[NDArray[np.float64], NDArray[np.float64]]] | None = None
-    #: Named parameter vectors beside "default", or the values in which each differs from the defaults.
+    #: Named parameter vectors in addition to "default", each as a vector or as its values that
+    #: differ from the defaults.
     variants: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    #: Distance in m, counted along the track the shorter way round, beyond which ``plan`` and ``control`` do the same
-    #: whatever the opponent does there. Infinite unless the planner promises it. Game trees then need not drive every
-    #: pair of moves of two cars that are far apart.
+    #: Distance in m along the track, the shorter way round; an opponent beyond it has no effect on
+    #: ``plan`` and ``control``. Infinite unless the planner guarantees it. With a finite sight,
+    #: game trees need not drive every pair of moves of two cars that are far apart.
     sight: float = float("inf")
 
     def __post_init__(self) -> None:
@@ -85,7 +88,7 @@ class Planner:
         object.__setattr__(self, "variants", vectors)
 
     def _vector(self, values: Mapping[str, float] | Sequence[float]) -> tuple[float, ...]:
-        """Return a parameter vector, of which values may be given by name over the defaults."""
+        """Return a parameter vector from a vector, or from named values over the defaults."""
         if not isinstance(values, Mapping):
             return tuple(values)
         self.indices(list(values))
@@ -93,7 +96,7 @@ class Planner:
 
     @property
     def memory_total(self) -> int:
-        """Numbers of memory that the race's state must hold: the planner's own, and the command of a Python driver."""
+        """Size of the memory in the race's state, with the command of a planner in plain Python."""
         return self.memory_size + (COMMAND_SLOTS if self.drive is not None else 0)
 
     @property
@@ -108,16 +111,16 @@ class Planner:
 
     @property
     def default(self) -> NDArray[np.float64]:
-        """Parameter vector of the sensible driver, shape (P,)."""
+        """Default parameter vector, shape (P,)."""
         return np.array([p.default for p in self.parameters], dtype=np.float64)
 
     def pointers(self) -> tuple[Any, Any]:
-        """Return the addresses of the compiled ``plan`` and ``control``, which the race kernel calls."""
+        """Return the addresses of the compiled ``plan`` and ``control``, for the race kernel."""
         plan, control = (self.plan, self.control) if self.drive is None else (leave_path, hold_command)
         return plan_address(plan), control_address(control)
 
     def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
-        """Where parameters stand in ``theta``, by name."""
+        """Return the indices of parameters in ``theta``, by name."""
         for name in names:
             if name not in self.parameter_names:
                 raise UnknownNameError(
@@ -126,14 +129,15 @@ class Planner:
         return np.array([self.parameter_names.index(name) for name in names], np.int64)
 
     def without(self, fixed: Sequence[str]) -> tuple[str, ...]:
-        """Names of the parameters that are left when some keep their defaults."""
+        """Return the names of the parameters that are not fixed at their defaults."""
         self.indices(fixed)
         return tuple(name for name in self.parameter_names if name not in fixed)
 
     def complete(self, names: Sequence[str], values: ArrayLike) -> NDArray[np.float64]:
-        """Parameter vectors (K, P) of policies of which some parameters are given; the others keep their defaults.
+        """Return parameter vectors (K, P) from the values of some parameters.
 
-        ``values``, shape (K, len(names)), are those of the parameters ``names``.
+        ``values``, shape (K, len(names)), belong to the parameters ``names``. The other parameters
+        keep their defaults.
         """
         given = np.asarray(values, np.float64)
         theta = np.tile(self.default, (len(given), 1))
@@ -143,7 +147,7 @@ class Planner:
     def sample(self, rng: np.random.Generator, fixed: Sequence[str] = ()) -> NDArray[np.float64]:
         """Draw a parameter vector uniformly between the bounds, shape (P,).
 
-        Nothing is drawn for the parameters in ``fixed``, which keep their defaults.
+        The parameters in ``fixed`` keep their defaults, without a draw.
         """
         names = self.without(fixed)
         bounds = self.bounds[self.indices(names)]
@@ -152,7 +156,7 @@ class Planner:
     def policy(
         self, parameters: ArrayLike | Mapping[str, float] | str | None = None, name: str | None = None
     ) -> "Policy":
-        """Make a policy from a vector, from named values over the defaults, or from the name of a variant."""
+        """Make a policy from a vector, named values over the defaults, or a variant's name."""
         if parameters is None:
             parameters = "default"
         if isinstance(parameters, str):
@@ -169,11 +173,11 @@ class Planner:
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """A planner with one parameter vector."""
+    """Planner with one parameter vector."""
 
-    planner: Planner  #: The family it belongs to.
-    parameters: NDArray[np.float64]  #: shape (P,): Its parameter vector; read-only.
-    name: str  #: What tables and replays call it.
+    planner: Planner  #: Family of the policy.
+    parameters: NDArray[np.float64]  #: shape (P,): Parameter vector; read-only.
+    name: str  #: Name in tables and replays.
 
     def __post_init__(self) -> None:
         theta = np.array(self.parameters, dtype=np.float64)

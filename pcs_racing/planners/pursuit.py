@@ -1,4 +1,7 @@
-"""Compiled functions that turn a path, or a command from outside, into steering and speed: parts of many planners."""
+"""Compiled functions that turn a path, or an external command, into steering and speed.
+
+They are parts of many planners.
+"""
 
 import numpy as np
 
@@ -6,30 +9,31 @@ from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.planners import view as _view
 
-COMMAND_SLOTS = 2  # memory that :func:`hold_command` reads: steering angle and speed
+COMMAND_SLOTS = 2  # size of the memory of :func:`hold_command`: steering angle and speed
 
 BRAKING = 5.5
-"""Braking that :func:`follow_path` asks for at most, m/s^2."""
+"""Max braking of :func:`follow_path`, m/s^2."""
 
 
 @kernel
 def leave_path(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Plan nothing: for drivers that decide everything in ``control``."""
+    """Plan nothing: for planners that decide everything in ``control``."""
 
 
 @kernel
 def hold_command(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
-    """Drive as the first two numbers of the memory say: how commands from outside reach a car."""
+    """Copy the command from the first two numbers of the memory, for external commands."""
     command[0] = memory[0]
     command[1] = memory[1]
 
 
 @kernel(forceinline=True)
 def steady_course(view, kappa):  # type: ignore[no-untyped-def]
-    """Direction (rad) in which the car would move in a steady bend ``kappa`` (1/m): its heading plus the slip there.
+    """Return the direction of motion (rad) in a steady bend ``kappa`` (1/m): heading plus slip.
 
-    The slip of the moment says less: it lags the steering. A driver that steers by it weaves, above 6.5 m/s ever more:
-    the linearised car and its pursuit have eigenvalues outside the unit circle there (``dev/benchmarks/driving.py``).
+    The momentary slip says less, because it lags the steering. A planner that steers by it weaves,
+    increasingly so above 6.5 m/s: there the linearised car and its pursuit have eigenvalues outside
+    the unit circle (``dev/benchmarks/driving.py``).
     """
     v = view[_view.OWN_V]
     return view[_view.OWN_PSI] + kappa * (view[_view.REAR_AXLE] - view[_view.REAR_SLIP] * v * v)
@@ -37,7 +41,10 @@ def steady_course(view, kappa):  # type: ignore[no-untyped-def]
 
 @kernel(forceinline=True)
 def pursuit_arc(view, x, y, kappa):  # type: ignore[no-untyped-def]
-    """Curvature (1/m) of the arc to a point (m) that starts along `steady_course` in a bend ``kappa`` (1/m)."""
+    """Return the curvature (1/m) of the arc to a point (m).
+
+    The arc starts along `steady_course` in a bend ``kappa`` (1/m).
+    """
     dx = x - view[_view.OWN_X]
     dy = y - view[_view.OWN_Y]
     sine, cosine = sine_cosine(steady_course(view, kappa))
@@ -46,10 +53,12 @@ def pursuit_arc(view, x, y, kappa):  # type: ignore[no-untyped-def]
 
 @kernel(forceinline=True)
 def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untyped-def]
-    """Steering angle (rad) of pure pursuit towards a point (m) where the path has the curvature ``kappa`` (1/m).
+    """Return the steering angle (rad) of pure pursuit towards a point (m).
 
-    The car's understeer makes up for the slip of the tyres in steady cornering; under braking the load shifts to the
-    front and it turns into oversteer: ``acceleration`` (m/s^2) is what the driver is about to ask for.
+    At the point the path has the curvature ``kappa`` (1/m). The car's understeer makes up for the
+    slip of the tyres in steady cornering. Under braking the load shifts to the front, and
+    understeer turns into oversteer: ``acceleration`` (m/s^2) is the next acceleration to be
+    commanded.
     """
     arc = pursuit_arc(view, x, y, kappa)
     understeer = view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration
@@ -59,9 +68,10 @@ def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untype
 
 @kernel(forceinline=True)
 def calm_speed(v, speed):  # type: ignore[no-untyped-def]
-    """Target speed that asks for no more braking than the car stays stable under, and the acceleration it stands for.
+    """Return the target speed, limited to stable braking, and the acceleration that it commands.
 
-    The controller brakes by 10 times the speed error; beyond about 6 m/s^2 the unloaded rear axle lets go.
+    The controller brakes by 10 times the speed error. Beyond about 6 m/s^2 the unloaded rear axle
+    loses grip.
     """
     speed = max(speed, v - 0.1 * BRAKING)
     return speed, min(10.0 * (speed - v), 9.5)
@@ -69,7 +79,10 @@ def calm_speed(v, speed):  # type: ignore[no-untyped-def]
 
 @kernel(forceinline=True)
 def _share_of_gap(before, after, distance):  # type: ignore[no-untyped-def]
-    """How far between two points a distance from the car is reached, in [0, 1], from the squares of their distances."""
+    """Return the share in [0, 1] of the way between two points at a distance from the car.
+
+    ``before`` and ``after`` are the squares of the points' distances from the car.
+    """
     before = np.sqrt(before)
     return min(max((distance - before) / max(np.sqrt(after) - before, 1e-9), 0.0), 1.0)
 
@@ -78,14 +91,14 @@ def _share_of_gap(before, after, distance):  # type: ignore[no-untyped-def]
 def follow_path(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
     """Follow the planned path by pure pursuit (the default ``control``).
 
-    The look-ahead grows from 0.3 m by 0.1 m per m/s; the speed is the path's at the point reached in a tenth of a
-    second.
+    The look-ahead grows from 0.3 m by 0.1 m per m/s. The speed is the path's speed at the point
+    reached in a tenth of a second.
     """
     x = view[_view.OWN_X]
     y = view[_view.OWN_Y]
     v = view[_view.OWN_V]
     last = path.shape[0] - 1
-    # The path starts where the car was when it planned; skip what lies behind by now.
+    # The path starts at the car's position at planning time; skip the points behind the car.
     i = 0
     near = (path[0, _view.PATH_X] - x) ** 2 + (path[0, _view.PATH_Y] - y) ** 2
     while i < last:

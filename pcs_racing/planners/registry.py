@@ -1,8 +1,8 @@
-"""Names of planners, and policies spelled as text.
+"""Planners by name, and policies from text.
 
-The planners of this package are listed in :data:`SHIPPED`. Others get a name in one of two ways: a distribution
-declares it in the entry point group ``pcs_racing.planners``, or a program calls :func:`register_planner`. A planner is
-imported when its name is used for the first time.
+The planners of this package are listed in :data:`SHIPPED`. Other planners get a name in one of two
+ways: a distribution declares it in the entry point group ``pcs_racing.planners``, or a program
+calls :func:`register_planner`. A planner is imported at the first use of its name.
 """
 
 import copyreg
@@ -16,21 +16,22 @@ from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.shipped import SHIPPED, split_name
 
 ENTRY_POINTS = "pcs_racing.planners"
-"""Entry point group in which a distribution names its planners: ``name = "package.module:PLANNER"``."""
+"""Entry point group of the planners of a distribution: ``name = "package.module:PLANNER"``."""
 
 _planners: dict[str, Planner] = {}
 _places: dict[str, str] = dict(SHIPPED)
 
 
 def register_planner(planner: Planner | str, *, name: str | None = None) -> None:
-    """Register a planner under its name in this process; registering the same one again changes nothing.
+    """Register a planner under its name in this process.
 
-    A place (``"package.module:PLANNER"``) needs a ``name``, and is imported when that is first used; a planner brings
-    its own.
+    A second registration of the same planner changes nothing. A place
+    (``"package.module:PLANNER"``) needs a ``name``, and is imported at the first use of the name. A
+    planner has its own name.
     """
     if isinstance(planner, Planner):
         name = planner.name
-    # The name of a file is its path, with any signs.
+    # The name of a file is its path, with any characters.
     if not isinstance(name, str) or not name or (name[-3:] != ".py" and any(sign in name for sign in ":=, \t\n")):
         raise InputError(f"planner name {name!r} must be text without ':', '=', ',' and spaces")
     if isinstance(planner, Planner):
@@ -48,14 +49,14 @@ def planner_names() -> list[str]:
 
 
 def get_planner(name: str) -> Planner:
-    """Return the planner of a name."""
+    """Return the planner with a name."""
     if name not in _planners:
         if name not in _declared():
             raise UnknownNameError(f"planner {name!r} is unknown; {choices(name, planner_names())}")
         place = _declared()[name]
         try:
             planner = resolve_name(place)
-        except Exception as error:  # whatever a third party's module raises when it is imported
+        except Exception as error:  # any error from the import of a third-party module
             raise InputError(f"planner {name!r} can't be loaded from {place}: {error}") from error
         if not isinstance(planner, Planner):
             raise InputError(f"planner {name!r}: {place} is of type {type(planner).__name__}; it must be a Planner")
@@ -64,10 +65,10 @@ def get_planner(name: str) -> Planner:
 
 
 def parse_policy(text: str) -> Policy:
-    """Return the policy of a text: the name of a planner, which may be followed by a variant or by parameters.
+    """Return the policy of a text: a planner's name, with an optional variant or parameters.
 
-    Texts are ``"lattice"``, ``"lattice:pace=0.8,side_margin=0.2"`` (the rest as in the default) or
-    ``"lane-switcher:3"``, and become the policy's name.
+    Texts are ``"lattice"``, ``"lattice:pace=0.8,side_margin=0.2"`` (the other parameters as in the
+    default) or ``"lane-switcher:3"``. The text becomes the policy's name.
     """
     if not isinstance(text, str):
         raise InputError(f"policy {text!r} must be text such as 'lattice:pace=0.8'")
@@ -106,7 +107,10 @@ def _entry_points() -> dict[str, str]:
 
 
 def _by_place(planner: Planner) -> Any:
-    """Copy and pickle a planner that has a place by this place: numba would copy, and compile again, its functions."""
+    """Copy and pickle a planner by its place, if it has a place.
+
+    Without this, numba would copy its functions, and compile them again.
+    """
     if _planners.get(planner.name) is planner and planner.name in _declared():
         return resolve_name, (_declared()[planner.name],)
     return planner.__reduce_ex__(2)

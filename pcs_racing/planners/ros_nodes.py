@@ -1,7 +1,8 @@
-"""Stand-ins for what drivers that are nodes of ROS 2 import, where ROS is not installed: ``rclpy`` and its messages.
+"""Replacements for ``rclpy`` and its messages, for drivers that are nodes of ROS 2, without ROS.
 
-A class derived from ``Node`` is a driver. Its callbacks get the lidar's scan and the odometry 50 times a second, its
-timers run by the time of the race, and the last Ackermann message that it published is its command.
+A class derived from ``Node`` is a driver. Its callbacks get the lidar's scan and the odometry 50
+times a second. Its timers run by the race time. Its command is the last Ackermann message that it
+published.
 """
 
 import math
@@ -22,7 +23,7 @@ _VALUES = [f"{kind}{end}_value" for kind in ("bool", "integer", "double", "strin
 
 
 class Free:
-    """A message, or anything else of ROS, with any attributes: one that was not set is such an object, too."""
+    """Message, or any other ROS object, with any attributes; an unset attribute is a `Free`."""
 
     def __init__(self, *given: Any, **fields: Any) -> None:
         vars(self).update(fields)
@@ -39,7 +40,7 @@ class Free:
 
 class _Constants(type):
     def __getattr__(cls, name: str) -> Any:
-        """Return a constant of a type of messages: its name."""
+        """Return a constant of a message type: its name."""
         if name[:2] == "__":
             raise AttributeError(name)
         return name
@@ -47,13 +48,13 @@ class _Constants(type):
 
 @cache
 def _message(name: str) -> type:
-    """Return a type of messages, or of anything else."""
+    """Return a message type, or any other type."""
     return _Constants(name, (Free,), {})
 
 
 @dataclass(order=True)
 class Time:
-    """A time or a duration, in ns."""
+    """Time or duration, in ns."""
 
     nanoseconds: int
 
@@ -68,7 +69,7 @@ class Time:
         return divmod(self.nanoseconds, 10**9)
 
     def to_msg(self) -> Any:
-        """Return the message of a time."""
+        """Return the time as a message."""
         return Free(sec=self.nanoseconds // 10**9, nanosec=self.nanoseconds % 10**9)
 
 
@@ -77,26 +78,26 @@ def _time(*, seconds: float = 0, nanoseconds: float = 0, **other: Any) -> Time:
 
 
 def _parameter(name: str = "", type_: Any = None, value: Any = None, **other: Any) -> Any:
-    """Return a parameter, whose value has the name of every type."""
+    """Return a parameter with its value under the name of every type."""
     values = SimpleNamespace(**dict.fromkeys(_VALUES, value))
     return SimpleNamespace(name=name, value=value, get_parameter_value=lambda: values)
 
 
 class Node:
-    """A node: a class derived from it drives a car."""
+    """Node; a derived class drives a car."""
 
     def __init__(self, node_name: str = "node", **other: Any) -> None:
-        # One attribute, whose name a derived class will not take.
+        # One attribute, with a name that a derived class will not use.
         self._in_race = SimpleNamespace(name=node_name, now=0.0, command=(0.0, 0.0), heard=[], timers=[], parameters={})
 
     def __getattr__(self, name: str) -> Any:
-        """Anything else that a node can do, which does nothing here."""
+        """Return an object that does nothing, in place of a node's other methods."""
         if not name.startswith(("add_", "count_", "create_", "destroy_", "get_", "remove_", "resolve_")):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return Free()
 
     def create_subscription(self, msg_type: Any, topic: str, callback: Any, *other: Any, **named: Any) -> Any:
-        """Call a function with the messages of a type."""
+        """Register a callback for the messages of a type."""
         self._in_race.heard.append((msg_type.__name__, topic, callback))
         return Free()
 
@@ -111,14 +112,14 @@ class Node:
         return SimpleNamespace(publish=publish, topic_name=topic, get_subscription_count=lambda: 1)
 
     def create_timer(self, timer_period_sec: float, callback: Callable[[], Any], *other: Any, **named: Any) -> Any:
-        """Call a function once in a period, s."""
+        """Register a callback, called once per period (s)."""
         timer = SimpleNamespace(period=max(float(timer_period_sec), 1e-3), due=None, callback=callback, on=True)
         timer.cancel, timer.reset = partial(setattr, timer, "on", False), partial(setattr, timer, "on", True)
         self._in_race.timers.append(timer)
         return timer
 
     def declare_parameter(self, name: str, value: Any = None, *other: Any, **named: Any) -> Any:
-        """Declare a parameter, which has its default."""
+        """Declare a parameter with its default."""
         return self._in_race.parameters.setdefault(name, _parameter(name, None, value))
 
     def declare_parameters(self, namespace: str, parameters: Any, *other: Any) -> list[Any]:
@@ -126,7 +127,7 @@ class Node:
         return [self.declare_parameter(*([one] if isinstance(one, str) else one)) for one in parameters]
 
     def get_parameter(self, name: str) -> Any:
-        """Return a parameter; without a declaration it has no value."""
+        """Return a parameter; an undeclared parameter has no value."""
         return self._in_race.parameters.get(name, _parameter(name))
 
     def set_parameters(self, parameters: Any) -> None:
@@ -145,7 +146,7 @@ class Node:
 def ask_node(
     node: Node, now: float, ranges: Any, odometry: Mapping[str, float], opponent: Mapping[str, float]
 ) -> tuple[float, float]:
-    """Hand messages to a node at a time (s), and return the steering angle and the speed that it published last."""
+    """Send messages to a node at a time (s), and return its last steering angle and speed."""
     own, kinds = node._in_race, ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "LaserScan")
     own.now, stamp = now, _time(seconds=now).to_msg()
     for wanted in kinds:
@@ -162,7 +163,7 @@ def ask_node(
 
 
 def _heard(kind: str, header: Any, ranges: Any, seen: Mapping[str, float]) -> Any:
-    """Return a message of the lidar or of a pose."""
+    """Return a message of the lidar, or of a pose."""
     if kind == "LaserScan":
         beams = {"angle_min": -2.35, "angle_max": 2.35, "angle_increment": 4.7 / (len(ranges) - 1), "range_min": 0.0}
         return Free(header=header, ranges=array("f", ranges), range_max=30.0, scan_time=0.02, **beams)
@@ -182,7 +183,10 @@ def _euler_from_quaternion(quaternion: Any, *axes: Any) -> tuple[float, float, f
 
 
 def _module(name: str, **values: Any) -> ModuleType:
-    """Return a module with some values; any other name of it is a type of messages or an object that does nothing."""
+    """Return a module with some values.
+
+    Any other name in it is a message type or an object that does nothing.
+    """
 
     def missing(other: str) -> Any:
         if other[:2] == "__":
@@ -196,7 +200,7 @@ def _module(name: str, **values: Any) -> ModuleType:
 
 @cache
 def modules() -> dict[str, ModuleType]:
-    """Return the modules by name; none if ROS is installed."""
+    """Return the replaced modules by name; none if ROS is installed."""
     if find_spec("rclpy") is not None:
         return {}
     values = {"Time": _time, "Duration": _time, "Parameter": _parameter, "Node": Node}

@@ -1,4 +1,4 @@
-"""What drivers with nothing but a lidar share: the scan, its farthest beam, and the arc that a direction stands for."""
+"""Shared parts of lidar-only planners: the scan, its farthest beam, and the arc of a direction."""
 
 from collections.abc import Iterable
 
@@ -14,14 +14,18 @@ from pcs_racing.planners.view import PATH_POINTS
 
 
 def sine_tables(angles: Iterable[float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sines and cosines of angles (rad), without compiled code: calling that would slow down every import."""
+    """Return sines and cosines of angles (rad), without compiled code.
+
+    A call of compiled code would slow down every import.
+    """
     plain = getattr(sine_cosine, "py_func", sine_cosine)
     sines, cosines = zip(*map(plain, angles), strict=True)
     return np.array(sines), np.array(cosines)
 
 
 BEAMS = 271
-FIELD_OF_VIEW = 4.7  # rad, that of the lidar of most cars; they have 1080 beams, of which every fourth is taken here
+# rad, as for the lidar of most cars, with 1080 beams; every fourth beam is used here
+FIELD_OF_VIEW = 4.7
 MAX_RANGE = 15.0  # m
 STEP = FIELD_OF_VIEW / (BEAMS - 1)
 ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
@@ -29,12 +33,15 @@ ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 SIN, COS = sine_tables(ANGLES)
 WORK = WORK_SHAPE[0] * WORK_SHAPE[1]
 SCAN_SIZE = WORK + BEAMS
-"""Numbers of scratch that a scan takes: the lidar's own working memory, and the ranges at the end."""
+"""Size of a scan in the scratch: the lidar's own working memory, and the ranges at the end."""
 
 
 @compiled
 def scan_beams(track, beams, view, heading, work, ranges):  # type: ignore[no-untyped-def]
-    """Scan from the own car with any beams, which turn with ``heading`` (rad); ``work`` holds `WORK` numbers."""
+    """Scan from the own car with any beams, turned by ``heading`` (rad).
+
+    ``work`` holds `WORK` numbers.
+    """
     x, y, s = view[_view.OWN_X], view[_view.OWN_Y], view[_view.OWN_S]
     other = view[_view.OPP_X], view[_view.OPP_Y], view[_view.OPP_PSI]
     half_length, half_width = 0.5 * view[_view.OPP_LENGTH], 0.5 * view[_view.OPP_WIDTH]
@@ -44,22 +51,25 @@ def scan_beams(track, beams, view, heading, work, ranges):  # type: ignore[no-un
 
 @compiled
 def scan(track, view, scratch):  # type: ignore[no-untyped-def]
-    """Scan from the own car along its heading; the ranges (m) are ``scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]``."""
+    """Scan from the own car along its heading.
+
+    The ranges (m) are ``scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]``.
+    """
     beams = Beams(ANGLES[0], STEP, MAX_RANGE, COS, SIN)
     scan_beams(track, beams, view, view[_view.OWN_PSI], scratch[:WORK], scratch[WORK:SCAN_SIZE])
 
 
 @kernel(forceinline=True)
 def beam_at(angle):  # type: ignore[no-untyped-def]
-    """Index of the beam nearest to a direction in rad."""
+    """Return the index of the beam nearest to a direction in rad."""
     return min(max(int((angle + 0.5 * FIELD_OF_VIEW) / STEP + 0.5), 0), BEAMS - 1)
 
 
 @kernel
 def farthest(ranges, angles, first, end):  # type: ignore[no-untyped-def]
-    """Beam of the longest range, from the beam ``first`` to the one before ``end``.
+    """Return the beam with the max range, from the beam ``first`` to the beam before ``end``.
 
-    Of equally long ones (at the lidar's limit) it is the one nearest to straight ahead.
+    Of equal ranges (at the lidar's limit), the beam nearest to straight ahead counts.
     """
     best = first
     for k in range(first + 1, end):
@@ -71,7 +81,7 @@ def farthest(ranges, angles, first, end):  # type: ignore[no-untyped-def]
 
 @kernel
 def write_arc(view, course, kappa, length, speed, path):  # type: ignore[no-untyped-def]
-    """Write an arc that starts along a course (rad): its curvature (1/m), its length (m), and one speed (m/s)."""
+    """Write an arc by its first course (rad), curvature (1/m), length (m) and speed (m/s)."""
     for j in range(PATH_POINTS):
         s = length * j / (PATH_POINTS - 1)
         bend = 0.5 * kappa * s
@@ -86,9 +96,12 @@ def write_arc(view, course, kappa, length, speed, path):  # type: ignore[no-unty
 
 @kernel
 def steer_for(view, steering, speed, lateral, path):  # type: ignore[no-untyped-def]
-    """Write the arc of a steering angle (rad), at a speed (m/s) that keeps to a lateral acceleration (m/s^2)."""
+    """Write the arc of a steering angle (rad), at a speed (m/s).
+
+    The speed is limited by a lateral acceleration (m/s^2).
+    """
     limit = view[_view.STEER_MAX]
     kappa = tangent(min(max(steering, -limit), limit)) / view[_view.WHEELBASE]
     speed = min(speed, np.sqrt(lateral / max(abs(kappa), 1e-6)))
-    course = steady_course(view, kappa)  # where the pursuit begins its own arc: it steers what was asked for
+    course = steady_course(view, kappa)  # start of the pursuit's own arc: it steers as asked
     write_arc(view, course, kappa, 0.5 + 0.25 * view[_view.OWN_V], speed, path)

@@ -1,4 +1,4 @@
-"""The names of the planners of this package, apart from their code, which takes a second to import."""
+"""Names of the planners of this package, without their code, which takes a second to import."""
 
 import re
 
@@ -23,13 +23,14 @@ SHIPPED = {
     "spliner": "pcs_racing.planners.field.spliner:SPLINER",
     "stanley": "pcs_racing.planners.field.stanley:STANLEY",
 }
-"""The planners of this package: name and place. A new one is a file and a line here."""
+"""Planners of this package: name and place. A new planner is a file and a line here."""
 
 
 def split_name(text: str) -> tuple[str, str, str]:
-    """Return the name of a planner or an agent, the colon behind it, and the rest, as ``str.partition`` does.
+    """Return the name of a planner or an agent, the colon after it, and the rest.
 
-    The name may be the path of a Python file, with spaces and the drive of Windows.
+    The result is as in ``str.partition``. The name may be the path of a Python file, with spaces
+    and a drive of Windows.
     """
     file = re.match(r"\s*((?:[A-Za-z]:[\\/])?[^:]*\.py)\s*(?:(:)(.*))?$", text, re.DOTALL)
     name, separator, rest = file.groups("") if file else text.partition(":")

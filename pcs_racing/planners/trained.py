@@ -1,7 +1,8 @@
-"""Trained drivers: network planners whose weights never change, kept in folders; and ``ppo-drive``, which is shipped.
+"""Trained planners: networks with fixed weights, saved in folders; ``ppo-drive`` is shipped.
 
-Unlike those of :func:`pcs_racing.planners.network.network_planner`, the weights of a trained driver are constants of
-its compiled code: it has no parameters, and the state of a race does not grow with it.
+The weights of a trained planner are constants of its compiled code, unlike the weights of
+:func:`pcs_racing.planners.network.network_planner`. So it has no parameters, and the state of a
+race does not grow with it.
 """
 
 from collections.abc import Mapping
@@ -30,10 +31,10 @@ DRIVER_FORMAT = ArtifactFormat(
 
 
 def trained_planner(name: str, layers: DenseLayers, hold: int) -> Planner:
-    """Return a planner without parameters whose commands are the outputs of a network.
+    """Return a planner without parameters that commands the outputs of a network.
 
-    The network has 16 inputs, any hidden layers and 2 outputs, with a ``tanh`` behind each layer. A decision holds for
-    ``hold`` simulation steps of 0.01 s, an even number.
+    The network has 16 inputs, any hidden layers and 2 outputs, with a ``tanh`` after each layer. A
+    decision holds for ``hold`` simulation steps of 0.01 s, an even number.
     """
     flat = layers.flat().astype(np.float64)
     check_driver(name, layers.sizes, flat, hold)
@@ -41,9 +42,10 @@ def trained_planner(name: str, layers: DenseLayers, hold: int) -> Planner:
 
 
 def save_driver(folder: str | Path, layers: DenseLayers, *, name: str, hold: int, training: Mapping[str, Any]) -> Path:
-    """Write a driver, as :func:`trained_planner` takes it, into a folder, which is made if need be.
+    """Save a trained planner in a folder, which is created if missing.
 
-    ``training`` says how it was trained: texts and numbers by name.
+    ``layers`` and ``hold`` are as for :func:`trained_planner`. ``training`` describes the training:
+    texts and numbers by name.
     """
     check_driver(name, layers.sizes, layers.flat(), hold)
     fields = {
@@ -58,7 +60,7 @@ def save_driver(folder: str | Path, layers: DenseLayers, *, name: str, hold: int
 
 
 def read_driver(source: str | Path = NAME) -> tuple[DenseLayers, dict[str, Any]]:
-    """Return the layers and the manifest of a driver, from the name of a shipped one or from its folder."""
+    """Return the layers and manifest of a trained planner, from a shipped name or a folder."""
     folder = DRIVER_FORMAT.find(source)
     fields, content = DRIVER_FORMAT.load(folder)
     if fields["inputs"] != list(INPUTS) or fields["top_speed"] != TOP_SPEED:
@@ -73,13 +75,13 @@ def read_driver(source: str | Path = NAME) -> tuple[DenseLayers, dict[str, Any]]
 
 
 def load_driver(source: str | Path = NAME) -> Planner:
-    """Return a driver's planner, from the name of a shipped one or from its folder; errors as :func:`read_driver`."""
+    """Return a trained planner, from a shipped name or a folder; errors as :func:`read_driver`."""
     layers, manifest = read_driver(source)
     return trained_planner(manifest["name"], layers, manifest["hold"])
 
 
 def __getattr__(name: str) -> Any:
-    """``PPO_DRIVE``, the shipped planner, loaded at its first use."""
+    """Return ``PPO_DRIVE``, the shipped planner, loaded at its first use."""
     if name != "PPO_DRIVE":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = load_driver(NAME)

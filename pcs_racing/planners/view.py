@@ -1,4 +1,4 @@
-"""What a planner reads and writes: the numbers of its view of the race, and the columns of its path."""
+"""Inputs and outputs of a planner: the numbers of its view, and the columns of its path."""
 
 VIEW: dict[str, str] = {
     "TIME": "time since the start of the race, s",
@@ -33,7 +33,7 @@ VIEW: dict[str, str] = {
     "SPEED_LOW": "speed scale that stands for pace 0 in this race",
     "SPEED_HIGH": "speed scale that stands for pace 1 in this race",
 }
-"""Every element of the view that a planner gets, by name, with its meaning and unit; their order is their index."""
+"""Elements of a planner's view by name, with meaning and unit; the order is the index."""
 
 VIEW_SIZE = len(VIEW)
 (
@@ -43,7 +43,7 @@ VIEW_SIZE = len(VIEW)
 ) = range(VIEW_SIZE)  # fmt: skip
 
 PATH_POINTS = 12
-"""Points of a planned path: rows of x, y (m), speed (m/s) and curvature (1/m)."""
+"""Number of points of a planned path: rows of x, y (m), speed (m/s) and curvature (1/m)."""
 
 PATH_X, PATH_Y, PATH_SPEED, PATH_KAPPA = range(4)
 PATH_COLUMNS = 4

@@ -1,4 +1,4 @@
-"""What differs from race to race of one batch, beyond start and noise: the cars, and what stands on the track."""
+"""Conditions of each race of a batch, apart from start and noise: cars, obstacles on the track."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from pcs_racing.track.track import Track
 
 @dataclass(frozen=True, eq=False)
 class RaceConditions:
-    """Cars and tracks of the B races of a batch, where they are not the same in all of them."""
+    """Cars and tracks of the B races of a batch, if they differ between the races."""
 
-    #: shape (B, N, 18): Parameter rows of the cars (:meth:`pcs_racing.car.vehicle.VehicleParams.as_row`); None for
-    #: those of the setup.
+    #: shape (B, N, 18): Parameter rows of the cars
+    #: (:meth:`pcs_racing.car.vehicle.VehicleParams.as_row`); None for the cars of the setup.
     vehicles: NDArray[np.float64] | None = None
-    #: One for each race: the setup's circuit with obstacles on it; None for the circuit itself.
+    #: Track of each race: the setup's track with obstacles on it; None for the setup's track.
     tracks: tuple[Track, ...] | None = None
 
     def take(self, indices: ArrayLike) -> "RaceConditions":
-        """Return the conditions of some races, in the order asked for."""
+        """Return the conditions of some races, in the given order."""
         chosen = np.asarray(indices, np.intp)
         return RaceConditions(
             None if self.vehicles is None else np.ascontiguousarray(self.vehicles[chosen]),
@@ -31,7 +31,7 @@ class RaceConditions:
         )
 
     def rows(self, vehicles: Sequence[VehicleParams], races: int) -> NDArray[np.float64]:
-        """Parameter rows of the cars of every race, shape (races, N, 18), the setup's where there are no others."""
+        """Return the cars' parameter rows in every race, (races, N, 18); by default the setup's."""
         if self.vehicles is None:
             return vehicle_rows(vehicles, races)
         wanted = (races, len(vehicles), PARAMS_SIZE)
@@ -40,7 +40,7 @@ class RaceConditions:
         return self.vehicles
 
     def runs(self, track: Track, races: int) -> list[tuple[Track, int, int]]:
-        """Tracks of runs of neighbouring races, with the first race of each and the one after the last."""
+        """Return runs of neighbouring races on one track: track, first race, last race + 1."""
         if self.tracks is None:
             return [(track, 0, races)]
         if len(self.tracks) != races:
@@ -53,14 +53,14 @@ AS_THE_SETUP = RaceConditions()
 
 
 def runs_of(values: Sequence[object]) -> list[tuple[int, int]]:
-    """Where runs of the same object begin and end in a sequence."""
+    """Return first index and last index + 1 of every run of the same object in a sequence."""
     edges = [0, *(i for i in range(1, len(values)) if values[i] is not values[i - 1]), len(values)]
     return list(pairwise(edges)) if values else []
 
 
 def vehicle_rows(vehicles: Sequence[VehicleParams], races: int) -> NDArray[np.float64]:
-    """Parameters of the cars for every race, shape (races, N, 18)."""
-    # Writeable, or one race would compile the kernels a second time.
+    """Return the parameters of the cars in every race, shape (races, N, 18)."""
+    # Writeable arrays, or the kernels would be compiled a second time for one race.
     rows = np.empty((races, len(vehicles), PARAMS_SIZE))
     for car, vehicle in enumerate(vehicles):
         rows[:, car] = vehicle.as_row()

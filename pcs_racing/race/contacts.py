@@ -12,15 +12,15 @@ from pcs_racing.track import frenet as _frenet
 
 END, STOP, RESTART = range(3)  # as in `pcs_racing.race.config.CONTACTS`
 
-BEHIND = 2.0  # m behind the other car, and from one place on the line that is tried to the next
+BEHIND = 2.0  # m: distance behind the other car, and between two tried places on the line
 TRIES = 20
-DRIVES_AGAIN = 1.0  # m/s: a slower car is still in its last contact, so that pushing a wall is one fault
+DRIVES_AGAIN = 1.0  # m/s: below it the last contact goes on, so that pushing a wall is one fault
 MOST_FAULTS = 127
 
 
 @inner_kernel
 def _overlapped(before, car, other):  # type: ignore[no-untyped-def]
-    """Whether two cars overlapped already before the control period."""
+    """Return whether two cars already overlapped before the control period."""
     a, b = before[VIEW_SIZE * car :], before[VIEW_SIZE * other :]
     return rectangles_overlap(
         Rectangle(a[OWN_X], a[OWN_Y], a[OWN_PSI], 0.5 * a[OWN_LENGTH], 0.5 * a[OWN_WIDTH]),
@@ -30,7 +30,7 @@ def _overlapped(before, car, other):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _stand_on_line(near, line, ds, cars, race, car, s, vehicles):  # type: ignore[no-untyped-def]
-    """Put a car on the race line at rest, at s or behind it where there is no room; returns its arc length."""
+    """Put a car at rest on the race line, at s or in free space behind s; return its arc length."""
     for _ in range(TRIES):
         i = int(np.floor(s / ds)) % line.shape[0]
         cars[race, car, :] = 0.0
@@ -48,7 +48,7 @@ def _stand_on_line(near, line, ds, cars, race, car, s, vehicles):  # type: ignor
 
 @inner_kernel
 def _set_back(near, track, state, race, car, s, vehicles, mode, before):  # type: ignore[no-untyped-def]
-    """Let a car stand still where it was before the control period, or put it on the race line at s."""
+    """Stop a car at its pose before the control period, or put it on the race line at s."""
     cars, view, d = state.cars, before[VIEW_SIZE * car :], 0.0
     if mode == STOP:
         cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y] = view[OWN_X], view[OWN_Y]
@@ -62,7 +62,7 @@ def _set_back(near, track, state, race, car, s, vehicles, mode, before):  # type
 
 @inner_kernel
 def _note(fault, contact, race, car, kind, blamed):  # type: ignore[no-untyped-def]
-    """Keep what a car ran into, and count its fault unless that contact goes on."""
+    """Record the kind of a car's contact; count its fault unless the last contact goes on."""
     if blamed and contact[race, car] == _state.NO_CRASH:
         fault[race, car] = min(fault[race, car] + 1, MOST_FAULTS)
     contact[race, car] = kind
@@ -70,11 +70,11 @@ def _note(fault, contact, race, car, kind, blamed):  # type: ignore[no-untyped-d
 
 @kernel
 def settle_contacts(track, state, race, vehicles, mode, before):  # type: ignore[no-untyped-def]
-    """Set back the cars that ran into a wall or into another car by their own fault; returns whether there are any.
+    """Set back cars that hit a wall or, by their own fault, a car; return whether there are any.
 
-    ``before`` holds the views that the drivers had before the control period, one after the other. If both cars are to
-    blame and are put on the line, the one ahead stays where it is. Cars that overlapped already are left alone, so that
-    they can part.
+    ``before`` holds the views of the cars before the control period, one after the other. If both
+    cars are at fault and are put on the line, the car ahead keeps its place. Cars that already
+    overlapped are left alone, so that they can part.
     """
     near = _frenet.WallArrays(*track[_frenet.WALLS_BEGIN : _frenet.WALLS_END])
     cars, frenet, fault, contact = state.cars, state.frenet, state.fault, state.contact
@@ -95,9 +95,9 @@ def settle_contacts(track, state, race, vehicles, mode, before):  # type: ignore
             fault1, fault2 = contact_fault(cars[race, one], cars[race, two], bodies[0], bodies[1])
             _note(fault, contact, race, one, _state.CAR_CRASH, fault1)
             _note(fault, contact, race, two, _state.CAR_CRASH, fault2)
-            ahead = gap_to(track.length, frenet, race, one, two) < 0.0  # whether the first one is
+            ahead = gap_to(track.length, frenet, race, one, two) < 0.0  # True if car `one` is ahead
             for turn in range(2):
-                # The car behind first: it makes room for the one ahead.
+                # The car behind comes first: it makes room for the car ahead.
                 car, other = (one, two) if ahead == (turn == 1) else (two, one)
                 if fault1 if car == one else fault2:
                     both = fault1 and fault2 and turn == 1

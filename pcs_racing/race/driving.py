@@ -1,4 +1,4 @@
-"""Driving a batch of races on from a state, without knowing where they start or who wins them."""
+"""Simulation of a batch of races from a given state, without rules for starts and winners."""
 
 import os
 from collections.abc import Sequence
@@ -23,22 +23,22 @@ from pcs_racing.race.state import RaceState
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
 
-Run = tuple[Track, int, int]  # a track, the first of the races on it, and the one after the last
+Run = tuple[Track, int, int]  # track, first race on it, last race on it + 1
 
-# Counted in steps of 0.01 s of one race, of about 1 us each.
-PIECE = 3000  # that a thread drives at a time
-TICKS_OF_A_THREAD = 500  # that are worth handing over
+# Numbers of simulation steps of 0.01 s of one race; a step takes about 1 us.
+PIECE = 3000  # steps in a piece of work of a thread
+TICKS_OF_A_THREAD = 500  # min steps that are worth a thread
 
 FEW_ROUNDS = 4
 
 
 def default_threads() -> int:
-    """Cores that this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def kernel_settings(config: RaceConfig, speed_range: tuple[float, float]) -> KernelSettings:
-    """The numbers of a race configuration that the compiled loop needs."""
+    """Return the numbers of a race configuration that the compiled loop needs."""
     return KernelSettings(
         end_tick=config.ticks,
         speed_low=speed_range[0],
@@ -60,10 +60,10 @@ def pad_parameters(policies: Sequence[Policy], size: int) -> NDArray[np.float64]
 
 
 def pointers_of(planners: Sequence[Planner]) -> Any:
-    """Addresses of plan and control of each car, as the kernel takes them."""
+    """Return the addresses of plan and control of each car, in the form that the kernel takes."""
     addresses = [address for planner in planners for address in planner.pointers()]
-    # Off a tuple the kernel reads the number of cars when it is compiled: once for one car, once for two, and once more
-    # for any other number.
+    # From a tuple the kernel knows the number of cars at compile time: it is compiled once for one
+    # car, once for two cars, and once for any other number.
     return tuple(addresses) if len(planners) <= 2 else np.array(addresses)
 
 
@@ -79,17 +79,18 @@ def drive(
     threads: int | None = None,
     conditions: RaceConditions = AS_THE_SETUP,
 ) -> None:
-    """Drive every race of a batch on by ``ticks`` steps of 0.01 s, in place; finished races stand still.
+    """Advance all races of a batch by ``ticks`` steps of 0.01 s, in place; ended races stand still.
 
-    It is :func:`pcs_racing.race.races.advance` for cars, planners and settings of the loop that belong to no setup.
-    A ``drive`` in Python that has a method ``commands`` is asked for all races in one call, and one with an attribute
-    ``hold`` every so many simulation steps (:class:`pcs_racing.envs.models.ModelDriver` has both).
+    This is :func:`pcs_racing.race.races.advance` for cars, planners and loop settings without a
+    setup. A ``drive`` in Python with a method ``commands`` gives the commands of all races in one
+    call. A ``drive`` in Python with an attribute ``hold`` is called every ``hold`` simulation
+    steps. (:class:`pcs_racing.envs.models.ModelDriver` has both.)
     """
     cars, runs = conditions.rows(vehicles, state.races), conditions.runs(track, state.races)
     if all(planner.drive is None for planner in planners):
         _drive_compiled(runs, settings, planners, cars, state, theta, ticks, threads)
         return
-    # The compiled loop stops before every command, so that Python can give it.
+    # The compiled loop stops before every command, so that Python can give the command.
     holds = [getattr(planner.drive, "hold", CONTROL_EVERY) for planner in planners if planner.drive is not None]
     while ticks > 0:
         for run in runs:
@@ -118,7 +119,7 @@ def _drive_compiled(
         )
     size = max(1, *(planner.scratch_size for planner in planners))
 
-    def part(arrays: TrackArrays, first: int, last: int) -> None:  # the drivers are bound below
+    def part(arrays: TrackArrays, first: int, last: int) -> None:  # `drivers` is bound below
         scratch, work = np.empty(size), np.zeros(WORK_SIZE)
         try:
             advance_races(arrays, state, theta, cars, drivers, settings, ticks, first, last, scratch, work)
@@ -130,12 +131,12 @@ def _drive_compiled(
         if compiling and runs:
             part(runs[0][0].arrays, 0, 0)
     workers = min(threads or default_threads(), races, races * ticks // TICKS_OF_A_THREAD)
-    # A pool costs as much as some hundred steps.
+    # A thread pool costs as much as some hundred steps.
     if workers <= 1:
         for track, first, last in runs:
             part(track.arrays, first, last)
         return
-    # Other types of arguments compile here, before several threads would.
+    # Other types of arguments are compiled for here, before several threads would do so.
     part(runs[0][0].arrays, 0, 0)
     pieces = _pieces(runs, races, ticks, workers, len(planners))
     with ThreadPoolExecutor(workers) as pool:
@@ -143,16 +144,16 @@ def _drive_compiled(
 
 
 def driver_error(error: Exception, planners: Sequence[Planner], work: NDArray[np.float64]) -> InputError:
-    """Return the error that names race, car and planner of what a compiled planner raised."""
+    """Return an error with race, car and planner for an exception of a compiled planner."""
     race, car = map(int, work[ASKED:])
     return InputError(f"race {race}, car {car}: planner {planners[car].name!r} raised {type(error).__name__}: {error}")
 
 
 def _pieces(runs: list[Run], races: int, ticks: int, workers: int, cars: int = 2) -> list[tuple[TrackArrays, int, int]]:
-    """Cut runs into pieces for threads, each of which takes the next piece when it is done with one.
+    """Cut runs into pieces of work; a thread takes the next piece after it has finished one.
 
-    Many pieces are of whole groups, which are driven in lockstep. A few are of equal size instead, so that no thread
-    waits for the last one.
+    Many pieces consist of whole groups, which are driven in lockstep. If there are few pieces, they
+    have equal sizes instead, so that no thread waits for the last piece.
     """
     group = LANES // cars
     size = group * max(1, PIECE // (group * ticks))
@@ -162,7 +163,7 @@ def _pieces(runs: list[Run], races: int, ticks: int, workers: int, cars: int = 2
     pieces = [
         (track.arrays, at, min(at + size, last)) for track, first, last in runs for at in range(first, last, size)
     ]
-    # Neighbours are not driven at the same time: their states share cache lines.
+    # Neighbouring pieces are not driven at the same time: their states share cache lines.
     return pieces[::2] + pieces[1::2]
 
 
@@ -182,12 +183,13 @@ def _ask_python_drivers(
             continue
         hold = getattr(planner.drive, "hold", CONTROL_EVERY)
         rows = first + np.flatnonzero(going & (state.tick[part] % hold == 0))
-        if hasattr(planner.drive, "commands"):  # it is asked for all races in one call
+        if hasattr(planner.drive, "commands"):  # one call for all races
             if len(rows) == 0:
                 continue
             given = planner.drive.commands(track, state, rows, car, cars, settings)
             state.memory[rows, car, :COMMAND_SLOTS] = given
-            # Between two of the loop's commands this one takes effect from here, unless it is late anyway.
+            # Between two commands of the loop the new command takes effect here; its steering only
+            # if the car has no steering delay.
             now = state.tick[rows] % CONTROL_EVERY != 0
             state.command[rows[now], car, 1] = given[now, 1]
             now &= cars[rows, car, STEER_DELAY] == 0.0
@@ -196,7 +198,8 @@ def _ask_python_drivers(
         for race in rows:
             fill_view(track.arrays, state, race, car, cars[race], settings, view)
             memory = state.memory[race, car]
-            # The first numbers hold the command until the next one; the driver's own memory follows.
+            # The first numbers hold the command until the next command; the planner's own memory
+            # follows.
             own = memory[COMMAND_SLOTS : COMMAND_SLOTS + planner.memory_size]
             given = theta[race, car, : len(planner.parameters)]
             given.flags.writeable = False
@@ -204,11 +207,11 @@ def _ask_python_drivers(
             more = (int(state.seed[race]), car) if hasattr(planner.drive, "takes_seed") else ()
             try:
                 answer = planner.drive(track, given, view.copy(), own, *more)
-            except (Exception, SystemExit) as error:  # whatever their code raises
+            except (Exception, SystemExit) as error:  # third-party code may raise anything
                 raise InputError(f"{who} raised {type(error).__name__}: {error}") from error
             try:
                 command = np.asarray(answer, dtype=np.float64)
-            except Exception:  # whatever an object of theirs raises
+            except Exception:  # a third-party object may raise anything
                 command = np.array(np.nan)
             if command.shape != (2,) or not np.isfinite(command).all():
                 raise InputError(

@@ -1,4 +1,4 @@
-"""Frames of a recorded race, one after the other, animated GIFs of them, and pictures of circuits."""
+"""Frames of a recorded race in sequence, animated GIFs of them, and pictures of tracks."""
 
 import os
 from collections.abc import Iterator
@@ -23,11 +23,11 @@ _TRAIL = 2.0  # s
 def replay_frames(
     replay: Replay, renderer: Renderer | None = None, *, fps: float = 20.0, speed: float = 1.0, candidates: bool = False
 ) -> Iterator[np.ndarray]:
-    """Yield frames of a recorded race, (height, width, 3) of uint8, one after the other, for any video writer.
+    """Yield frames of a recorded race, uint8 of shape (height, width, 3), for any video writer.
 
-    A renderer must be in mode ``"rgb_array"``; by default it is one of the whole track. ``fps`` are the frames per
-    second of the video, ``speed`` the race seconds per video second. With ``candidates`` the paths considered are
-    drawn, where they were kept.
+    The renderer must be in mode ``"rgb_array"``; by default it shows the whole track. ``fps`` is
+    the frame rate of the video, ``speed`` the number of race seconds per video second. With
+    ``candidates`` the considered paths are drawn, if they were recorded.
     """
     check_number("fps", fps, maximum=1000.0, above=0.0)
     check_number("speed", speed, maximum=1000.0, above=0.0)
@@ -39,7 +39,7 @@ def replay_frames(
 
 def _frames(replay: Replay, renderer: Renderer, step: float, candidates: bool) -> Iterator[np.ndarray]:
     for k in range(int(replay.duration / step + 1e-9) + 1):
-        # A multiple, not a sum of steps: rounding errors would move the last frames.
+        # A product, not a sum of steps: rounding errors would shift the last frames.
         time = k * step
         i = min(round(time / replay.frame_dt), len(replay.cars) - 1)
         since = max(0, i - round(_TRAIL / replay.frame_dt))
@@ -74,8 +74,8 @@ def write_gif(
 ) -> Path:
     """Write a recorded race as an animated GIF; an existing file is replaced in one step.
 
-    As for :func:`replay_frames`, but the renderer is one of 640 x 420 pixels if left out, and 50 frames per second are
-    the most (a GIF counts in hundredths of a second).
+    Arguments are as for :func:`replay_frames`, but the default renderer has 640 x 420 pixels, and
+    the maximum of ``fps`` is 50 (a GIF counts in hundredths of a second).
     """
     path = Path(path)
     if path.suffix != ".gif":
@@ -83,7 +83,7 @@ def write_gif(
     check_number("fps", fps, maximum=50.0, above=0.0)
     frames = replay_frames(replay, renderer or Renderer(replay, 640, 420), fps=fps, speed=speed, candidates=candidates)
     first = Image.fromarray(next(frames)).quantize(128)
-    # One palette for all frames: smaller, faster, and nothing flickers.
+    # One palette for all frames: a smaller file, faster, no flicker.
     rest = (Image.fromarray(frame).quantize(palette=first, dither=Image.Dither.NONE) for frame in frames)
     write_atomically(
         path,
@@ -95,9 +95,9 @@ def write_gif(
 
 
 def write_video(replay: Replay, path: str | os.PathLike[str], *, fps: float = 25.0, speed: float = 1.0) -> Path:
-    """Write a recorded race as an MP4 of 960 x 640 pixels, for which it needs imageio-ffmpeg (the extra video).
+    """Write a recorded race as an MP4 of 960 x 640 pixels; needs imageio-ffmpeg (the extra video).
 
-    ``fps`` and ``speed`` as for :func:`replay_frames`.
+    ``fps`` and ``speed`` are as for :func:`replay_frames`.
     """
     path = Path(path)
     if path.suffix != ".mp4":
@@ -120,7 +120,10 @@ def write_video(replay: Replay, path: str | os.PathLike[str], *, fps: float = 25
 
 
 def write_track_picture(track: Track, path: str | os.PathLike[str]) -> Path:
-    """Write a circuit as a PNG: road, walls, race line coloured by speed, and a car at the start, as it drives."""
+    """Write a PNG of a track: road, walls, race line coloured by speed, and a car at the start.
+
+    The car points in the driving direction.
+    """
     path = Path(path)
     if path.suffix != ".png":
         raise InputError(f"write_track_picture writes .png files, got {path.name!r}")

@@ -1,6 +1,7 @@
-"""The compiled loop that advances a batch of races: plan, control, drive, collide, measure.
+"""Compiled loop that advances a batch of races: plan, control, drive, collide, measure.
 
-Everything happens at fixed multiples of the simulation step of 0.01 s, so that stopping and going on changes nothing.
+All events happen at fixed multiples of the simulation step of 0.01 s, so that a stop between two
+calls changes no result.
 """
 
 from typing import NamedTuple
@@ -23,11 +24,11 @@ from pcs_racing.track.frenet import COS, SIN, SPEED, WALLS_BEGIN, WALLS_END, Wal
 
 BLOCKING_REACH = 3.0  # m
 
-FAR = 1e6  # m: away stands the opponent that a driver alone on the track sees
+FAR = 1e6  # m: distance of the dummy opponent in single-car races
 
-# The loop's scratch memory: the cars in their lanes; whether each is slow; its steering angle and progress before a
-# control period; the velocities of the cars of a race; the steps that each race has left; the view of each car; and the
-# race and the car whose driver was asked last.
+# Layout of the loop's scratch memory: the cars in their lanes; a flag for each slow car; steering
+# angle and progress of each car before a control period; the velocities of the cars of a race; the
+# remaining steps of each race; the view of each car; race and car of the last call of a planner.
 _SLOW = LANES_SIZE
 _STEERING_BEFORE = _SLOW + LANES
 _PROGRESS_BEFORE = _STEERING_BEFORE + LANES
@@ -39,9 +40,9 @@ WORK_SIZE = ASKED + 2
 
 
 class KernelSettings(NamedTuple):
-    """The numbers of a race configuration that the compiled loop needs.
+    """Numbers of a race configuration that the compiled loop needs.
 
-    An ``ittc_horizon`` of 0 leaves the minimum time to collision out; nothing that drives depends on it.
+    An ``ittc_horizon`` of 0 skips the minimum time to collision, which has no effect on driving.
     """
 
     end_tick: int
@@ -51,12 +52,12 @@ class KernelSettings(NamedTuple):
     noise_keep: float
     ittc_horizon: float
     contact: int  #: Index in :data:`pcs_racing.race.config.CONTACTS`.
-    most_faults: int  #: 0 for no limit.
+    most_faults: int  #: Number of a car's faults that ends the race; 0 for no limit.
 
 
 @inner_kernel
 def _fill_fixed(own, settings, view):  # type: ignore[no-untyped-def]
-    """Write what stays the same during a race into a view: the car's parameters and the range of speeds."""
+    """Write the constants of a race into a view: the car's parameters and the range of speeds."""
     view[_view.OWN_LENGTH] = own[_vehicle.LENGTH]
     view[_view.OWN_WIDTH] = own[_vehicle.WIDTH]
     view[_view.WHEELBASE] = own[_vehicle.LF] + own[_vehicle.LR]
@@ -76,15 +77,16 @@ def _fill_fixed(own, settings, view):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _part_at(s, size, parts):  # type: ignore[no-untyped-def]
-    """Index of the part of the line, all of one size, in which an arc length in [0, length) lies."""
+    """Return the index of the part of the line (equal parts) at an arc length in [0, length)."""
     i = int(s / size)
-    # Rounding can lead beyond the last, and a state from elsewhere anywhere; a remainder would take a division.
+    # Rounding can give an index beyond the last part, and a state from elsewhere any index; a
+    # remainder would take a division.
     return i if 0 <= i < parts else 0
 
 
 @inner_kernel
 def _fill_nobody(length, own, view):  # type: ignore[no-untyped-def]
-    """Write an opponent that nobody can meet: standing far off the track, half a lap away along it."""
+    """Write an opponent that no car can meet: at rest, far off the track, half a lap away."""
     view[_view.OPP_LENGTH] = own[_vehicle.LENGTH]
     view[_view.OPP_WIDTH] = own[_vehicle.WIDTH]
     view[_view.OPP_X] = view[_view.OWN_X] + FAR
@@ -101,7 +103,7 @@ def _fill_nobody(length, own, view):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _fill_own(tick, cars, frenet, race, car, view):  # type: ignore[no-untyped-def]
-    """Write what changes from step to step about the own car into a view."""
+    """Write the changing values of the own car into a view."""
     view[_view.TIME] = tick * DT
     view[_view.OWN_X] = cars[race, car, _vehicle.X]
     view[_view.OWN_Y] = cars[race, car, _vehicle.Y]
@@ -134,7 +136,7 @@ def _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles,
 
 @inner_kernel(forceinline=True)
 def _fill_other(line, ds, length, cars, frenet, progress, race, car, number, vehicles, view):  # type: ignore[no-untyped-def]
-    """Write the opponent that a driver sees into a view: of two cars the other one, else the nearest on the track."""
+    """Write the visible opponent into a view: the other of two cars, else the nearest car."""
     if number == 1:
         _fill_nobody(length, vehicles[car], view)
     else:
@@ -144,7 +146,7 @@ def _fill_other(line, ds, length, cars, frenet, progress, race, car, number, veh
 
 @kernel
 def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignore[no-untyped-def]
-    """Write what the driver of ``car`` sees (:data:`pcs_racing.planners.view.VIEW`) into ``view``."""
+    """Write the view of ``car`` (:data:`pcs_racing.planners.view.VIEW`) into ``view``."""
     cars, frenet, number = state.cars, state.frenet, state.cars.shape[1]
     _fill_fixed(vehicles[car], settings, view)
     _fill_own(state.tick[race], cars, frenet, race, car, view)
@@ -153,10 +155,11 @@ def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignor
 
 @inner_kernel(forceinline=True)
 def _count_overtakes(progress, leader, overtakes, ahead, race, vehicles, number):  # type: ignore[no-untyped-def]
-    """Count a pass once the car that was behind leads by more than a car's length."""
+    """Count an overtake once the car that was behind leads by more than a car's length."""
     for one in range(number):
         for two in range(one + 1, number):
-            # By more than a length, so that two cars side by side don't pass each other at every step.
+            # More than a length, so that two cars side by side do not overtake each other at every
+            # step.
             lead = progress[race, one] - progress[race, two]
             if abs(lead) > vehicles[one, _vehicle.LENGTH]:
                 first, second = (one, two) if lead > 0.0 else (two, one)
@@ -172,8 +175,9 @@ def _count_overtakes(progress, leader, overtakes, ahead, race, vehicles, number)
 
 @kernel(forceinline=True)
 def measure_ittc(near, cars, frenet, sums, race, vehicles, horizon, work, number):  # type: ignore[no-untyped-def]
-    """Sample the minimum time to collision of so many cars."""
-    # The velocities of all are worked out once, before the loop: each car needs those of the others, too.
+    """Sample the minimum time to collision of ``number`` cars."""
+    # All velocities are computed once, before the loop: each car also needs the velocities of the
+    # other cars.
     for car in range(number):
         sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI] + cars[race, car, _vehicle.BETA])
         work[car], work[LANES + car] = cars[race, car, _vehicle.V] * cosine, cars[race, car, _vehicle.V] * sine
@@ -202,13 +206,14 @@ def measure_ittc(near, cars, frenet, sums, race, vehicles, horizon, work, number
 def _measure_driving(  # type: ignore[no-untyped-def]
     line, ds, speed_high, cars, frenet, progress, sums, race, vehicles, before, number
 ):
-    """Add what one control period contributes to the running sums.
+    """Add the contribution of one control period to the running sums.
 
-    ``before`` begins with the steering angles of the cars before the period, followed by their progress.
+    ``before`` begins with the steering angles of the cars before the period, followed by their
+    progress.
     """
     period = CONTROL_EVERY * DT
     for car in range(number):
-        # The time that the profile of pace 1 takes for what was driven.
+        # Time that the profile of pace 1 takes for the driven distance.
         driven = progress[race, car] - before[LANES + car]
         i = _part_at(frenet[race, car, 0], ds, line.shape[0])
         profile = driven / (speed_high * line[i, SPEED])
@@ -238,25 +243,30 @@ def advance_races(  # type: ignore[no-untyped-def]
 ):
     """Advance races ``first`` to ``last - 1`` of a batch by ``ticks`` steps each, in place.
 
-    A race that crashed or reached ``settings.end_tick`` stands still. Races are driven in groups whose cars share the
-    processor's vectors, eight cars at a time; no race depends on the others in its group.
+    A race that crashed or reached ``settings.end_tick`` stands still. Races are driven in groups
+    whose cars share the processor's vectors, eight cars at a time; no race depends on the others in
+    its group.
 
-    ``theta``, shape (B, N, P), are parameters of the policies of each race, and ``vehicles``, shape (B, N, 18), its
-    cars' parameter rows. ``drivers`` are the addresses of plan and control of each car
-    (:meth:`pcs_racing.planners.planner.Planner.pointers`). ``scratch``, as large as that of any planner, and
-    ``work``, of ``WORK_SIZE``, hold nothing afterwards, but at ``ASKED`` race and car of a driver that raised an error.
+    ``theta``, shape (B, N, P), holds the policy parameters of each race, and ``vehicles``, shape
+    (B, N, 18), the parameter rows of its cars. ``drivers`` holds the addresses of plan and control
+    of each car (:meth:`pcs_racing.planners.planner.Planner.pointers`). ``scratch`` has the maximum
+    scratch size of the planners, and ``work`` has ``WORK_SIZE`` numbers. Their contents are
+    undefined after the call, except for ``work[ASKED:]``: race and car of a planner that raised an
+    error.
     """
-    # Arrays are taken out of their tuples once: handing whole tuples to functions costs more than many of these do.
+    # Arrays are taken out of their tuples once: passing whole tuples to functions costs more than
+    # the work of many of these functions.
     near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
     line, ds, length = track.line, track.ds, track.length
     cars, frenet, progress, sums = state.cars, state.frenet, state.progress, state.sums
     crash, fault, leader, overtakes, laps = state.crash, state.fault, state.leader, state.overtakes, state.laps
     commands, disturbances, paths, memories = state.command, state.disturbance, state.path, state.memory
-    # A number that is known when the code is compiled makes races of two cars faster: `pointers_of` sees to it.
+    # A number of cars known at compile time makes races of two cars faster: `pointers_of` provides
+    # it.
     number = len(drivers) // 2
     group = LANES // number
     noise_share = np.sqrt(1.0 - settings.noise_keep * settings.noise_keep)
-    # Numbers left over from elsewhere may be so small that arithmetic with them is slow.
+    # Left-over numbers may be denormal, and arithmetic with denormal numbers is slow.
     work[:LANES_SIZE] = 0.0
     for start in range(first, last, group):
         stop = min(start + group, last)
@@ -267,13 +277,13 @@ def advance_races(  # type: ignore[no-untyped-def]
                 crashed |= crash[race, car] != 0
                 lane = number * (race - start) + car
                 load_car(work, lane, cars[race, car], vehicles[race, car])
-                if state.tick[race] % CONTROL_EVERY != 0:  # it was stopped between two commands
+                if state.tick[race] % CONTROL_EVERY != 0:  # stopped between two commands
                     set_target(work, lane, commands[race, car, 0], commands[race, car, 1])
                     work[_STEERING_BEFORE + lane] = cars[race, car, _vehicle.DELTA]
                 view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
                 _fill_fixed(vehicles[race, car], settings, view)
             work[_LEFT + race - start] = 0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])
-        # One turn is one step of all races of the group that still drive.
+        # One iteration is one step of all races of the group that still drive.
         driving = True
         while driving:
             driving = False
@@ -296,7 +306,8 @@ def advance_races(  # type: ignore[no-untyped-def]
                         call_control(control, track, theta[race, car], view, memory, scratch, path, command)
                         if not np.isfinite(command[0] + command[1]):
                             raise FloatingPointError("its command is not finite")
-                        # First the disturbance, then the delay: the car gets late what was disturbed when it was sent.
+                        # First the disturbance, then the delay: a command is disturbed when it is
+                        # sent, and reaches the car late.
                         noise_sd = steering_sd(settings, vehicles[race, car])
                         if noise_sd > 0.0:
                             draw = noise_sd * noise_share * steering_noise(state.seed[race], car, tick)
@@ -307,7 +318,8 @@ def advance_races(  # type: ignore[no-untyped-def]
                             command[0] = delayed(memory, delay, tick, command[0])
                         set_target(work, lane, command[0], command[1])
                         work[_STEERING_BEFORE + lane] = cars[race, car, _vehicle.DELTA]
-                # Slow cars are driven alone; their lanes are computed as well, and overwritten below.
+                # Slow cars are stepped one by one; their lanes are computed as well, and
+                # overwritten below.
                 for car in range(number):
                     lane = number * (race - start) + car
                     slow = step_slow_car(work, lane, cars[race, car], vehicles[race, car], DT)
@@ -318,7 +330,7 @@ def advance_races(  # type: ignore[no-untyped-def]
                     continue
                 work[_LEFT + race - start] -= 1.0
                 params = vehicles[race]
-                place = number * (race - start)  # of its cars, in the lanes
+                place = number * (race - start)  # first lane of the race's cars
                 for car in range(number):
                     if work[_SLOW + place + car] != 0.0:
                         load_car(work, place + car, cars[race, car], params[car])
@@ -326,7 +338,8 @@ def advance_races(  # type: ignore[no-untyped-def]
                         store_car(work, place + car, cars[race, car])
                 tick = state.tick[race] + 1
                 state.tick[race] = tick
-                # Measured before contacts are looked for: a race that ends now has driven this period.
+                # Measured before the check for contacts: a race that ends now has driven this
+                # period.
                 if tick % CONTROL_EVERY == 0:
                     for car in range(number):
                         work[_PROGRESS_BEFORE + place + car] = progress[race, car]

@@ -1,7 +1,7 @@
-"""Painting the parts of a frame: the track, the paths, the cars and their names.
+"""Painting of the parts of a frame: the track, the paths, the cars and their names.
 
-Everything is painted in fine pixels, :data:`FINER` of them to a pixel of the frame, which smooths every edge when the
-picture is reduced; only names are painted afterwards, in pixels.
+All parts are painted in fine pixels, :data:`FINER` per pixel of the frame, so that every edge is
+smooth in the reduced picture. Only names are painted after the reduction, in pixels.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ FINER = 2
 Colour = tuple[int, ...]
 Colours = Mapping[str, Colour]
 
-# The light colours of replay.html; names are darker, for letters need more contrast than cars.
+# The light colours of replay.html; names are darker: letters need more contrast than cars.
 _CODES = {
     "ground": "#e3e8ed", "asphalt": "#fdfdfe", "wall": "#7c8897", "ink": "#17202b", "tyre": "#1c232c",
     "slow": "#9a5fc0", "mid": "#6f8fd0", "fast": "#2fb3a0",
@@ -28,7 +28,7 @@ _CODES = {
     "name4": "#553517", "name5": "#005765", "name6": "#555700", "name7": "#323a44",
 }  # fmt: skip
 COLOURS: Colours = {name: tuple(int(code[i : i + 2], 16) for i in (1, 3, 5)) for name, code in _CODES.items()}
-"""Colours by the names of what they are for."""
+"""Colours by purpose."""
 
 # Shapes in units of half a car's length and width, x to the front.
 _LEFT_HALF = ((0.97, 0.2), (0.3, 0.4), (-0.15, 0.62), (-0.85, 0.55))
@@ -37,14 +37,14 @@ _COCKPIT = ((0.2, 0.22), (-0.12, 0.34), (-0.3, 0.26), (-0.3, -0.26), (-0.12, -0.
 _ARROW = ((1.15, 0.0), (-1.0, 1.7), (-0.6, 0.0), (-1.0, -1.7))
 _AHEAD = ((1.85, 0.0), (1.25, 0.8), (1.42, 0.0), (1.25, -0.8))
 _WHEELS = ((0.55, 0.8), (0.55, -0.8), (-0.57, 0.8), (-0.57, -0.8))
-_LEAST_CAR = 8.0  # pixels of half a length: a smaller car is an arrow of _ARROW_SIZE
+_LEAST_CAR = 8.0  # pixels of half a length: a smaller car is drawn as an arrow of _ARROW_SIZE
 _ARROW_SIZE = 11.0
-_NAME = 24  # characters of a name
+_NAME = 24  # max characters of a name
 _HALO = 3  # pixels around the letters of a name
 
 
 class Camera(NamedTuple):
-    """What a picture shows: its middle (m), fine pixels per metre, and its size in fine pixels."""
+    """Section of the plane in a picture: middle (m), fine pixels per metre, size in fine pixels."""
 
     x: float
     y: float
@@ -53,15 +53,16 @@ class Camera(NamedTuple):
     height: int
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
-        """Fine pixels of points in m, shape (..., 2)."""
+        """Return the fine pixels of points in m, shape (..., 2)."""
         origin = np.array([self.width, self.height]) * 0.5
         return origin + (points[..., :2] - (self.x, self.y)) * (self.scale, -self.scale)
 
 
 def paint_track(camera: Camera, walls: Sequence[np.ndarray], line: np.ndarray, speed: np.ndarray | None) -> Image.Image:
-    """Return a picture of the surface, the walls (polylines) and the race line, coloured by its speed if that is known.
+    """Return a picture of the surface, the walls (polylines) and the race line.
 
-    Where walls close to loops, the track lies between them.
+    The line is coloured by its speed if that is known. Where walls form closed loops, the track
+    lies between them.
     """
     size = (camera.width, camera.height)
     image = Image.new("RGB", size, COLOURS["ground"])
@@ -87,7 +88,7 @@ def paint_track(camera: Camera, walls: Sequence[np.ndarray], line: np.ndarray, s
 
 
 def paint_trails(pen: ImageDraw.ImageDraw, camera: Camera, trails: np.ndarray) -> None:
-    """Paint where the cars have been, shape (M, cars, 2), oldest first and faintest."""
+    """Paint past positions of the cars, shape (M, cars, 2), oldest first and faintest."""
     width = max(round(0.13 * camera.scale), 2 * FINER)
     for car in range(trails.shape[1]):
         points = camera.pixels(trails[:, car])
@@ -97,7 +98,7 @@ def paint_trails(pen: ImageDraw.ImageDraw, camera: Camera, trails: np.ndarray) -
 
 
 def paint_candidates(pen: ImageDraw.ImageDraw, camera: Camera, paths: np.ndarray, costs: np.ndarray) -> None:
-    """Paint rejected paths in red, the others shaded by the rank of their cost, the best on top."""
+    """Paint rejected paths in red, other paths shaded by rank of cost, the best on top."""
     order = np.argsort(-costs, kind="stable")
     kept = int(np.count_nonzero(np.isfinite(costs)))
     stops = [COLOURS["worst"], COLOURS["best"]]
@@ -120,7 +121,7 @@ def paint_plan(pen: ImageDraw.ImageDraw, camera: Camera, colour: Colour, plan: n
 def paint_car(
     pen: ImageDraw.ImageDraw, camera: Camera, colour: Colour, state: np.ndarray, half_size: np.ndarray
 ) -> None:
-    """Paint a car with its front wheels turned; where it would be too small to see, an arrow."""
+    """Paint a car with turned front wheels, or an arrow if the car would be too small to see."""
     half_length, half_width = half_size
     x, y, delta, _, psi = state[:5]
 
@@ -130,10 +131,11 @@ def paint_car(
         return _flat(camera.pixels(np.array([x, y]) + corners @ turn))
 
     if half_length * camera.scale < _LEAST_CAR * FINER:
-        # On a whole track an arrow larger than the car: small, but never lost.
+        # In a view of the whole track the arrow is larger than the car: small, but always visible.
         pen.polygon(place(_ARROW, _ARROW_SIZE * FINER / (half_length * camera.scale)), fill=colour)
         return
-    # The true rectangle lies under the car, pale: contacts are its, not those of the drawn body.
+    # The true rectangle is painted pale under the car: contacts depend on it, not on the drawn
+    # body.
     pen.polygon(place(_AHEAD), fill=colour)
     box = ((1, 1), (-1, 1), (-1, -1), (1, -1))
     pen.polygon(place(box), fill=(*colour, 50), outline=(*colour, 160), width=FINER)
@@ -162,9 +164,10 @@ def paint_names(
     font: Any,
     top: float,
 ) -> None:
-    """Write beside each car who drives it, away from the nearest one, in the frame, ``top`` pixels below its edge.
+    """Write the policy's name next to each car, on the side away from the nearest car.
 
-    The picture is the reduced one.
+    Names stay inside the frame, ``top`` pixels below its upper edge. ``image`` is the reduced
+    picture.
     """
     pen = ImageDraw.Draw(image)
     places = camera.pixels(cars[:, :2]) / FINER
@@ -173,13 +176,13 @@ def paint_names(
         ways = places[car] - others
         apart = ways[np.argmin(np.hypot(*ways.T))] if len(others) else np.zeros(2)
         distance = float(np.hypot(*apart))
-        # Cars at one place, or one car alone: the first name above, the second below.
+        # Cars at one place, or a single car: the first name above, the second name below.
         away = apart / distance if distance > 1.0 else np.array([0.0, 1.0 if car else -1.0])
         box = np.array(pen.textbbox((0, 0), name[:_NAME], font=font, stroke_width=_HALO))
         half = 0.5 * (box[2:] - box[:2])
         half_length = half_sizes[min(car, len(half_sizes) - 1), 0] * camera.scale / FINER
         gap = 4.0 + (_ARROW_SIZE * 1.7 if half_length < _LEAST_CAR else _AHEAD[0][0] * half_length)
-        # So far that the box of the text, seen in this direction, ends a gap before the car.
+        # Distance at which the box of the text, in this direction, ends a gap before the car.
         reach = gap + float(np.min(half / np.maximum(np.abs(away), 1e-6)))
         low = half + np.array([0.0, top])
         middle = np.clip(places[car] + away * reach, low, np.maximum(image.size - half, low))
@@ -195,14 +198,14 @@ def paint_names(
 
 
 def _between(stops: Sequence[Colour], share: float) -> Colour:
-    """The colour at a share from 0 to 1 of the way along some stops."""
+    """Return the colour at a share from 0 to 1 of the way along some stops."""
     at = min(max(share, 0.0), 1.0) * (len(stops) - 1)
     i = min(int(at), len(stops) - 2)
     return tuple(round(a + (b - a) * (at - i)) for a, b in zip(stops[i], stops[i + 1], strict=True))
 
 
 def _known(points: np.ndarray) -> np.ndarray:
-    """The points of a path that are not NaN."""
+    """Return the points of a path that are not NaN."""
     points = np.asarray(points)
     return points[~np.isnan(points[:, :2]).any(axis=1)]
 

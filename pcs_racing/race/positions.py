@@ -1,4 +1,4 @@
-"""Where the cars of a race are: progress along the race line, laps, contacts, and who is to blame for these."""
+"""Positions of the cars of a race: progress along the race line, laps, contacts and faults."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, foot, lo
 
 @kernel
 def end_lap(laps, race, car, time):  # type: ignore[no-untyped-def]
-    """Count a lap that ended at a time, and keep how long it took."""
+    """Count a lap that ended at a time, and record its duration."""
     lap = time - laps[race, car, _state.ENDED_AT]
     best = laps[race, car, _state.BEST_LAP]
     laps[race, car, _state.LAPS] += 1.0
@@ -23,7 +23,7 @@ def end_lap(laps, race, car, time):  # type: ignore[no-untyped-def]
 
 @kernel(forceinline=True)
 def move_along(length, frenet, progress, laps, tick, race, car, s, d):  # type: ignore[no-untyped-def]
-    """Account for a car that was at another place of the line before."""
+    """Move a car to arc length ``s`` and offset ``d``, and update its progress and laps."""
     # No car drives half a lap in a control period: a larger change of s is a crossing of s = 0.
     half = 0.5 * length
     driven = s - frenet[race, car, 0]
@@ -42,9 +42,10 @@ def move_along(length, frenet, progress, laps, tick, race, car, s, d):  # type: 
 
 @kernel(forceinline=True)
 def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, car):  # type: ignore[no-untyped-def]
-    """Project a car onto the race line and add what it drove.
+    """Project a car onto the race line and update its progress.
 
-    Takes single arrays: handing whole named tuples to small functions costs more than their work, in reference counts.
+    The arguments are single arrays: the reference counts of whole named tuples cost more than the
+    work of a small function.
     """
     s, d = foot(line, ds, length, cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y], frenet[race, car, 0])
     move_along(length, frenet, progress, laps, tick, race, car, s, d)
@@ -52,14 +53,14 @@ def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, 
 
 @inner_kernel(forceinline=True)
 def gap_to(length, frenet, race, car, other):  # type: ignore[no-untyped-def]
-    """How far a car is ahead of another one along the race line, the shorter way round, m."""
+    """Return the lead of ``other`` over ``car`` along the race line, the shorter way round, m."""
     gap = frenet[race, other, 0] - frenet[race, car, 0]
     return gap - length * np.floor(gap / length + 0.5)
 
 
 @inner_kernel
 def nearest_car(length, frenet, race, car):  # type: ignore[no-untyped-def]
-    """The car that is nearest along the track, the first of two that are as near; alone the car itself."""
+    """Return the nearest car along the track, the first of two equally near, or itself if alone."""
     nearest, least = car, np.inf
     for other in range(frenet.shape[1]):
         gap = abs(gap_to(length, frenet, race, car, other))
@@ -70,14 +71,14 @@ def nearest_car(length, frenet, race, car):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def body(state, vehicle):  # type: ignore[no-untyped-def]
-    """The rectangle of a car."""
+    """Return the rectangle of a car."""
     half_length, half_width = 0.5 * vehicle[_vehicle.LENGTH], 0.5 * vehicle[_vehicle.WIDTH]
     return Rectangle(state[_vehicle.X], state[_vehicle.Y], state[_vehicle.PSI], half_length, half_width)
 
 
 @inner_kernel
 def _latch(cars, crash, fault, race, vehicles, walls):  # type: ignore[no-untyped-def]
-    """Keep the crashes and who is to blame; a car in a wall, whose bit is set in ``walls``, hit it before any other."""
+    """Latch crashes and faults; a car in a wall (bit in ``walls``) hit the wall before any car."""
     for first in range(cars.shape[1]):
         if walls >> first & 1:
             crash[race, first] = _state.WALL_CRASH
@@ -98,13 +99,13 @@ def _latch(cars, crash, fault, race, vehicles, walls):  # type: ignore[no-untype
 
 @inner_kernel
 def overlap(cars, race, one, other, vehicles):  # type: ignore[no-untyped-def]
-    """Whether two cars of a race overlap."""
+    """Return whether two cars of a race overlap."""
     return rectangles_overlap(body(cars[race, one], vehicles[one]), body(cars[race, other], vehicles[other]))
 
 
 @inner_kernel(forceinline=True)
 def collide(near, cars, frenet, crash, fault, race, vehicles, number):  # type: ignore[no-untyped-def]
-    """Latch crashes of so many cars and their faults; returns whether there is one."""
+    """Latch crashes of ``number`` cars and their faults; return whether there is a crash."""
     walls = 0
     for car in range(number):
         if hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car])):
@@ -120,7 +121,7 @@ def collide(near, cars, frenet, crash, fault, race, vehicles, number):  # type: 
 
 @kernel
 def place_cars(track, state, vehicles):  # type: ignore[no-untyped-def]
-    """Set the Frenet coordinates of freshly placed cars; those in a wall or in another one are marked as crashed."""
+    """Set the Frenet coordinates of new cars; mark cars in a wall or in another car as crashed."""
     near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
     for race in range(state.tick.shape[0]):
         number = state.cars.shape[1]

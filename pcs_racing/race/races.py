@@ -1,4 +1,4 @@
-"""Racing cars against each other, one race or thousands: start, advance, and what came of it."""
+"""Races between cars, one or thousands at once: start, advance, and results."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,18 +26,18 @@ from pcs_racing.track.track import Track
 TIE_WITHIN = 0.01  # m of lead
 
 Drivers = Policy | str | Sequence[Policy | str]
-"""The driver of a car in all races, or one for each race."""
+"""Policy of a car in all races, or a policy for each race."""
 
 
 @dataclass(frozen=True, eq=False)
 class RaceSetup:
-    """What stays the same during a batch of races: track, rules, and planner and car of each of 1 to 8 drivers."""
+    """Constants of a batch of races: track, rules, and the planners and vehicles of 1 to 8 cars."""
 
     track: Track
     config: RaceConfig
-    planners: tuple[Planner, ...]  #: Family of the policies of each car, car 0's first.
-    vehicles: tuple[VehicleParams, ...] = ()  #: The cars; F1TENTH's if there are none.
-    #: Longest ``steer_delay`` of a car in a race that has cars of its own (:class:`RaceConditions`), s.
+    planners: tuple[Planner, ...]  #: Planner of each car, car 0 first.
+    vehicles: tuple[VehicleParams, ...] = ()  #: Vehicle of each car; F1TENTH's if empty.
+    #: Maximum ``steer_delay`` of a car in races with their own cars (:class:`RaceConditions`), s.
     most_delay: float = 0.0
 
     def __post_init__(self) -> None:
@@ -50,40 +50,43 @@ class RaceSetup:
 
     @cached_property
     def memory_size(self) -> int:
-        """Numbers of memory for each car in the state: its planner's, and the commands on their way to the steering."""
+        """Size of each car's memory in the state: planner memory and queue of delayed commands."""
         delay = max(self.most_delay, *(vehicle.steer_delay for vehicle in self.vehicles))
         return max(planner.memory_total for planner in self.planners) + round(delay / COMMAND_PERIOD)
 
     @cached_property
     def theta_size(self) -> int:
-        """Length of the longest of the planners' parameter vectors."""
+        """Maximum length of the planners' parameter vectors."""
         return max(1, *(len(planner.parameters) for planner in self.planners))
 
     @cached_property
     def speed_range(self) -> tuple[float, float]:
-        """Speed scales for pace 0 and pace 1: the configuration's, else what the circuit is calibrated to."""
+        """Speed scales of pace 0 and pace 1: the configuration's, else the track's calibration."""
         return self.config.speed_range or calibration_of(self.track, self.config).speed_range
 
     @cached_property
     def start_spacing(self) -> float:
-        """Distance between the cars across the track at the start, m: the nearest to the configuration's that works."""
+        """Distance between the cars across the track at the start, m.
+
+        It is the feasible distance nearest to the configuration's.
+        """
         if start_layout(self.config) != start_layout(preset_of(self.config)):
             return self.config.start_spacing
         return calibration_of(self.track, self.config).start_spacing
 
     @cached_property
     def settings(self) -> KernelSettings:
-        """The numbers that the compiled loop needs."""
+        """Numbers that the compiled loop needs."""
         return kernel_settings(self.config, self.speed_range)
 
 
 def start_lines(
     track: Track, config: RaceConfig, seed: int | np.random.SeedSequence, *, split: str = "test"
 ) -> NDArray[np.float64]:
-    """Arc lengths (m) of ``config.start_lines`` start lines at places of the circuit fit for it, in random order.
+    """Return the arc lengths (m) of ``config.start_lines`` valid start lines, in random order.
 
-    Games of training start from other places than races of tables (:func:`pcs_racing.race.start_places.split_places`).
-    Lines repeat where the circuit has fewer places.
+    Training games start from other places than test races
+    (:func:`pcs_racing.race.start_places.split_places`). Lines repeat if the track has fewer places.
     """
     rng = np.random.default_rng(seed)
     known = starts_for(track, config)
@@ -92,14 +95,14 @@ def start_lines(
         # Rounded up or down at random, so that no number of lines favours a side.
         left = min(int(known.left_share * config.start_lines + rng.uniform()), config.start_lines)
         wanted = [left, config.start_lines - left]
-    else:  # a side of a single place has none in one of the two splits
+    else:  # a side with a single place has no place in one split
         wanted = [config.start_lines if len(side) > 0 else 0 for side in sides]
     chosen = np.concatenate([_spread(side, number, rng) for side, number in zip(sides, wanted, strict=True)])
     return chosen[rng.permutation(config.start_lines)]
 
 
 def _spread(places: NDArray[np.float64], number: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """One random place from each of as many equal parts: random, yet never two in one spot where there is room."""
+    """Return a random place from each of ``number`` equal parts: no repetition if there is room."""
     edges = np.linspace(0.0, len(places), number + 1)
     at = rng.uniform(edges[:-1], edges[1:]).astype(np.intp)
     return places[np.minimum(at, len(places) - 1)] if number else places[:0]
@@ -108,10 +111,10 @@ def _spread(places: NDArray[np.float64], number: int, rng: np.random.Generator) 
 def draw_starts(
     track: Track, config: RaceConfig, races: int, seed: int, *, split: str = "test", cars: int = 2
 ) -> Starts:
-    """Draw the starts of a batch: several random start lines, and on each of them both sides in turn.
+    """Draw the starts of a batch: random start lines, and both sides alternately on each line.
 
-    Race ``i`` starts on line ``(i // 2) % config.start_lines`` with side ``i % 2``, whatever the size of the batch.
-    With more than two ``cars`` there are as many places in place of the two sides.
+    Race ``i`` starts on line ``(i // 2) % config.start_lines`` with side ``i % 2``, for any size of
+    the batch. With more than two ``cars`` there are ``cars`` places instead of two sides.
     """
     return starts_of(track, config, np.arange(races), seed, split=split, cars=cars)
 
@@ -119,7 +122,7 @@ def draw_starts(
 def starts_of(
     track: Track, config: RaceConfig, index: ArrayLike, seed: int, *, split: str = "test", cars: int = 2
 ) -> Starts:
-    """Starts of some races of the batch that :func:`draw_starts` draws, by their indices."""
+    """Return the starts of some races of the batch of :func:`draw_starts`, by their indices."""
     lines = start_lines(track, config, np.random.SeedSequence(check_seed(seed), spawn_key=(0,)), split=split)
     index, places = np.asarray(index, np.int64), places_of_grid(cars)
     return Starts(lines[(index // places) % len(lines)], index % places)
@@ -128,7 +131,7 @@ def starts_of(
 def start_races(
     setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64], conditions: RaceConditions = AS_THE_SETUP
 ) -> RaceState:
-    """Put the cars of every race on the grid, as :func:`pcs_racing.race.start_grid.place_on_grid` says."""
+    """Put the cars of all races on the grid (:func:`pcs_racing.race.start_grid.place_on_grid`)."""
     if len(starts) != len(seeds):
         raise InputError(f"there are {len(starts)} starts but {len(seeds)} seeds; give one seed for each race")
     track, config, spacing = setup.track, setup.config, setup.start_spacing
@@ -154,23 +157,24 @@ def advance(
     ittc: bool = True,
     conditions: RaceConditions = AS_THE_SETUP,
 ) -> None:
-    """Advance every race of a batch by ``ticks`` steps of 0.01 s, in place; finished races stand still.
+    """Advance all races of a batch by ``ticks`` steps of 0.01 s, in place; ended races stand still.
 
-    The result does not depend on the number of threads, nor on how a race is cut into calls.
+    The result depends neither on the number of threads nor on the division of a race into calls.
 
     Parameters
     ----------
     state : RaceState
-        Overwritten.
+        State of the batch; overwritten.
     theta : ndarray, shape (B, N, P)
-        Parameter vectors of the policies in each race, padded to the longest planner's.
+        Parameter vectors of the policies in each race, padded to the setup's ``theta_size``.
     ticks : int
-        Steps to drive, an even number: drivers are asked every second step.
+        Number of steps, even: planners give a command every second step.
     threads : int, optional
-        Threads to share the races; all cores by default, one where a driver is plain Python.
+        Number of threads that share the races; all cores by default, 1 if a planner is plain
+        Python.
     ittc : bool
-        Whether to sample the minimum time to collision. Without it everything but the sums ``ITTC`` and
-        ``ITTC_SAMPLES`` is the same, in less time.
+        Whether to sample the minimum time to collision. False saves time, and changes only the sums
+        ``ITTC`` and ``ITTC_SAMPLES``.
     conditions : RaceConditions
         Cars and tracks of single races.
     """
@@ -183,66 +187,67 @@ def advance(
 
 @dataclass(frozen=True, eq=False)
 class RaceResult:
-    """What came of a batch of races."""
+    """Results of a batch of races."""
 
     config: RaceConfig
-    state: RaceState  #: Where every race ended.
+    state: RaceState  #: State at the end of every race.
     starts: Starts
 
     @property
     def lead(self) -> NDArray[np.float64]:
-        """Progress of car 0 minus that of the car ahead of the others at the end, m, shape (B,)."""
+        """Lead of car 0 over the best other car at the end, m, shape (B,)."""
         return self.state.lead
 
     @property
     def crashed(self) -> NDArray[np.bool_]:
-        """Whether the race ended in a crash, shape (B,)."""
+        """True if the race ended in a crash, shape (B,)."""
         return self.state.crashed
 
     @property
     def winner(self) -> NDArray[np.int8]:
-        """The car that won, shape (B,): see :func:`winners`."""
+        """Car that won, shape (B,): see :func:`winners`."""
         return winners(self.config, self.state)
 
     @property
     def order(self) -> NDArray[np.intp]:
-        """The cars in the order in which they finished, shape (B, N): see :func:`finishing_order`."""
+        """Cars in finishing order, shape (B, N): see :func:`finishing_order`."""
         return finishing_order(self.state)
 
     @property
     def own_crash(self) -> NDArray[np.bool_]:
-        """Whether each car is to blame for the end of its race, shape (B, N)."""
+        """True if the car is at fault for the end of its race, shape (B, N)."""
         return _merit(self.state) == 2
 
     @property
     def time(self) -> NDArray[np.float64]:
-        """How long each race lasted, s, shape (B,)."""
+        """Duration of each race, s, shape (B,)."""
         return self.state.tick.astype(np.float64) * DT
 
 
 def _merit(state: RaceState) -> NDArray[np.int64]:
-    """How each car came through, shape (B, N): 0 without a crash, 1 in a crash that others caused, 2 at fault."""
+    """Return for each car 0 without a crash, 1 in a crash of others, 2 at fault, shape (B, N)."""
     return np.where(state.crash != NO_CRASH, np.where(state.fault > 0, 2, 1), 0)
 
 
 def finishing_order(state: RaceState) -> NDArray[np.intp]:
-    """The cars in the order in which they finished, shape (B, N).
+    """Return the cars in finishing order, shape (B, N).
 
-    The farther car is ahead; behind all others are the cars that crashed, and last those at fault for it.
+    Cars are ordered by progress. Crashed cars come behind all other cars, and the cars at fault
+    come last.
     """
     return np.lexsort((-state.progress, _merit(state)), axis=-1)
 
 
 def pair_scores(config: RaceConfig, state: RaceState) -> NDArray[np.float64]:
-    """What each car scored against each other one, shape (B, N, N): 1 if it beat it, 0.5 for a tie, else 0.
+    """Return each car's score against each other car, (B, N, N): win 1, tie 0.5, loss 0.
 
-    Ratings take one race of N cars as the results of all its pairs. The rule is that of :func:`winners`; on the
-    diagonal it is 0.5.
+    Ratings take one race of N cars as the results of all its pairs. The rule is the same as in
+    :func:`winners`; the diagonal is 0.5.
     """
     merit = _merit(state)
     ahead = state.progress[:, :, None] - state.progress[:, None]
     better = np.where(np.abs(ahead) > TIE_WITHIN, np.sign(ahead), 0.0)
-    # Two cars that are both to blame for the end of a race share its loss.
+    # Two cars that are both at fault for the end of a race share the loss.
     better[(merit[:, :, None] == 2) & (merit[:, None] == 2)] = 0.0
     apart = merit[:, None] - merit[:, :, None]
     better = np.where(apart != 0, np.sign(apart), better)
@@ -252,10 +257,10 @@ def pair_scores(config: RaceConfig, state: RaceState) -> NDArray[np.float64]:
 
 
 def winners(config: RaceConfig, state: RaceState) -> NDArray[np.int8]:
-    """The car that won each race, or -1 for a tie, for a crash that pays nobody, and for a car alone, shape (B,).
+    """Return the winner of each race, -1 for a tie, a no-contest and a car alone, shape (B,).
 
-    It is the car that beats all others: the one ahead at the end, or after a crash, by the rule "fault-loses", the
-    first one that is not at fault.
+    The winner is the car that beats all other cars: the car ahead at the end or, after a crash
+    under the rule "fault-loses", the first car that is not at fault.
     """
     scores = pair_scores(config, state)
     won = (scores == 1.0).sum(axis=2) == max(1, state.number - 1)
@@ -278,14 +283,14 @@ def run_races(
     Parameters
     ----------
     egos, opponents : Policy, str, or sequence of these
-        Drivers of car 0 and car 1 in each race, also as texts (:func:`pcs_racing.parse_policy`); a single one drives in
-        all of them. Planners may differ from race to race.
+        Policies of car 0 and car 1 in each race, also as texts (:func:`pcs_racing.parse_policy`); a
+        single policy drives in all races. Planners may differ between races.
     seed : int
-        Root of the start lines and of every race's noise.
+        Root of the start lines and of the noise of every race.
     starts : Starts, optional
-        Where to start; drawn from the seed by default (:func:`draw_starts`).
+        Starts of the races; drawn from the seed by default (:func:`draw_starts`).
     threads : int, optional
-        Threads to share the races; all cores by default. It does not change the result.
+        Number of threads that share the races; all cores by default. It does not change the result.
     """
     counts = [len(one) for one in (egos, opponents) if not isinstance(one, Policy | str)]
     if len(set(counts)) > 1:
@@ -305,7 +310,8 @@ def run_field(
 ) -> RaceResult:
     """Run races between 1 to 8 policies, from the start to the end.
 
-    ``drivers`` holds the driver of each car, or its drivers in all races; the others are those of :func:`run_races`.
+    ``drivers`` holds for each car its policy, or its policies in all races. The other arguments are
+    as in :func:`run_races`.
     """
     policies = [_policies(one) for one in drivers]
     given = [len(one) for one in policies if not isinstance(one, Policy)]
@@ -318,7 +324,7 @@ def run_field(
     if len(starts) != races:
         raise InputError(f"there are {races} races but {len(starts)} starts; give one start for each race")
     seeds = race_seeds(seed, races)
-    # The loop is given the same planners for all races of a call, so races are grouped by them.
+    # All races of one call of the loop have the same planners, so races are grouped by planners.
     groups: dict[tuple[int, ...], list[int]] = {}
     for i in range(races):
         groups.setdefault(tuple(id(car[i].planner) for car in cars), []).append(i)
@@ -329,7 +335,7 @@ def run_field(
         theta = np.stack([pad_parameters([car[i] for i in members], setup.theta_size) for car in cars], axis=1)
         advance(setup, state, theta, config.ticks, threads=threads)
         parts.append((members, state))
-    # States are joined only in one width: planners that remember less leave the rest 0.
+    # Joined states need memories of equal size: planners with less memory leave the rest 0.
     widest = max((state.memory.shape[2] for _, state in parts), default=0)
     joined = [_widen_memory(state, widest) for _, state in parts] or [empty_state(0, 0, len(cars))]
     order = np.argsort(np.concatenate([members for members, _ in parts])) if parts else np.array([], np.intp)
@@ -337,7 +343,7 @@ def run_field(
 
 
 def _policies(given: Drivers) -> Policy | list[Policy]:
-    """Return the driver of all races, or those of each; texts are read."""
+    """Return the policy of all races, or a list of one policy per race; texts are parsed."""
     if isinstance(given, Policy | str):
         return parse_policy(given) if isinstance(given, str) else given
     return [parse_policy(one) if isinstance(one, str) else one for one in given]

@@ -1,4 +1,4 @@
-"""Random circuits: generated from numbers, in threads, while other circuits are driven."""
+"""Random tracks: generated from numbers, in threads, while other tracks are in use."""
 
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,17 +16,18 @@ from pcs_racing.track.mapping.shapes import STYLES
 from pcs_racing.track.track import Calibration, Track, build_track
 
 SPEED_RANGES = {"paper": (0.66, 0.86), "contest": (0.65, 0.97), "roboracer": (0.65, 0.97)}
-"""Speed scales of pace 0 and 1: below those of most shipped circuits, as a generated one is driven unseen."""
-BENDS = 0.12  # 1/m: start places are where the line bends less than this ...
-BEFORE, AHEAD = 2.0, 8.0  # ... from so many metres before them to so many ahead
-TRIES = 20  # seeds of the generator for one circuit; hardly one in a hundred gives none
-KEPT = 64  # circuits that are kept in memory, besides those in use
-THREADS = 2  # that build circuits
+"""Speed scales of pace 0 and 1: below the scales of most shipped tracks, as a generated track gets
+no test drives."""
+BENDS = 0.12  # 1/m: start places are where the line bends less than this
+BEFORE, AHEAD = 2.0, 8.0  # m: stretch before and after a start place for that limit
+TRIES = 20  # max generator seeds per track; hardly one seed in a hundred fails
+KEPT = 64  # tracks cached in addition to the tracks in use
+THREADS = 2  # threads that build tracks
 
 
 @dataclass(frozen=True)
 class RandomCircuits(Settings):
-    """Circuits that are generated from numbers, each the same whenever its number comes again."""
+    """Tracks generated from numbers; the same number always gives the same track."""
 
     episodes: int = setting(1, whole(1, 1_000_000), "Episodes of an environment before it gets another circuit.")
     count: int = setting(10_000, whole(1, 2**31), "How many different circuits there are.")
@@ -46,15 +47,15 @@ class RandomCircuits(Settings):
 
 
 def random_circuit(settings: RandomCircuits, index: int) -> Track:
-    """Generate circuit number ``index``; the same circuit for the same settings, whatever was generated before.
+    """Generate track number ``index``; a function of settings and index alone.
 
-    Its speed ranges are fixed, and its start places lie where the race line is nearly straight; ``pcs-racing track
-    generate`` makes circuits for which both are found by driving.
+    Its speed ranges are fixed, and its start places lie where the race line is nearly straight.
+    ``pcs-racing track generate`` makes tracks with both found by driving.
     """
     refusal: MapError | None = None
     for attempt in range(TRIES):
         rng = np.random.default_rng(np.random.SeedSequence(index, spawn_key=(attempt,)))
-        # A new seed for each attempt: the generator has already tried many drafts of the last one.
+        # A new seed for each attempt: the generator has already tried many drafts of the last seed.
         style = settings.style or list(STYLES)[rng.integers(len(STYLES))]
         direction = ("counterclockwise", "clockwise")[rng.integers(2)]
         try:
@@ -90,31 +91,32 @@ def _calibration(track: Track, preset: RaceConfig) -> Calibration:
 
 
 class CircuitBuilder:
-    """Circuits by number: built once, ahead of their use in threads, and kept while there is room.
+    """Tracks by number: built once, in threads ahead of their use, and cached while there is room.
 
-    What a number stands for depends on the settings alone, not on when it is asked for. ``room`` is the number of
-    circuits in use at the same time.
+    The track of a number depends only on the settings, not on the time of the request. ``room`` is
+    the number of tracks in use at the same time.
     """
 
     def __init__(self, settings: RandomCircuits, room: int = 1) -> None:
         self.settings = settings
-        self._pool = ThreadPoolExecutor(THREADS, "pcs-racing-circuits")  # begins threads when there is work for them
-        #: Circuits in use, as many that are built ahead of them, and some to come back to.
+        # It starts threads when there is work for them.
+        self._pool = ThreadPoolExecutor(THREADS, "pcs-racing-circuits")
+        #: Cache: tracks in use, an equal number of tracks built ahead, and some earlier tracks.
         self._made = lru_cache(maxsize=2 * room + KEPT)(self._begin)
 
     def _begin(self, index: int) -> "Future[Track]":
         return self._pool.submit(random_circuit, self.settings, index)
 
     def ahead(self, index: int) -> None:
-        """Begin to build a circuit, unless it was begun before."""
+        """Start to build a track, unless its build was started before."""
         self._made(index)
 
     def get(self, index: int) -> Track:
-        """Return a circuit; waits until it is built."""
+        """Return a track; wait until it is built."""
         return self._made(index).result()
 
     def close(self) -> None:
-        """Stop the threads; a circuit that is asked for later is built again."""
+        """Stop the threads; a track requested later is built again."""
         self._pool.shutdown(wait=False, cancel_futures=True)
         self._pool = ThreadPoolExecutor(THREADS, "pcs-racing-circuits")
         self._made.cache_clear()

@@ -1,6 +1,6 @@
-"""Recording a race: the compiled loop of :func:`pcs_racing.run_races`, stopped often enough to watch.
+"""Recording of races: the loop of :func:`pcs_racing.run_races`, stopped every control period.
 
-A recorded race is the race: it ends in exactly the state that ``run_races``, or a game, gives for it.
+A recorded race ends in exactly the state that ``run_races``, or a game, gives for the race.
 """
 
 from bisect import bisect_right
@@ -30,7 +30,7 @@ from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.track import Track
 
 LAST_INDEX = 2**32 - 1
-"""Largest number of a race: it is one 32-bit word of the key of the race's noise."""
+"""Maximum number of a race: it is one 32-bit word of the key of the race's noise."""
 
 FRAME_EVERY = 4  # steps: 25 frames a second; the loop can be stopped after every second step
 Floats = NDArray[np.float64]
@@ -47,22 +47,23 @@ def record_race(
     vehicles: tuple[VehicleParams, ...] = (),
     candidates: bool = True,
 ) -> Replay:
-    """Drive one race and keep what is needed to watch it.
+    """Drive one race and record it for viewing.
 
     Parameters
     ----------
     ego, opponent : Policy
-        Drivers of car 0 and car 1; a sequence of opponents, up to seven, drives as many cars.
+        Policies of car 0 and car 1; a sequence of up to seven opponents gives a race of more cars.
     seed, index : int
-        The race number ``index`` (0 to :data:`LAST_INDEX`) of ``run_field(..., seed=seed)``: same start, same noise,
-        same end to the last bit. No race before it is drawn.
+        Seed and number of the race: race ``index`` (0 to :data:`LAST_INDEX`) of
+        ``run_field(..., seed=seed)``, with the same start, the same noise and a bit-identical end.
+        No earlier race is drawn.
     candidates : bool
-        Whether to keep the paths that each planner chose from (if it can tell).
+        Whether to record the paths that each planner chose from (if it can report them).
 
     Returns
     -------
     Replay
-        With 25 frames a second; it ends with the race, which may be a crash.
+        Recording with 25 frames a second; it ends with the race, possibly in a crash.
     """
     check_whole("index", index, 0, LAST_INDEX)
     drivers = [ego, opponent] if isinstance(opponent, Policy) else [ego, *opponent]
@@ -84,12 +85,13 @@ def record_drive(
     ends: Sequence[int] = (),
     candidates: bool = True,
 ) -> Replay:
-    """Drive one race, whose policies may change on the way, and keep what is needed to watch it.
+    """Drive one race, with policies that may change on the way, and record it for viewing.
 
-    ``noise`` is the key of its noise: what ``RaceState.seed`` holds. ``theta``, shape (S, N, P), holds the parameters
-    of the cars in each of S steps, padded to the setup's ``theta_size``; the last go on to the end. Each step but the
-    last ends at one of the ``ends``, in ticks of 0.01 s, multiples of 10, as plans are made. The cars are called by
-    their ``names``; equal ones get the number of the car (:func:`tell_apart`).
+    ``noise`` is the key of the race's noise, as in ``RaceState.seed``. ``theta``, shape (S, N, P),
+    holds the parameters of the cars in each of S steps, padded to the setup's ``theta_size``. The
+    last step lasts until the end of the race. Each earlier step ends at one of the ``ends``, in
+    ticks of 0.01 s, multiples of 10 (the planning period). ``names`` are the names of the cars;
+    equal names get the number of the car (:func:`tell_apart`).
     """
     if len(start) != 1:
         raise InputError(f"there are {len(start)} starts; a recording is of one race")
@@ -122,13 +124,13 @@ def record_drive(
 
 
 def tell_apart(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return what the cars are called: equal names get the number of the car, as in ``"lattice (car 0)"``."""
+    """Return distinct names: equal names get the number of the car, as in ``"lattice (car 0)"``."""
     return tuple(name if names.count(name) == 1 else f"{name} (car {car})" for car, name in enumerate(names))
 
 
 @dataclass(frozen=True)
 class _Log:
-    """What piles up while a race is driven."""
+    """Data collected while a race is driven."""
 
     cars: list[Floats] = field(default_factory=list)
     progress: list[Floats] = field(default_factory=list)
@@ -139,7 +141,7 @@ class _Log:
 
 
 def _drive(setup: RaceSetup, state: RaceState, steps: Floats, ends: Sequence[int], candidates: bool) -> _Log:
-    """Drive a race to its end, in place, and write down what can be seen on the way."""
+    """Drive a race to its end, in place, and log frames, plans and events."""
     log = _Log()
     ittc = None
     while True:
@@ -155,9 +157,9 @@ def _drive(setup: RaceSetup, state: RaceState, steps: Floats, ends: Sequence[int
         theta = np.ascontiguousarray(steps[step : step + 1])
         plans = tick % PLAN_EVERY == 0
         if plans and candidates:
-            # Asked before the step: afterwards the planner's memory already holds this plan.
+            # Called before the step: after it the planner's memory already holds this plan.
             log.choices.append([_choices(setup, state, theta, car) for car in range(state.number)])
-        # Running sums and counts: what this period added is their difference.
+        # Sums and counts are cumulative: the contribution of this period is their difference.
         sums, overtakes, faults = state.sums[0].copy(), state.overtakes[0].copy(), state.fault[0].copy()
         advance(setup, state, theta, CONTROL_EVERY, threads=1)
         if plans:
@@ -166,13 +168,13 @@ def _drive(setup: RaceSetup, state: RaceState, steps: Floats, ends: Sequence[int
         if added[0, ITTC_SAMPLES] > 0.0:
             first = ittc is None
             ittc = added[:, ITTC] / added[:, ITTC_SAMPLES]
-            if first:  # frames before the first sample show it too
+            if first:  # frames before the first sample also show it
                 log.ittc[:] = [ittc] * len(log.ittc)
         log.events.extend(_happened(state, overtakes, faults))
 
 
 def _choices(setup: RaceSetup, state: RaceState, theta: Floats, car: int) -> tuple[Floats, Floats] | None:
-    """Paths that a driver is about to choose from, and their costs."""
+    """Return the paths that a planner is about to choose from, and their costs."""
     planner = setup.planners[car]
     if planner.candidates is None:
         return None
@@ -184,7 +186,7 @@ def _choices(setup: RaceSetup, state: RaceState, theta: Floats, car: int) -> tup
     points, costs = planner.candidates(
         setup.track.arrays, theta[0, car, : len(planner.parameters)].copy(), view, memory
     )
-    # Several speeds on one path look alike: the cheapest stands for them.
+    # Several speeds on one path look alike: only the cheapest is recorded.
     _, first, place = np.unique(points.reshape(len(points), -1), axis=0, return_index=True, return_inverse=True)
     cheapest = np.full(len(first), np.inf)
     np.minimum.at(cheapest, place.ravel(), costs)
@@ -192,7 +194,7 @@ def _choices(setup: RaceSetup, state: RaceState, theta: Floats, car: int) -> tup
 
 
 def _plans(log: _Log) -> dict[str, Any]:
-    """Plans and candidates as arrays; what no driver told is left out."""
+    """Return plans and candidates as arrays, without parts that no planner reports."""
     paths = np.array(log.paths)
     if np.isnan(paths).all():
         return {}
@@ -212,7 +214,7 @@ def _plans(log: _Log) -> dict[str, Any]:
 
 
 def _followed(path: Floats) -> Floats:
-    """The plans of the cars as points x, y, speed, time; NaN for a driver that plans nothing."""
+    """Return the plans of the cars as points x, y, speed, time; NaN for a planner without plans."""
     out = np.array(path)
     step = lengths(np.diff(path[..., : PATH_Y + 1], axis=1))
     speed = np.maximum(0.5 * (path[:, 1:, PATH_SPEED] + path[:, :-1, PATH_SPEED]), 0.1)
@@ -225,7 +227,7 @@ def _followed(path: Floats) -> Floats:
 def _happened(
     state: RaceState, overtakes_before: NDArray[np.int64], faults_before: NDArray[np.int8]
 ) -> list[ReplayEvent]:
-    """Events of the last control period."""
+    """Return the events of the last control period."""
     time = float(state.tick[0]) * DT
     events = [
         ReplayEvent(time, car, "overtake", "overtakes")
@@ -241,7 +243,7 @@ def _happened(
 
 
 def _outcome(result: RaceResult, names: tuple[str, ...]) -> str:
-    """How a race ended, in words."""
+    """Return the outcome of a race in words."""
     winner, time = int(result.winner[0]), float(result.time[0])
     order, progress = result.order[0], result.state.progress[0]
     lead = progress[order[0]] - progress[order[min(1, len(order) - 1)]]

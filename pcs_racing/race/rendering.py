@@ -1,7 +1,7 @@
-"""Frames of a race as arrays, for videos and for ``render_mode="rgb_array"``: no display, nothing but Pillow.
+"""Frames of a race as arrays, for videos and for ``render_mode="rgb_array"``; needs only Pillow.
 
-The track under the cars does not change, so it is painted once for a region larger than the frame and cut out until
-the camera leaves it.
+No display is needed. The track under the cars does not change, so it is painted once for a region
+larger than the frame. Frames are cut out of this region until the camera leaves it.
 """
 
 import os
@@ -38,32 +38,34 @@ MODES = ("rgb_array", "human")
 
 
 def views(cars: int) -> tuple[str, ...]:
-    """What a frame of a race of so many cars may show."""
+    """Return the possible views of a race of ``cars`` cars."""
     return ("track", "both", *(f"car_{car}" for car in range(max(2, cars))))
 
 
-_CLOSE = 9.0  # m across the smaller side of the frame when a car is followed
-_LEAST_CLOSE = 32.0  # pixels per metre then, however small the frame
-_TEXT_HEIGHT = 32.0  # pixels at the top that a line of text takes
+_CLOSE = 9.0  # m across the smaller side of the frame in a view that follows a car
+_LEAST_CLOSE = 32.0  # min pixels per metre in such a view
+_TEXT_HEIGHT = 32.0  # pixels: height of a line of text at the top
 
 
 class Renderer:
-    """Draws cars on a track from above.
+    """Renderer of cars on a track, from above.
 
     Parameters
     ----------
     scene : Track or Replay
-        Whose walls and race line to draw.
+        Source of the walls and the race line.
     width, height : int
         Size of a frame in pixels, 64 to 4096.
     mode : str
-        ``"rgb_array"``: `render` returns the frame; ``"human"``: it shows it in a window (needs the extra ``window``).
+        Mode: with ``"rgb_array"``, `render` returns the frame; with ``"human"``, it shows the frame
+        in a window (needs the extra ``window``).
     view : str
-        ``"track"`` shows the whole track, ``"car_0"`` to ``"car_7"`` follow a car, ``"both"`` keeps all cars in sight.
+        View: ``"track"`` shows the whole track, ``"car_0"`` to ``"car_7"`` follow a car, ``"both"``
+        shows all cars.
     half_sizes : ndarray, shape (cars, 2), optional
-        Half length and half width of each car in m; a replay brings its own.
+        Half length and half width of each car in m; a replay has its own.
     fps : float
-        Frames per second at most in a window.
+        Maximum frames per second in a window.
     """
 
     def __init__(
@@ -87,7 +89,7 @@ class Renderer:
         self._window = Window(width, height, fps) if mode == "human" else None
 
     def show(self, scene: Union["Track", Replay], half_sizes: np.ndarray | None = None) -> None:
-        """Draw another track or replay from now on, and cars of other half sizes if they are given."""
+        """Switch to another track or replay, and to cars of other half sizes if they are given."""
         if scene is not self._shown:
             walls, self._line, self._line_speed, self._half_sizes = _scene(scene)
             self._walls = join_segments(walls)
@@ -116,20 +118,20 @@ class Renderer:
         cars : ndarray, shape (1 to 8, 7)
             States x, y, delta, v, psi, psi_dot, beta.
         plans : ndarray, shape (cars, P, 2 or more), optional
-            The plan of each car: x, y first; rows of NaN are left out.
+            Plan of each car: x, y first; rows of NaN are left out.
         candidates : ndarray, shape (cars, C, P, 2), optional
-            Paths considered, with their ``costs`` (cars, C), infinite for a rejected one.
+            Considered paths, with ``costs`` of shape (cars, C), infinite for a rejected path.
         trails : ndarray, shape (M, cars, 2), optional
-            Where the cars have been, oldest first.
+            Past positions of the cars, oldest first.
         names : sequence of str
-            A label for each car, drawn beside it in its colour; cut after 24 characters.
+            Label of each car, drawn next to it in its colour; cut after 24 characters.
         text : str
-            A line in the corner.
+            Line of text in the corner.
 
         Returns
         -------
         ndarray of uint8, shape (height, width, 3), or None
-            None in a window (``mode="human"``).
+            Frame; None in a window (``mode="human"``).
         """
         cars = np.asarray(cars, float)
         if cars.ndim != 2 or not 1 <= len(cars) <= MOST_CARS or cars.shape[1] != 7 or not np.all(np.isfinite(cars)):
@@ -144,7 +146,7 @@ class Renderer:
                 paint_candidates(pen, camera, np.asarray(paths), np.asarray(prices))
         for car, plan in enumerate(plans if plans is not None else ()):
             paint_plan(pen, camera, COLOURS[f"car{car}"], plan)
-        # Car 0 comes last: where the two overlap, the one that is watched is on top.
+        # Car 0 comes last: where cars overlap, the watched car is on top.
         for car in reversed(range(len(cars))):
             half_size = self._half_sizes[min(car, len(self._half_sizes) - 1)]
             paint_car(pen, camera, COLOURS[f"car{car}"], cars[car], half_size)
@@ -162,12 +164,12 @@ class Renderer:
         return None
 
     def close(self) -> None:
-        """Close the window, if there is one."""
+        """Close the window, if there is a window."""
         if self._window is not None:
             self._window.close()
 
     def _aim(self, cars: np.ndarray) -> Camera:
-        """The camera of this moment, in whole fine pixels, so that the background needs no resampling."""
+        """Return the current camera, in whole fine pixels: the background needs no resampling."""
         size = np.array([self.width, self.height]) * FINER
         whole = float(np.min(0.91 * size / np.maximum(self._high - self._low, 1e-3)))
         close = max(float(min(size)) / _CLOSE, FINER * _LEAST_CLOSE, whole)
@@ -176,7 +178,7 @@ class Renderer:
             low, high = cars[:, :2].min(axis=0), cars[:, :2].max(axis=0)
             middle = 0.5 * (low + high)
             wanted = float(np.min(size / (high - low + 0.6 * _CLOSE)))
-            # Whole steps of zoom: between them the background can be kept.
+            # Whole steps of zoom: between two steps the background can be reused.
             scale = float(np.clip(2.0 ** (np.floor(4.0 * np.log2(wanted)) / 4.0), whole, close))
         elif self.view != "track":
             middle, scale = cars[min(int(self.view[-1]), len(cars) - 1), :2], close
@@ -184,7 +186,10 @@ class Renderer:
         return Camera(float(x), float(y), scale, self.width * FINER, self.height * FINER)
 
     def _background(self, camera: Camera) -> Image.Image:
-        """The track in the frame, cut out of a region half as large again, drawn where the last one does not reach."""
+        """Return the track in the frame, cut out of a region half as large again.
+
+        A new region is painted where the last region does not reach.
+        """
         width, height = camera.width, camera.height
         step_x, step_y = width // 2, height // 2
         column, row = round(camera.x * camera.scale), round(camera.y * camera.scale)
@@ -205,14 +210,14 @@ class Renderer:
 
 
 class Window:
-    """A window that shows frames of one size."""
+    """Window that shows frames of one size."""
 
     def __init__(self, width: int, height: int, fps: float) -> None:
         self._pygame, self._size, self.fps = _import_pygame(), (width, height), fps
         self._surface: Any = None
 
     def show(self, frame: np.ndarray) -> None:
-        """Put a frame into the window, opening it first; closing it by hand ends nothing but the showing."""
+        """Show a frame, in a new window if none is open; closing it stops only the display."""
         pygame = self._pygame
         if self._surface is None:
             try:
@@ -228,19 +233,19 @@ class Window:
         self._clock.tick(self.fps)
 
     def close(self) -> None:
-        """Close it, if it has been opened."""
+        """Close the window, if it was opened."""
         if self._surface is not None:
             self._pygame.display.quit()
             self._surface = None
 
 
 def half_sizes(vehicles: np.ndarray) -> np.ndarray:
-    """Half length and half width, m, of cars by their parameter rows, shape (..., 18)."""
+    """Return half length and half width, m, from cars' parameter rows, shape (..., 18)."""
     return 0.5 * np.asarray(vehicles)[..., [LENGTH, WIDTH]]
 
 
 def _scene(scene: Union["Track", Replay]) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
-    """Walls, race line, speed on it and half sizes of the cars."""
+    """Return the walls, the race line, the speed on it and the half sizes of the cars."""
     if isinstance(scene, Replay):
         return scene.walls, scene.line, scene.line_speed, np.asarray(scene.half_sizes)
     arrays = getattr(scene, "arrays", None)

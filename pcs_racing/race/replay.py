@@ -1,4 +1,4 @@
-"""A recorded race as a value, and its files: JSON, and the one self-contained HTML page that plays a race."""
+"""Recorded race as a value, and its files: JSON, or a self-contained HTML page that plays it."""
 
 import html
 import json
@@ -23,46 +23,53 @@ _LONGEST_TEXT = 500
 
 @dataclass(frozen=True)
 class ReplayEvent:
-    """Something that happened at one moment of a race."""
+    """Event at one moment of a race."""
 
     time: float  #: Seconds since the start.
-    car: int  #: Whose event it is.
-    kind: str  #: ``"crash"``, ``"overtake"`` and ``"move"`` have signs of their own; any other word is allowed.
-    text: str = ""  #: What to tell the viewer, such as ``"aggressiveness +"``.
+    car: int  #: Index of the car.
+    #: Kind: ``"crash"``, ``"overtake"`` and ``"move"`` have their own signs; any other word is
+    #: allowed.
+    kind: str
+    text: str = ""  #: Text for the viewer, such as ``"aggressiveness +"``.
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """A race as it was driven: nothing but values, checked and copied when it is made; the arrays are read-only."""
+    """Recorded race: plain values, checked and copied at creation; the arrays are read-only."""
 
-    title: str  #: Shown in the page's header, as is the track's name.
+    title: str  #: Title, shown in the page's header with the track's name.
     track_name: str
-    car_names: tuple[str, ...]  #: Names of the 1 to 8 drivers, one for each of C cars.
+    car_names: tuple[str, ...]  #: Names of the policies of the C cars, 1 to 8.
     #: shape (T, C, 7): States x, y, delta, v, psi, psi_dot, beta of the cars every ``frame_dt`` (m, rad, s).
     cars: np.ndarray
     progress: np.ndarray  #: shape (T, C): Cumulative arc length driven along the line in m; its difference is the lead.
-    #: shape (S, 4): Wall segments x0, y0, x1, y1 in m. Where they close to loops, the track is filled between them.
+    #: shape (S, 4): Wall segments x0, y0, x1, y1 in m. Where they form closed loops, the track is
+    #: filled between them.
     walls: np.ndarray
-    line: np.ndarray  #: shape (N, 2): The closed race line in m.
-    line_speed: np.ndarray | None = None  #: shape (N,): Speed along it in m/s; colours it.
+    line: np.ndarray  #: shape (N, 2): Points of the closed race line in m.
+    #: shape (N,): Speed along the line in m/s; colours the line.
+    line_speed: np.ndarray | None = None
     frame_dt: float = 0.05  #: Seconds between two rows of ``cars``.
-    #: shape (T, C): Smallest instantaneous time to collision of each car in s; infinite is allowed (stored as 60 s).
+    #: shape (T, C): Minimum instantaneous time to collision of each car in s; infinity is allowed
+    #: (stored as 60 s).
     ittc: np.ndarray | None = None
     plan_dt: float = 0.1  #: Seconds between two plans; plan k is made at ``k * plan_dt``.
-    #: shape (K, C, P, 4): The plan each car follows: points x, y (m), speed (m/s) and time (s, from the moment of the
-    #: plan); rows after its last point are NaN.
+    #: shape (K, C, P, 4): Plan of each car: points x, y (m), speed (m/s) and time (s, from the
+    #: moment of the plan); rows after the last point are NaN.
     paths: np.ndarray | None = None
-    #: shape (K, C, Q, P', 2): Points x, y of every path that was considered; rows after its last point are NaN.
+    #: shape (K, C, Q, P', 2): Points x, y of every considered path; rows after the last point are
+    #: NaN.
     candidates: np.ndarray | None = None
-    #: shape (K, C, Q): Their costs; infinite for a rejected one. Goes with ``candidates``.
+    #: shape (K, C, Q): Costs of the ``candidates``, given together with them; infinite for a
+    #: rejected path.
     costs: np.ndarray | None = None
-    events: tuple[ReplayEvent, ...] = ()  #: In any order; kept sorted by time.
-    outcome: str = ""  #: How it ended, in words.
-    #: shape (C, 2): Half length and half width of each car in m; F1TENTH's if left out.
+    events: tuple[ReplayEvent, ...] = ()  #: Events in any order; stored in order of time.
+    outcome: str = ""  #: Outcome in words.
+    #: shape (C, 2): Half length and half width of each car in m; F1TENTH's by default.
     half_sizes: np.ndarray | tuple[tuple[float, float], ...] | None = None
 
     def __post_init__(self) -> None:
-        """Copy and check everything once, so that nothing else has to."""
+        """Copy and check all fields once, so that no other code has to check them."""
         for name in ("title", "track_name", "outcome"):
             _check_text(getattr(self, name), name)
         if not isinstance(self.car_names, tuple | list) or not 1 <= len(self.car_names) <= MOST_CARS:
@@ -104,7 +111,7 @@ class Replay:
 
     @property
     def lead(self) -> np.ndarray:
-        """How far car 0 is ahead of the first of the others in m, shape (T,); alone 0."""
+        """Lead of car 0 over the first of the other cars in m, shape (T,); 0 if alone."""
         rivals = self.progress[:, 1:] if len(self.car_names) > 1 else self.progress
         return np.asarray(self.progress[:, 0] - rivals.max(axis=1))
 
@@ -119,7 +126,7 @@ class Replay:
             array = np.array(getattr(self, name), dtype=np.float64, order="C")
         except (TypeError, ValueError, OverflowError):
             raise InputError(f"{name} must be an array of numbers") from None
-        # The first array with a letter decides its size; all later ones must agree.
+        # The first array with a letter decides its size; all later arrays must agree.
         wanted = tuple(sizes.get(size, size) if isinstance(size, str) else size for size in shape)
         if array.ndim != len(wanted) or any(
             isinstance(w, int) and w != n for w, n in zip(wanted, array.shape, strict=True)
@@ -163,7 +170,7 @@ def _checked_events(events: object, cars: int) -> tuple[ReplayEvent, ...]:
 FORMAT = "pcs-racing replay 1"
 
 LONGEST_ITTC = 60.0
-"""Times to collision are stored up to this one, s."""
+"""Maximum stored time to collision, s."""
 
 _LARGEST_FILE = 100_000_000
 _PLAIN = ("title", "track_name", "outcome", "frame_dt", "plan_dt")
@@ -187,15 +194,15 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
 
 
 def replay_page(replay: Replay) -> str:
-    """Return the page that :func:`save_replay` writes, to be put into another one."""
+    """Return the page that :func:`save_replay` writes, for use inside another page."""
     template = files("pcs_racing.race").joinpath("replay.html").read_text(encoding="utf-8")
     parts = {"<!--title-->": html.escape(replay.title), "<!--replay-->": safe_json(_to_values(replay))}
-    # In one pass: a title that spells a placeholder is not one.
+    # In one pass: a title that looks like a placeholder is not replaced.
     return re.sub("|".join(parts), lambda match: parts[match.group()], template)
 
 
 def read_replay(path: str | os.PathLike[str]) -> Replay:
-    """Read a race back from what `save_replay` wrote. Nothing in the file is run, and all of it is checked."""
+    """Read a race from a file of `save_replay`. Nothing in the file is run, all is checked."""
     path = Path(path)
     try:
         text = read_limited(path, _LARGEST_FILE, "a replay", InputError).decode("utf-8")
@@ -216,13 +223,13 @@ def read_replay(path: str | os.PathLike[str]) -> Replay:
 
 
 def safe_json(values: Any) -> str:
-    """Return JSON that may stand in a script element: without ``<``, ``>`` and ``&``, all ASCII."""
+    """Return JSON that is safe in a script element: no ``<``, ``>`` and ``&``, all ASCII."""
     text = json.dumps(values, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def plain_parts(replay: Replay) -> dict[str, Any]:
-    """Return what a replay holds besides its arrays, as plain values."""
+    """Return the contents of a replay except its arrays, as plain values."""
     return {
         "format": FORMAT,
         **{name: getattr(replay, name) for name in _PLAIN},
@@ -233,7 +240,7 @@ def plain_parts(replay: Replay) -> dict[str, Any]:
 
 
 def _to_values(replay: Replay) -> dict[str, Any]:
-    """Plain values; optional parts that are absent are left out."""
+    """Return a replay as plain values; absent optional parts are left out."""
     values: dict[str, Any] = {
         **plain_parts(replay),
         "walls": packing.pack_segments(replay.walls),
@@ -254,7 +261,7 @@ def _to_values(replay: Replay) -> dict[str, Any]:
 
 
 def _from_values(values: object) -> Replay:
-    """The reverse of `_to_values`, for values of any origin."""
+    """Return the replay of values as of `_to_values`; the values may have any origin."""
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise InputError(f"it must say format {FORMAT!r}")
     needed = {*_PLAIN, "format", "car_names", "half_sizes", "events", "walls", "line", "cars", "progress"}
@@ -264,7 +271,7 @@ def _from_values(values: object) -> Replay:
         raise InputError(f"missing parts {missing}, unknown parts {unknown!r:.100}")
     if not isinstance(values["events"], list) or not all(isinstance(e, list) and len(e) == 4 for e in values["events"]):
         raise InputError("events must be a list of [time, car, kind, text]")
-    if values["half_sizes"] is None:  # a replay that is made, not read, may leave it out
+    if values["half_sizes"] is None:  # optional in a new replay, but not in a file
         raise InputError("half_sizes must be positive lengths in m")
     arrays = ("line", "cars", "progress", "line_speed", "ittc")
     fields: dict[str, Any] = {name: values[name] for name in (*_PLAIN, "car_names", "half_sizes")}

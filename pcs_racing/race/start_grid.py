@@ -1,4 +1,4 @@
-"""Putting the cars of every race on the grid."""
+"""Starting grid: placement of the cars of every race."""
 
 from dataclasses import dataclass
 
@@ -16,23 +16,24 @@ from pcs_racing.track.frenet import LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.track import Track
 
 ROW = 2.0  # m between rows of two cars
-CLEAR = 0.4  # m from the middle of a car to a wall, from the third car on
+CLEAR = 0.4  # m: min distance between the middle of a car and a wall, from the third car on
 
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Where the cars of a batch of races start."""
+    """Start positions of a batch of races."""
 
     s: NDArray[np.float64]  #: shape (B,): Arc length of the start line, m.
-    #: shape (B,): Place of car 0 on the grid: 0 is on the left (side by side) or in front (staggered, rolling); the
-    #: places after it belong to car 1, 2 ..., the first ones follow the last.
+    #: shape (B,): Place of car 0 on the grid: 0 is on the left (side by side) or in front
+    #: (staggered, rolling). The next places belong to car 1, 2 ...; the first place follows the
+    #: last.
     side: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.s)
 
     def take(self, indices: ArrayLike) -> "Starts":
-        """Return some of them, in the order asked for."""
+        """Return some of the starts, in the given order."""
         chosen = np.asarray(indices)
         return Starts(self.s[chosen], self.side[chosen])
 
@@ -47,13 +48,14 @@ def place_on_grid(
     memory_size: int,
     conditions: RaceConditions = AS_THE_SETUP,
 ) -> RaceState:
-    """The cars of every race at their start; a race whose cars do not fit there is marked as crashed.
+    """Return the start state of every race; races whose cars do not fit are marked as crashed.
 
-    Side by side, two cars are centred between the walls, and the next two stand `ROW` m, or ``start_gap`` if that is
-    more, behind them; staggered and rolling, each car stands ``start_gap`` behind the one before, on the other side.
-    The sides are ``spacing`` (m) apart across the track; from the third car on they are nearer where the track is
-    narrow. Progress is counted from the front car's line. No car starts faster than the race line at the speed scale
-    ``slowest``, that of pace 0.
+    Side by side, two cars are centred between the walls, and the next two cars are `ROW` m, or
+    ``start_gap`` if that is more, behind them. Staggered and rolling, each car is ``start_gap``
+    behind the car before it, on the other side. The sides are ``spacing`` (m) apart across the
+    track; from the third car on they are nearer where the track is narrow. Progress is counted from
+    the front car's line. No car starts faster than the race line at the speed scale ``slowest``,
+    the scale of pace 0.
     """
     arrays = track.arrays
     outside = ~((starts.s >= 0.0) & (starts.s < arrays.length))
@@ -69,7 +71,7 @@ def place_on_grid(
         sides = "0 or 1" if places == 2 else f"from 0 to {places - 1}"
         raise InputError(f"start sides must be {sides}; found {starts.side[wrong][0]}")
     state = empty_state(len(starts), memory_size, len(vehicles))
-    # A row for each race, and in it a column for each car.
+    # One row per race, one column per car.
     place = (starts.side[:, None] + np.arange(len(vehicles))) % places
     row, gap = place, config.start_gap
     if config.start == "side-by-side":
@@ -82,7 +84,8 @@ def place_on_grid(
     fitting = np.minimum(np.maximum(d, CLEAR - sample[..., RIGHT]), sample[..., LEFT] - CLEAR)
     d = np.where(place < 2, d, fitting)
     pose = track.to_cartesian(np.stack([s, d], axis=-1))
-    # No start faster than the slowest policy may drive there: it would begin with a crash that nobody chose.
+    # No start is faster than the slowest policy may drive there: otherwise the race would begin
+    # with a crash that no policy chose.
     profile = slowest * sample[..., SPEED]
     state.cars[..., X], state.cars[..., Y] = pose[..., 0], pose[..., 1]
     state.cars[..., _vehicle.V] = profile if config.start == "rolling" else np.minimum(config.start_speed, profile)
@@ -93,14 +96,14 @@ def place_on_grid(
 
 
 def places_of_grid(cars: int) -> int:
-    """Places from which car 0 may start in a race of so many cars: as many, or both where it is alone."""
+    """Return the number of start places of car 0: the number of cars, or 2 for a car alone."""
     return max(2, cars)
 
 
 def settle(
     track: Track, vehicles: tuple[VehicleParams, ...], state: RaceState, conditions: RaceConditions = AS_THE_SETUP
 ) -> None:
-    """Set the Frenet coordinates of freshly placed cars, and mark those that stand in a wall or in another one."""
+    """Set the Frenet coordinates of new cars; mark cars in a wall or in another car as crashed."""
     cars = conditions.rows(vehicles, state.races)
     for on, first, last in conditions.runs(track, state.races):
         part = RaceState._make(array[first:last] for array in state)

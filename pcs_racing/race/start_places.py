@@ -1,13 +1,14 @@
-"""Which places of a circuit are fit to start from: found by driving away from all of them.
+"""Valid start places of a track, found by driving away from all places.
 
-A place is fit if pairs of lattice policies, slow and fast, sensible and drawn at random, get away from it: on either
-side and counted together with its neighbours, hardly any of their races is over within the first seconds. Every
-such crash would be one that neither driver could have avoided by driving better afterwards, and so nothing but noise in
-a table.
+A place is valid if pairs of lattice policies (slow and fast, sensible and random) get away from it:
+on either side, and averaged with its neighbours, hardly any race is over within the first seconds.
+Neither policy could avoid such a crash by better driving afterwards, so it would be pure noise in a
+table.
 
-Side by side, most places favour one side: there the car on it leads after the first seconds whoever drives it, and
-mostly wins against an equal. Fit places are kept by the side that they favour, and start lines are drawn from both
-kinds, so many of each that neither side gains on the whole.
+Side by side, most places favour one side: with any policy the car on that side leads after the
+first seconds, and it mostly wins against an equal policy. Valid places are stored by the side that
+they favour. Start lines are drawn from both kinds, in a ratio without an overall gain for either
+side.
 """
 
 from collections.abc import Sequence
@@ -30,27 +31,29 @@ Floats = NDArray[np.float64]
 Stretches = tuple[tuple[float, float], ...]
 Places = dict[str, Stretches]
 
-PLACE_EVERY = 0.5  # m between the places that are tried
+PLACE_EVERY = 0.5  # m between tried places
 FIRST_SECONDS = 2.5  # s; a race that is over by then was decided by its start
 PACES = ((0.5, 0.5), (0.0, 0.0), (1.0, 1.0), (0.2, 0.8), (0.8, 0.2), (0.0, 1.0), (1.0, 0.0), (0.4, 0.5), (0.9, 1.0))
 RANDOM_PAIRS = 7
-REPEATS = 3  # of every pair, under other noise
+REPEATS = 3  # races of every pair, each with other noise
 EQUALS = [k for k, (ego, rival) in enumerate(PACES) if abs(ego - rival) < 0.15]
-ALLOWED = (0.01, 0.02, 0.03)  # share of races over within the first seconds: the first with places enough is taken
-ENOUGH, ENOUGH_OF_A_SIDE = 40, 12  # places
-BALANCE_PLACES, BALANCE_PAIRS = 30, 8  # races that tell how much a side gains: at most so many places, pairs of paces
-FEWEST = 8  # places in all, without which a spacing does not work
-NEIGHBOURS = 1  # places before and after that are counted together with one
-BLOCK = 1.0  # m; stretches of that length serve training and tests in turn
+# Max shares of races over within the first seconds; the first limit with enough places is used.
+ALLOWED = (0.01, 0.02, 0.03)
+ENOUGH, ENOUGH_OF_A_SIDE = 40, 12  # min numbers of places
+BALANCE_PLACES, BALANCE_PAIRS = 30, 8  # max places and pairs of paces for the gain of a side
+FEWEST = 8  # min number of places for a spacing
+NEIGHBOURS = 1  # places before and after a place that are averaged with it
+BLOCK = 1.0  # m: length of the stretches that alternate between training and test
 BATCH = 64  # places driven at once
 
 
 @cache
 def _pairs() -> Floats:
-    """Parameter vectors of the pairs that drive away from every place, shape (pairs, 2, P)."""
+    """Return the parameter vectors of the pairs that start at every place, shape (pairs, 2, P)."""
     generator = np.random.default_rng(0)
     paces = [[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in PACES]
-    # Without a pace of its own behind: the first seconds are too short for one, and the places of circuits stay.
+    # `pace_behind` keeps its default: the first seconds are too short for it, and the start places
+    # of tracks do not change.
     drawn = [[LATTICE.sample(generator, fixed=("pace_behind",)) for _ in range(2)] for _ in range(RANDOM_PAIRS)]
     return np.array(paces + drawn)
 
@@ -65,11 +68,13 @@ def _race_from(
     first_key: int,
     threads: int | None = None,
 ) -> tuple[RaceState, Floats]:
-    """Race every pair from every place, from both sides: the ends, and the lead of the car on the left, m.
+    """Race every pair from every place and side; return the ends, and the left car's lead, m.
 
-    The keys of the races' noise are ``first_key`` and those after it: any that differ will do.
+    The keys of the races' noise are ``first_key`` and the numbers after it; any distinct keys would
+    do.
     """
-    # Every pair from both sides in turn, so that what the pair does well is not taken for a gain of the side.
+    # Every pair starts from both sides alternately, so that a strong policy does not count as a
+    # gain of the side.
     starts = Starts(np.repeat(places, 2 * len(pairs)), np.tile(np.arange(2), len(places) * len(pairs)))
     cars = (F1TENTH, F1TENTH)
     state = place_on_grid(track, config, spacing, settings.speed_low, cars, starts, LATTICE.memory_total)
@@ -83,16 +88,18 @@ def _race_from(
 def drive_away(
     track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, *, threads: int | None = None
 ) -> tuple[Floats, Floats]:
-    """Start pairs of drivers at every place of a circuit, on either side, and see how the first seconds go.
+    """Race pairs of policies from every place of a track, on either side, for the first seconds.
 
-    The cars are ``spacing`` metres apart across the track; the places are 0, `PLACE_EVERY`, 2 `PLACE_EVERY` ... m.
+    The cars are ``spacing`` metres apart across the track; the places are 0, `PLACE_EVERY`, 2
+    `PLACE_EVERY` ... m.
 
-    Returned are, both of shape (places,), the share of races over within the first seconds, 1 where the cars do not
-    fit; and, of the races between equals, those in which the car on the left (or in front) then leads, less those in
-    which the other one does, as a share: from -1 to 1.
+    Returns two arrays of shape (places,). The first is the share of races over within the first
+    seconds, 1 where the cars do not fit. The second is a balance of the races between equal
+    policies: the share with the car on the left (or in front) ahead at their end, minus the share
+    with the other car ahead, from -1 to 1.
     """
     places = np.arange(0.0, track.length, PLACE_EVERY)
-    # One race of a pair says little where chance has a part in it.
+    # With noise, one race of a pair says little.
     pairs = np.concatenate([_pairs()] * (REPEATS if settings.noise_sd > 0.0 else 1))
     each = 2 * len(pairs)
     settings = settings._replace(end_tick=round(100.0 * FIRST_SECONDS))
@@ -109,18 +116,21 @@ def drive_away(
 def fit_places(
     track: Track, config: RaceConfig, settings: KernelSettings, spacings: Sequence[float]
 ) -> tuple[float, Places, float]:
-    """Find where a circuit is fit to start from, with the first of some distances across the track (m) that works.
+    """Find the valid start places of a track, with the first feasible of several spacings (m).
 
-    Returned are that distance; for each side that places favour ("left" and "right", or "front" for starts one behind
-    the other) the stretches of such places, arc lengths of the first and the last one, m, ascending; and the share of
-    start lines to draw from the places that favour the left, 0.5 where cars start one behind the other.
+    Returns three values. The first is the spacing, the distance of the cars across the track. The
+    second maps each favoured side ("left" and "right", or "front" for starts one behind the other)
+    to the stretches of its places, arc lengths of the first and the last place, m, ascending. The
+    third is the share of start lines on places that favour the left, 0.5 for starts one behind the
+    other.
     """
     for spacing in spacings:
         crashes, favour = drive_away(track, config, settings, spacing)
         together = np.mean([np.roll(crashes, shift) for shift in range(-NEIGHBOURS, NEIGHBOURS + 1)], axis=0)
         abreast = config.start == "side-by-side"
         sides = {"left": favour > 0.0, "right": favour < 0.0} if abreast else {"front": np.full(len(favour), True)}
-        # As strict as possible: a laxer limit is taken only where the strict one leaves too few places.
+        # As strict as possible: a laxer limit is taken only where the strict limit leaves too few
+        # places.
         for allowed in ALLOWED:
             fit = (together <= allowed) & (crashes < 1.0)
             found = {name: fit & side for name, side in sides.items()}
@@ -142,7 +152,7 @@ def fit_places(
 
 
 def _gain(track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, stretches: Stretches) -> float:
-    """Share of whole races from some places that the car on the left wins, less a half."""
+    """Return the share of full races from some places that the left car wins, minus 0.5."""
     places = places_of(stretches)
     places = places[np.linspace(0, len(places) - 1, min(len(places), BALANCE_PLACES)).astype(np.intp)]
     paces = np.random.default_rng(1).uniform(size=(BALANCE_PAIRS, 2))
@@ -153,9 +163,10 @@ def _gain(track: Track, config: RaceConfig, settings: KernelSettings, spacing: f
 
 
 def _left_share(left: float, right: float) -> float:
-    """Share of lines on the places that favour the left with which the gains of the left on both kinds cancel.
+    """Return the share of lines on left-favouring places that cancels the gains of the left car.
 
-    Where the left gains, or loses, on both, all lines go to the places where it does least.
+    If the left car gains, or loses, on both kinds of places, all lines go to the kind with the
+    smaller effect.
     """
     if left * right >= 0.0:
         return 1.0 if abs(left) < abs(right) else 0.0 if abs(right) < abs(left) else 0.5
@@ -163,7 +174,7 @@ def _left_share(left: float, right: float) -> float:
 
 
 def stretches_of(fit: NDArray[np.bool_]) -> Stretches:
-    """First and last place of every run of fit ones."""
+    """Return the first and the last place of every run of valid places."""
     edges = np.diff(np.concatenate([[False], fit, [False]]).astype(np.int8))
     firsts, lasts = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
     return tuple(
@@ -173,14 +184,15 @@ def stretches_of(fit: NDArray[np.bool_]) -> Stretches:
 
 
 def places_of(stretches: Stretches) -> Floats:
-    """All places of some stretches, m, ascending."""
+    """Return all places of some stretches, m, ascending."""
     return np.concatenate([np.arange(first, last + 0.5 * PLACE_EVERY, PLACE_EVERY) for first, last in stretches])
 
 
 def split_places(places: Floats, split: str) -> Floats:
-    """The places that training may use, or those that tests and tables use: every second block of 1 m is for training.
+    """Return the places for training or for tests; every second block of 1 m is for training.
 
-    Where the fit places lie in blocks of one kind only, every second place is for training instead.
+    If less than a quarter of the places lie in blocks of one kind, every second place is for
+    training instead.
     """
     if split not in ("train", "test"):
         raise InputError(f"split is {split!r}; it must be 'train' or 'test'")

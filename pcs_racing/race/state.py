@@ -1,4 +1,4 @@
-"""The state of a batch of races as a plain value: copy it, pickle it, pick races from it."""
+"""State of a batch of races as a plain value: copy it, pickle it, select races from it."""
 
 from typing import NamedTuple
 
@@ -18,16 +18,17 @@ SUMS: dict[str, str] = {
     "TIME_BEHIND": "time driven while another car led, s",
     "PROFILE_BEHIND": "what PROFILE grew by meanwhile, s",
 }
-"""What is summed up for each car while it drives, by name; characteristics are made of differences of these."""
+"""Running sums of each car, by name; characteristics are made of differences of these sums."""
 
 ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME, PROFILE, TIME_BEHIND, PROFILE_BEHIND = range(len(SUMS))
 
-# Columns of ``laps``: complete laps; when the last one ended, s; how long it and the shortest one took, s.
+# Columns of ``laps``: complete laps; end time of the last lap, s; duration of the last lap and of
+# the shortest lap, s.
 LAPS, ENDED_AT, LAP_TIME, BEST_LAP = range(4)
 LAP_COLUMNS = 4
 
 NO_LAP = -1.0
-"""In place of a lap time that there is none of."""
+"""Value in place of a missing lap time."""
 
 NO_CRASH, WALL_CRASH, CAR_CRASH = range(3)
 
@@ -35,15 +36,15 @@ MOST_CARS = 8
 
 
 class RaceState(NamedTuple):
-    """A batch of B races of N cars at one moment: plain arrays, race axis first.
+    """State of a batch of B races of N cars at one moment: plain arrays, race axis first.
 
-    Nothing else is needed to go on: two races with equal states, policies and rules continue identically to the last
-    bit.
+    The state is complete: two races with equal states, policies and rules continue identically to
+    the last bit.
     """
 
     tick: NDArray[np.int64]  #: shape (B,): Simulation steps of 0.01 s driven so far.
-    #: shape (B,): Key of each race's own noise; the noise is a function of (seed, car, tick), there is no stream to
-    #: carry.
+    #: shape (B,): Key of each race's own noise. The noise is a function of (seed, car, tick), so
+    #: there is no generator state.
     seed: NDArray[np.uint64]
     cars: NDArray[np.float64]  #: shape (B, N, 7): Vehicle states (:mod:`pcs_racing.car.vehicle`).
     frenet: NDArray[np.float64]  #: shape (B, N, 2): Arc length in [0, length) and distance from the race line, m.
@@ -52,23 +53,26 @@ class RaceState(NamedTuple):
     #: shape (B, N, 2): Target steering angle (rad) and speed (m/s) in force, the noise included.
     command: NDArray[np.float64]
     disturbance: NDArray[np.float64]  #: shape (B, N): AR(1) steering disturbance, rad.
-    #: shape (B, N, 12, 4): Path that each driver follows: x, y (m), speed (m/s), curvature (1/m).
+    #: shape (B, N, 12, 4): Path that each car follows: x, y (m), speed (m/s), curvature (1/m).
     path: NDArray[np.float64]
-    memory: NDArray[np.float64]  #: shape (B, N, M): What the planners remember.
+    memory: NDArray[np.float64]  #: shape (B, N, M): Memory of the planners.
     sums: NDArray[np.float64]  #: shape (B, N, 9): Running sums (:data:`SUMS`).
-    #: shape (B, N): 0 none, 1 into a wall, 2 with another car; latched, and the race stands still from then on.
+    #: shape (B, N): Crash code: 0 none, 1 into a wall, 2 with another car; latched, and the race
+    #: stands still afterwards.
     crash: NDArray[np.int8]
-    #: shape (B, N): How often each car was to blame: for the crash 1, where contacts do not end the race 127 at most.
+    #: shape (B, N): Number of faults of each car: 1 for a crash that ends the race; if contacts do
+    #: not end the race, at most 127.
     fault: NDArray[np.int8]
-    #: shape (B,): Car that last led every other one by more than a car's length (-1 none yet).
+    #: shape (B,): Car that last led all other cars by more than a car's length (-1 for none yet).
     leader: NDArray[np.int8]
-    overtakes: NDArray[np.int64]  #: shape (B, N): How often each car passed another one.
-    #: shape (B, N, 4): Numbers that :attr:`lap_count`, :attr:`lap_time` and :attr:`best_lap` are read from.
+    overtakes: NDArray[np.int64]  #: shape (B, N): Number of overtakes of each car.
+    #: shape (B, N, 4): Numbers behind :attr:`lap_count`, :attr:`lap_time` and :attr:`best_lap`.
     laps: NDArray[np.float64]
-    #: shape (B, N): Bit k of a car is set if it was last more than a car's length ahead of car k, not behind it.
+    #: shape (B, N): Bits of each car: bit k is set if the last gap of more than a car's length to
+    #: car k was a lead.
     ahead: NDArray[np.uint8]
-    #: shape (B, N): Where contacts do not end the race, what each car last ran into, as in ``crash``; 0 once it drives
-    #: faster than 1 m/s again.
+    #: shape (B, N): Last contact of each car, coded as ``crash``, if contacts do not end the race;
+    #: 0 once the car drives faster than 1 m/s again.
     contact: NDArray[np.int8]
 
     @property
@@ -83,20 +87,21 @@ class RaceState(NamedTuple):
 
     @property
     def lead(self) -> NDArray[np.float64]:
-        """Progress of car 0 minus that of the car ahead of the others, m, shape (B,); alone 0."""
+        """Lead of car 0 over the best other car, m, shape (B,); 0 if alone."""
         rivals = self.progress[:, 1:] if self.number > 1 else self.progress
         return np.asarray(self.progress[:, 0] - rivals.max(axis=1))
 
     @property
     def crashed(self) -> NDArray[np.bool_]:
-        """Whether a race ended in a crash, shape (B,)."""
+        """True if the race ended in a crash, shape (B,)."""
         return np.asarray(self.crash.any(axis=1))  # NO_CRASH is 0
 
     @property
     def lap_count(self) -> NDArray[np.int64]:
-        """Complete laps of each car, shape (B, N); a lap ends where progress passes a multiple of the track's length.
+        """Number of complete laps of each car, shape (B, N).
 
-        The start line is the line of all laps, and the first lap begins with the race.
+        A lap ends where progress passes a multiple of the track's length. The start line is the
+        line of all laps, and the first lap begins with the race.
         """
         return self.laps[..., LAPS].astype(np.int64)
 
@@ -104,7 +109,7 @@ class RaceState(NamedTuple):
     def lap_time(self) -> NDArray[np.float64]:
         """Time of each car's last complete lap, s, shape (B, N); -1 if there is none.
 
-        The ends of laps are interpolated between two samples, which are 0.02 s apart.
+        The ends of laps are interpolated between two samples, 0.02 s apart.
         """
         return self._laps_or_none(LAP_TIME)
 
@@ -122,7 +127,7 @@ class RaceState(NamedTuple):
 
 
 def empty_state(races: int, memory_size: int, cars: int = 2) -> RaceState:
-    """Return the state of a batch of races in which every number is 0 and nobody leads."""
+    """Return the state of a batch of races with all numbers 0 and no leader."""
     return RaceState(
         tick=np.zeros(races, np.int64),
         seed=np.zeros(races, np.uint64),
@@ -145,7 +150,7 @@ def empty_state(races: int, memory_size: int, cars: int = 2) -> RaceState:
 
 
 def take(state: RaceState, indices: ArrayLike) -> RaceState:
-    """Return copies of some races, in the order asked for (a race may be taken more than once)."""
+    """Return copies of some races, in the given order (a race may be taken more than once)."""
     chosen = np.asarray(indices)
     return RaceState._make(np.ascontiguousarray(array[chosen]) for array in state)
 

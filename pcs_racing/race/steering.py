@@ -1,4 +1,4 @@
-"""What changes a steering command on its way to a car: the noise of the race, and the delay of the car."""
+"""Changes to a steering command on its way to a car: noise of the race, delay of the car."""
 
 import numpy as np
 
@@ -10,12 +10,14 @@ from pcs_racing.race.config import CONTROL_EVERY
 
 @kernel
 def steering_noise(seed, car, tick):  # type: ignore[no-untyped-def]
-    """One draw of nearly normal noise, mean 0 and variance 1, as a pure function of its arguments.
+    """Draw nearly normal noise, mean 0 and variance 1, as a pure function of the arguments.
 
-    The sum of four 16-bit uniform numbers: bounded by 3.5 standard deviations, excess kurtosis -0.3.
+    It is the sum of four 16-bit uniform numbers: bounded by 3.5 standard deviations, excess
+    kurtosis -0.3.
     """
-    # Neighbouring ticks and cars differ in few bits: scrambled twice, no trace of that is left. Every two cars have a
-    # sequence of their own: in one sequence car 2 would repeat at a tick what car 0 gets at the next.
+    # Neighbouring ticks and cars differ in few bits: after two rounds of scrambling no trace of
+    # that is left. Every two cars have their own sequence: in a shared sequence car 2 would get at
+    # a tick the noise that car 0 gets at the next tick.
     pair = seed + np.uint64(0xA0761D6478BD642F) * np.uint64(car >> 1)
     key = scramble_one(pair + GOLDEN * np.uint64(2 * tick + (car & 1) + 1))
     key = scramble_one(key + np.uint64(0xD1B54A32D192ED03))
@@ -31,14 +33,14 @@ def steering_noise(seed, car, tick):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def steering_sd(settings, vehicle):  # type: ignore[no-untyped-def]
-    """Standard deviation of the steering disturbance of a car: its own, else that of the rules."""
+    """Return the standard deviation of a car's steering disturbance: its own, else the rules'."""
     own = vehicle[_vehicle.STEER_NOISE]
     return settings.noise_sd if own < 0.0 else own
 
 
 @inner_kernel
 def delayed(memory, delay, tick, steering):  # type: ignore[no-untyped-def]
-    """Put a steering command in the queue at the end of a driver's memory; returns the one whose time has come."""
+    """Queue a steering command at the end of a car's memory; return the command that is due."""
     length = int(delay)
     place = memory.shape[0] - length + (tick // CONTROL_EVERY) % length
     due = memory[place]

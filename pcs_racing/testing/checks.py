@@ -1,6 +1,6 @@
 """Checks to run on your own planner, archive or characteristic before racing with it.
 
-Each raises an :class:`AssertionError` that says what is wrong, and returns nothing if all is well:
+Each check raises an :class:`AssertionError` that names the problem, and returns None without one:
 
 >>> from pcs_racing.testing import check_planner
 >>> check_planner(get_planner("lattice"), load_track("Tarnfjord"))            # doctest: +SKIP
@@ -32,12 +32,13 @@ RACES = 6
 
 
 def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed: int = 0) -> None:
-    """Check that a planner drives, and depends on nothing but its arguments.
+    """Check that a planner drives, and depends on its arguments only.
 
-    Policies between its bounds race each other: compiled functions must stay within their arrays (those that they call
-    are not checked); all numbers must stay finite and the parameters untouched; the same race must end the same driven
-    again, alone, or cut in pieces; with the default policy the cars must not stand still; and opponents beyond the
-    planner's ``sight`` must make no difference, except by who leads. The races last a multiple of 0.4 ``seconds``.
+    Policies between its bounds race each other. Compiled functions must stay within their arrays
+    (functions called by them are not checked). All numbers must stay finite, and the parameters
+    unchanged. A race must end the same if repeated, run alone, or cut in pieces. With the default
+    policy the cars must move. Opponents beyond the planner's ``sight`` must make no difference,
+    except by which car leads. ``seconds``, the length of the races, is a multiple of 0.4.
     """
     setup = RaceSetup(track, load_race_config(PAPER, duration=seconds), (planner, planner))
     rng = np.random.default_rng(seed)
@@ -81,9 +82,9 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
 def _check_sight(
     setup: RaceSetup, state: RaceState, theta: NDArray[np.float64], rng: np.random.Generator, side: float
 ) -> None:
-    """Check that a driver of limited sight drives the same whatever an opponent ahead (1) or behind (-1) does beyond.
+    """Check that a planner ignores an opponent ahead (1) or behind (-1) beyond its sight.
 
-    Who leads, a driver may know at any distance: on the way from one side to the other the cars are in sight.
+    A planner may know which car leads at any distance: the cars are in sight during an overtake.
     """
     planner, track = setup.planners[0], setup.track
     near, far = planner.sight + 2.0, 0.5 * track.length - 2.0
@@ -107,11 +108,12 @@ def _check_sight(
 
 
 def check_archive(archive: PolicyArchive, track: Track | None = None) -> None:
-    """Check that an archive's policies exist, that its moves make sense, and that it can be kept.
+    """Check that an archive's policies exist, that its moves make sense, and that it can be saved.
 
-    Its planner must be known and have its parameters, with all policies inside the bounds; each policy must be reached
-    from its own coordinates, and some move must lead elsewhere; and it must read back from a file as it is. On a
-    ``track``, a short game is played between its first and its last policy.
+    Its planner must be known and have its parameters, with all policies inside the bounds. Each
+    policy must be the nearest to its own coordinates, and some move must lead to another policy.
+    The archive must read back unchanged from a file. On a ``track``, a short game is played between
+    its first and its last policy.
     """
     who = f"archive {archive.name!r}"
     try:
@@ -138,10 +140,10 @@ def check_archive(archive: PolicyArchive, track: Track | None = None) -> None:
 
 
 def check_characteristic(characteristic: Characteristic, *, seed: int = 0) -> None:
-    """Check that a characteristic gives one finite number for each race and car, and treats all of them alike.
+    """Check that a characteristic gives one finite number per race and car, and treats all alike.
 
-    Also for pieces of no length. The result may not change with the other races of the batch, must follow the cars when
-    they change places, and the segment may not be written to.
+    The check includes segments of zero length. The result must not depend on the other races of the
+    batch, and must follow the cars when they change places. The segment must not be changed.
     """
     who = f"characteristic {characteristic.name!r}"
     rng = np.random.default_rng(seed)

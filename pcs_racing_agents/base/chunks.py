@@ -1,7 +1,8 @@
-"""Chunks: files that hold the result of one task each, and detect damage and results of other tasks.
+"""Chunks: files with the result of one task each; damage and results of other tasks are detected.
 
-A chunk is an ordinary ``.npz`` file of arrays. Its zip comment holds two SHA-256 digests: one of the task that it
-answers, and one of the file itself, which is compared before anything in the file is interpreted.
+A chunk is an ordinary ``.npz`` file of arrays. Its zip comment holds two SHA-256 digests: the
+digest of its task, and the digest of the file itself, which is compared before any content of the
+file is interpreted.
 """
 
 import hashlib
@@ -29,9 +30,10 @@ def chunk_file(folder: str | Path, name: str, index: int) -> Path:
 
 
 def write_chunk(path: Path, arrays: Arrays, task: str) -> None:
-    """Write a chunk atomically: arrays without objects, of which equal ones make equal files.
+    """Write a chunk atomically: arrays without objects; equal arrays make equal files.
 
-    ``task`` is the digest of the task, 64 hexadecimal digits (:func:`~pcs_racing_agents.base.fingerprint.fingerprint`).
+    ``task`` is the digest of the task, 64 hexadecimal digits
+    (:func:`~pcs_racing_agents.base.fingerprint.fingerprint`).
     """
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
@@ -42,12 +44,13 @@ def write_chunk(path: Path, arrays: Arrays, task: str) -> None:
 
 
 def read_chunk(path: Path, task: str | None = None) -> Arrays:
-    """Read a chunk after checking that every byte of it is as it was written, and that it answers ``task``."""
+    """Read a chunk after a check that its bytes are as written and that it belongs to ``task``."""
     try:
         content = read_limited(path, _MAX_BYTES, "a chunk")
     except OSError as error:
         raise InputError(f"{path} can't be read: {error.strerror}") from None
-    # The digest is compared before anything is interpreted: a damaged zip file can mislead its reader.
+    # The digest is compared before any content is interpreted: a damaged zip file can mislead its
+    # reader.
     body, comment = content[:-_COMMENT], content[-_COMMENT:]
     written_for = comment[len(_MARK) : len(_MARK) + 64].decode("latin-1")
     if not comment.startswith(_MARK) or _digest(body, written_for).encode() != comment[len(_MARK) + 64 :]:

@@ -14,9 +14,9 @@ Floats = NDArray[np.float64]
 
 
 class Curve(NamedTuple):
-    """A learning curve."""
+    """Learning curve."""
 
-    x: Floats  #: shape (E,): ``x``, ``y``: NaN where nothing was measured.
+    x: Floats  #: shape (E,): ``x``, ``y``: Points of the curve; NaN without a measurement.
     y: Floats
     label: str  #: Name of the line.
     error: Floats | None = None  #: shape (E,): Standard errors of ``y``, drawn as a band.
@@ -32,16 +32,16 @@ def curves_picture(
     mark: float | None = None,
     title: str = "",
 ) -> Any:
-    """Draw learning curves, one panel for each title, the lines named at their ends.
+    """Draw learning curves, one panel per title, with the names of the lines at their ends.
 
-    ``log`` says whether the y axes are logarithmic, or names the panels whose axes are. ``mark`` is the place of a
-    vertical line: that of the network which was kept, for instance.
+    ``log``: whether the y axes are logarithmic, or the names of the panels with logarithmic axes.
+    ``mark``: x of a vertical line, for instance at the selected network.
     """
     if not panels or not all(panels.values()):
         raise InputError("there are no learning curves to draw; give at least one for each panel")
     from matplotlib.ticker import LogLocator, StrMethodFormatter
 
-    # So that no row of panels is nearly empty.
+    # This avoids a nearly empty row of panels.
     columns = 3 if len(panels) in (5, 6, 9) else min(4, len(panels))
     rows = -(-len(panels) // columns)
     figure = new_figure(2.9 * columns + 0.4, 2.3 * rows + 0.3)
@@ -104,9 +104,9 @@ def _name_ends(axes: Any, curves: Sequence[Curve], log: bool) -> None:
 
 
 def write_tensorboard(folder: Path, runs: Mapping[str, Iterable[tuple[int, Mapping[str, float]]]]) -> Path:
-    """Write curves for ``tensorboard --logdir FOLDER``; earlier curves of the same runs are replaced.
+    """Write curves for ``tensorboard --logdir FOLDER``; replace earlier curves of the same runs.
 
-    A run, in the folder of its name, has steps with values by tag; NaN is left out.
+    Each run, in the folder of its name, has steps with values by tag; NaN is left out.
     """
     try:
         from torch.utils.tensorboard import SummaryWriter
@@ -115,7 +115,8 @@ def write_tensorboard(folder: Path, runs: Mapping[str, Iterable[tuple[int, Mappi
             'curves for TensorBoard need torch and tensorboard: pip install "pcs-racing[learning]"'
         ) from None
     for name, steps in runs.items():
-        # TensorBoard shows all events of a folder as one curve: those of an earlier run would run into it.
+        # TensorBoard shows all events of a folder as one curve: events of an earlier run would mix
+        # with it.
         for old in (folder / name).glob("events.out.tfevents.*"):
             old.unlink()
         with SummaryWriter(str(folder / name)) as writer:

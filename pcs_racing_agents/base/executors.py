@@ -1,4 +1,4 @@
-"""Where the tasks of a long job run: in this thread, in threads, in processes, or on a dask cluster."""
+"""Executors for the tasks of a long job: this thread, threads, processes, or a dask cluster."""
 
 import gc
 import logging
@@ -26,13 +26,13 @@ from pcs_racing_agents.base.folders import JobError, package_version
 EXECUTORS = ("serial", "threads", "processes", "dask")
 
 ANSWER_SECONDS = 5.0
-"""How long to wait for a scheduler to answer."""
+"""Time limit for a scheduler's response, s."""
 CONNECT_ATTEMPTS = 3
-"""How often to ask dask for a client, if its own thread does not start."""
+"""Maximum number of requests for a dask client, if dask's own thread does not start."""
 WORKER_SECONDS = 60.0
-"""How long to wait for its first worker."""
+"""Time limit for a scheduler's first worker, s."""
 LARGE = 100_000
-"""Functions of more bytes travel once, not with every task."""
+"""Size in bytes above which a function is sent once, not with every task."""
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -43,17 +43,19 @@ _log = logging.getLogger("pcs_racing_agents")
 def make_executor(
     kind: str = "threads", workers: int | None = None, address: str | None = None
 ) -> Iterator[Executor | None]:
-    """Provide an executor for as long as a ``with`` block lasts; None for "serial".
+    """Provide an executor for the duration of a ``with`` block; None for "serial".
 
     Parameters
     ----------
     kind : {"serial", "threads", "processes", "dask"}
-        One task after the other; threads of this process; processes of this machine; workers of a dask cluster.
-        Processes are spawned, so a script needs ``if __name__ == "__main__":``.
+        Kind: one task after the other; threads of this process; processes of this machine; workers
+        of a dask cluster. Processes are spawned, so a script needs ``if __name__ == "__main__":``.
     workers : int, optional
-        How many; as many as this process may use cores by default. A running dask cluster has its own.
+        Number of workers; by default the number of cores that this process may use. A running dask
+        cluster has its own workers.
     address : str, optional
-        Of a running dask scheduler, like ``tcp://host:8786``; without it a cluster of processes is started here.
+        Address of a running dask scheduler, like ``tcp://host:8786``; without an address a cluster
+        of processes is started here.
     """
     if kind not in EXECUTORS:
         raise InputError(f"executor is {kind!r}; it must be one of {', '.join(EXECUTORS)}")
@@ -77,17 +79,18 @@ def make_executor(
 
 
 def tasks_in_flight(executor: Executor | None) -> int:
-    """Number of tasks to submit before waiting for the first result: enough that no worker is ever idle."""
+    """Return the number of tasks to submit before the first wait: enough to keep workers busy."""
     if executor is None:
         return 1
-    client = _dask_client(executor)  # its workers come and go
-    # Two tasks for each worker: while one runs the next is on its way, and few arrays wait in memory.
+    client = _dask_client(executor)  # its number of workers changes
+    # Two tasks per worker: while one task runs the next is on its way, and few arrays wait in
+    # memory.
     workers = sum(client.ncores().values()) if client is not None else max(8, default_threads())
     return max(2, 2 * workers)
 
 
 def _dask_client(executor: Executor) -> Any:
-    """Return the client behind an executor of dask's, or None."""
+    """Return the client of an executor of dask, or None."""
     if not type(executor).__module__.startswith("distributed."):
         return None
     from dask.distributed import Client
@@ -96,16 +99,17 @@ def _dask_client(executor: Executor) -> Any:
 
 
 def is_lost(error: BaseException) -> bool:
-    """Whether an error means that workers are gone, rather than that a task failed."""
+    """Return whether an error means that workers are gone, rather than that a task failed."""
     return isinstance(error, BrokenExecutor | CancelledError) or type(error).__module__.startswith("distributed.")
 
 
 @contextmanager
 def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Callable[..., Any]]:
-    """Provide a ``submit`` function that sends a large function (a game, with its track) to the workers only once.
+    """Provide a ``submit`` function that sends a large function to the workers only once.
 
-    Threads get the function itself. Other processes of this machine read it from a temporary file; a dask cluster
-    passes it from worker to worker, and makes it again where the worker that had it is gone.
+    A game with its track is such a function. Threads get the function itself. Other processes of
+    this machine read it from a temporary file. A dask cluster passes it from worker to worker, and
+    makes it again if the worker that had it is gone.
     """
     client = _dask_client(executor)
     submit: Callable[..., Any] = executor.submit
@@ -122,7 +126,8 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
             sent = client.submit(loads, packed, pure=False)
         yield partial(submit, _call, sent)
     else:
-        # A file in place of an argument: a ProcessPoolExecutor packs its arguments anew for every task.
+        # A file instead of an argument: a ProcessPoolExecutor pickles its arguments again for every
+        # task.
         with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
             file = Path(folder) / "function"
             file.write_bytes(packed)
@@ -138,7 +143,7 @@ def call_task(function: Callable[..., Any], argument: Any) -> Any:
 
 
 def _call(function: Callable[..., Any], argument: Any) -> Any:
-    """Call it in another process; an error that can't be unpickled would look like the death of a worker."""
+    """Call a task in another process; errors that don't unpickle would look like dead workers."""
     try:
         return call_task(function, argument)
     except Exception as error:
@@ -154,7 +159,7 @@ def _call_packed(file: str, argument: Any) -> Any:
     return _call(_unpacked(file), argument)
 
 
-# Room for the functions of a few circuits, whose tasks alternate.
+# Room for the functions of a few tracks with alternating tasks.
 @lru_cache(maxsize=4)
 def _unpacked(file: str) -> Any:
     return loads(Path(file).read_bytes())
@@ -162,7 +167,7 @@ def _unpacked(file: str) -> Any:
 
 @contextmanager
 def _shut_down(executor: Executor) -> Iterator[Executor]:
-    """Like the executor's own context, but tasks that have not begun are dropped when something is raised."""
+    """Shut down like the executor's own context, but drop waiting tasks after an exception."""
     try:
         yield executor
     except BaseException:
@@ -173,7 +178,7 @@ def _shut_down(executor: Executor) -> Iterator[Executor]:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Keep linear algebra to one thread in processes started now: several of them would fight for the cores."""
+    """Limit linear algebra to one thread in new processes: more would compete for the cores."""
     before = {key: os.environ.get(key) for key in _ONE_THREAD}
     os.environ.update({key: "1" for key in _ONE_THREAD if before[key] is None})
     try:
@@ -185,8 +190,9 @@ def _one_thread_each() -> Iterator[None]:
 
 
 def _prepare(files: Sequence[str]) -> None:
-    """Prepare a worker: Ctrl-C is left to the parent, the worker ends if its parent is killed, and runs own files."""
-    # Ctrl-C reaches the whole group of processes; a worker that died of it would look like a crash.
+    """Prepare a worker: ignore Ctrl-C (for the parent), end with the parent, and run own files."""
+    # Ctrl-C reaches the whole group of processes; a worker that ends with it would look like a
+    # crash.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = parent_process()
     if parent is not None:
@@ -206,7 +212,7 @@ def _end_with(sentinel: int) -> None:
 
 @contextmanager
 def _errors_alone(log: logging.Logger) -> Iterator[None]:
-    """Leave out what a cluster tells of its beginning and end: a screen of lines, and more after Ctrl-C."""
+    """Hide a cluster's messages at its start and end: a screen of lines, more after Ctrl-C."""
     before = log.level
     log.setLevel(logging.ERROR)
     try:
@@ -225,7 +231,7 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
             'the executor dask needs dask.distributed: pip install "pcs-racing[cluster]"'
         ) from None
     if address is None:
-        # Port 0 is any free one: the usual port may be taken by another cluster.
+        # Port 0 is any free port: another cluster may use the usual port.
         dashboard = {"dashboard": False, "dashboard_address": ":0"}
         quiet: dict[str, Any] = {"silence_logs": logging.ERROR, "scheduler_kwargs": dashboard}
         with (
@@ -251,17 +257,17 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
 
 
 def _client(make: Callable[..., Any], address: str) -> Any:
-    """Connect to a scheduler; dask gives its own thread ten seconds to start, too few on a busy machine."""
+    """Connect to a scheduler; dask gives its own thread only 10 s, too few on a busy machine."""
     for _ in range(CONNECT_ATTEMPTS):
         try:
             return make(address, timeout=ANSWER_SECONDS)
-        # This is what dask raises when its own thread has not started in time.
+        # dask raises this error if its own thread has not started in time.
         except AssertionError:
             failed = ""
         except (OSError, ValueError, TimeoutError) as error:
             failed = f"no dask scheduler answers at {address}: {error}"
-        # A client that failed closes itself when it is collected. Within the start of another one, which holds the lock
-        # that closing needs, both would wait for ever.
+        # A failed client closes itself when it is collected. During the start of another client,
+        # which holds the lock that closing needs, both would wait for ever.
         gc.collect()
         if failed:
             raise InputError(failed)
@@ -269,7 +275,7 @@ def _client(make: Callable[..., Any], address: str) -> Any:
 
 
 def worker_identity() -> dict[str, str]:
-    """Versions, by library, and the processor: equal ones on all machines give equal bytes; "" if not installed."""
+    """Return library versions ("" if missing) and the processor: equal values give equal bytes."""
     from llvmlite import binding
 
     def installed(name: str) -> str:
@@ -291,7 +297,7 @@ def _check_workers(identities: dict[str, dict[str, str]]) -> None:
     own = worker_identity()
     for address, other in identities.items():
         for key, value in other.items():
-            # A task that needs a library which is missing fails with an error of its own.
+            # A task that needs a missing library fails with its own error.
             if value == own[key] or "" in (value, own[key]):
                 continue
             if key != "processor":

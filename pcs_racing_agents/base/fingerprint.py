@@ -1,4 +1,4 @@
-"""Fingerprint: a digest of values that says in every process whether they are the same."""
+"""Fingerprint: a digest that identifies equal values in all processes."""
 
 import hashlib
 from collections.abc import Mapping
@@ -10,10 +10,10 @@ import numpy as np
 
 
 def fingerprint(*values: Any) -> str:
-    """SHA-256 of plain values, arrays, sequences, mappings and dataclasses of them, in hexadecimal.
+    """Return the SHA-256 of plain values, arrays, sequences, mappings and dataclasses, in hex.
 
-    Equal values give equal digests in every process. An object that has a ``content_hash`` stands for that, and
-    anything else (a function, say) for its type alone.
+    Equal values give equal digests in every process. An object with a ``content_hash`` is
+    represented by it, and any other object (such as a function) by its type alone.
     """
     digest = hashlib.sha256()
     _feed(digest, values)

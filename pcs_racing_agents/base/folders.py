@@ -1,6 +1,7 @@
-"""Folders of jobs: a manifest that records the settings, and a lock that admits one process at a time.
+"""Job folders: a manifest that records the settings, and a lock for one process at a time.
 
-Beside the manifest lies its digest: one that was damaged is told from one of other settings, and written again.
+A digest next to the manifest distinguishes a damaged manifest, which is written again, from a
+manifest of other settings.
 """
 
 import hashlib
@@ -24,19 +25,22 @@ from pcs_racing.base.files import plain_yaml, read_limited, write_atomically
 
 FORMAT = "pcs-racing job"
 VERSION = 1
-DIGEST = ".job.sha256"  # of the manifest
+DIGEST = ".job.sha256"  # file with the manifest's digest
 GO_ON = "what is done is kept: mend that and start the same again to go on"
 _MAX_BYTES = 10_000_000
 _HALF_WRITTEN = re.compile(r"\..+\.[0-9a-f]{8}")
 
 
 class JobError(InputError):
-    """A job can't continue now; finished tasks are kept, and the message says how to continue."""
+    """Error of a job that can't continue now; finished tasks are saved.
+
+    The message says how to continue.
+    """
 
 
 @contextmanager
 def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Create the folder of a job, or open that of an earlier run with the same settings, and lock it.
+    """Create a job's folder, or open the folder of an earlier run with equal settings; lock it.
 
     The settings are provided as plain values.
     """
@@ -49,7 +53,7 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
         "settings": _plain(settings, "settings"),
     }
     text = yaml.safe_dump(manifest, sort_keys=False, allow_unicode=True, width=110)
-    # Read back, so that it is compared in the form in which a later run will read it.
+    # Read back, so that it is compared in the form that a later run reads.
     manifest = yaml.safe_load(text)
     digest = hashlib.sha256(text.encode()).hexdigest()
     try:
@@ -60,7 +64,7 @@ def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterat
         raise _unusable(folder, error) from None
     with lock:
         try:
-            # Once more under the lock: another process may have begun in between.
+            # Again under the lock: another process may have begun in between.
             if not _check_same(folder, manifest, digest):
                 write_atomically(folder / DIGEST, lambda file: file.write(digest.encode()))
                 write_atomically(folder / "job.yaml", lambda file: file.write(text.encode()))
@@ -88,7 +92,7 @@ def hold_folder(folder: Path) -> Iterator[None]:
 
 
 def clear_half_written(folder: Path) -> None:
-    """Delete what killed runs had begun to write here or in ``chunks`` (see :mod:`pcs_racing.base.files`)."""
+    """Delete partial files of killed runs, also in ``chunks`` (:mod:`pcs_racing.base.files`)."""
     for file in [*folder.glob(".*"), *folder.glob("chunks/.*")]:
         if _HALF_WRITTEN.fullmatch(file.name):
             shutil.rmtree(file) if file.is_dir() else file.unlink(missing_ok=True)
@@ -100,14 +104,14 @@ def read_job(file: Path) -> Any:
 
 
 def is_unchanged(folder: Path) -> bool:
-    """Return whether a job's manifest is still the one that its digest was written for; True if it has no digest."""
+    """Return whether a job's manifest matches its digest; True if there is no digest."""
     seal = folder / DIGEST
     text = read_limited(folder / "job.yaml", _MAX_BYTES, "a manifest of a job")
     return not seal.exists() or read_limited(seal, 100, "a digest") == hashlib.sha256(text).hexdigest().encode()
 
 
 def package_version() -> str:
-    """Version of the installed package; ``"0"`` in a checkout that is not installed."""
+    """Return the version of the installed package; ``"0"`` in a checkout that is not installed."""
     try:
         return version("pcs-racing")
     except PackageNotFoundError:
@@ -119,11 +123,11 @@ def _unusable(folder: Path, error: OSError) -> JobError:
 
 
 def _check_same(folder: Path, manifest: Mapping[str, Any], digest: str) -> bool:
-    """Return whether a folder holds a run with this manifest; False if that, or its digest, must be written."""
+    """Return whether a folder holds this manifest; False if it or its digest must be written."""
     file = folder / "job.yaml"
     with suppress(OSError, InputError):
         if read_limited(folder / DIGEST, 100, "a digest") == digest.encode():
-            # Every chunk carries a digest of its own, so that nothing is believed because of this.
+            # Every chunk has its own digest, so no result is trusted because of this check.
             return file.exists() and hashlib.sha256(read_limited(file, _MAX_BYTES, "")).hexdigest() == digest
     if not file.exists():
         others = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith("."))
@@ -164,7 +168,7 @@ def _difference(stored: Any, wanted: Any, where: str) -> str | None:
             if difference is not None:
                 return difference
         return None
-    # As texts: NaN is like NaN there, and 1 is not like true.
+    # Compared as texts: there NaN equals NaN, and 1 differs from true.
     same = yaml.safe_dump(stored) == yaml.safe_dump(wanted)
     return None if same else f"its {where or 'settings'} is {stored!r}, not {wanted!r}"
 
@@ -186,14 +190,14 @@ def _plain(value: Any, where: str) -> Any:
 
 
 def _take_lock(folder: Path) -> AbstractContextManager[Any]:
-    """Lock a folder for as long as a ``with`` block lasts or the process lives; the lock's file names the process."""
+    """Lock a folder until a ``with`` block or the process ends; the lock file names the process."""
     file = folder / ".lock"
     try:
-        # The operating system lets go of the lock when the process dies, however it dies: no stale locks remain.
+        # The operating system releases the lock however the process ends: no stale locks remain.
         held = FileLock(file).acquire(blocking=False)
     except Timeout:
         owner = "(unknown)"
-        # On Windows nobody else can read a locked file.
+        # On Windows no other process can read a locked file.
         with suppress(OSError):
             owner = file.read_text(encoding="ascii", errors="replace").strip() or owner
         raise JobError(f"{folder} is in use by process {owner}; wait until it ends, or choose another folder") from None

@@ -1,8 +1,9 @@
-"""Jobs: tasks that run on any executor, results kept in chunk files, and stopped runs that resume.
+"""Jobs: tasks on any executor, with results in chunk files, and stopped runs that resume.
 
-A job is a folder. ``job.yaml`` says what is being made there, ``chunks/`` holds the result of every task done so far,
-and a lock keeps a second process out. Whoever opens the folder again with the same settings takes the work up where it
-was left, be it after Ctrl-C, a crash or ``kill -9``; the results are the same to the byte, whoever computed them:
+A job is a folder. ``job.yaml`` describes its results, ``chunks/`` holds the result of every
+finished task, and a lock excludes a second process. A run that opens the folder again with the same
+settings resumes the work after Ctrl-C, a crash or ``kill -9``. The results are the same to the
+byte, whichever run computed them:
 
     with open_job("out/trees", "trees", {"seed": 0}) as job, make_executor("threads") as executor:
         results = job.run("tree", build, tasks, executor=executor, progress=show_progress("trees"))
@@ -34,11 +35,11 @@ _log = logging.getLogger("pcs_racing_agents")
 
 @dataclass(frozen=True)
 class Job:
-    """A folder in which long work is done; made by :func:`open_job`."""
+    """Folder for long work; made by :func:`open_job`."""
 
     folder: Path
-    kind: str  #: What is being made.
-    settings: Mapping[str, Any]  #: Everything that the results depend on, as plain values.
+    kind: str  #: Kind of the results.
+    settings: Mapping[str, Any]  #: All inputs of the results, as plain values.
 
     def file(self, name: str, index: int) -> Path:
         """Return the path of a task's chunk."""
@@ -54,22 +55,27 @@ class Job:
         progress: Progress | None = None,
         keep: bool = True,
     ) -> list[Arrays]:
-        """Return the results of all tasks in their order; those that an earlier run has done are read from its chunks.
+        """Return the results of all tasks in order; results of earlier runs come from their chunks.
 
         Parameters
         ----------
         name : str
-            Of the group of tasks: small letters, digits, ``-`` and ``_``. Chunks are called ``NAME-00012.npz``.
+            Name of the group of tasks: small letters, digits, ``-`` and ``_``. Its chunks are
+            called ``NAME-00012.npz``.
         function : callable
-            ``function(argument)`` returns arrays (or numbers) by name; other processes need one that a module defines.
+            Function that returns arrays (or numbers) by name: ``function(argument)``. Other
+            processes need a function defined in a module.
         arguments : sequence
-            One for each task. All that the result depends on must be in it: a chunk made for another one is not used.
+            Argument of each task. It must contain all that the result depends on: a chunk of
+            another argument is not used.
         executor : Executor, optional
-            Where the tasks run (:func:`make_executor`); in this thread by default. It has no influence on the results.
+            Executor of the tasks (:func:`make_executor`); this thread by default. It does not
+            change the results.
         progress : callable, optional
             Called as ``progress(done, len(arguments), name)`` when the chunks are counted and after every task.
         keep : bool
-            Whether to return the results; without them (an empty list) memory does not grow with the tasks.
+            Whether to return the results. False returns an empty list, and memory does not grow
+            with the tasks.
         """
         group = TaskGroup(self, name, function, arguments)
         return run_groups([group], executor=executor, progress=progress, keep=keep)[0]
@@ -79,15 +85,15 @@ class Job:
         return read_chunk(self.file(name, index))
 
     def _marks(self, name: str, arguments: Sequence[Any]) -> list[str]:
-        """Digests of all that the results of tasks depend on."""
+        """Return the digests of all inputs of the tasks."""
         if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
             raise InputError(f"the name of a group of tasks is {name!r}; use small letters, digits, - and _")
-        # Everything that a result depends on: a chunk of other settings or of another version is made again.
+        # All inputs of a result: a chunk of other settings or of another version is made again.
         identity = fingerprint(self.kind, self.settings, package_version(), name)
         return [fingerprint(identity, index, argument) for index, argument in enumerate(arguments)]
 
     def _keep(self, name: str, index: int, value: Any, mark: str) -> Arrays:
-        """Write what a task returned to its chunk."""
+        """Write the result of a task to its chunk."""
         arrays = _plain_arrays(value, f"task {index} of {name}")
         path = self.file(name, index)
         try:
@@ -110,7 +116,7 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class TaskGroup:
-    """Tasks of a job that do not depend on each other; the arguments of :meth:`Job.run` as a value."""
+    """Independent tasks of a job; the arguments of :meth:`Job.run` as a value."""
 
     job: Job
     name: str
@@ -125,10 +131,10 @@ def run_groups(
     progress: Progress | None = None,
     keep: bool = True,
 ) -> list[list[Arrays]]:
-    """Run the tasks of several groups, which may belong to several jobs, side by side: :meth:`Job.run` for each.
+    """Run the tasks of several groups, of one or more jobs, side by side: :meth:`Job.run` for each.
 
-    No worker waits at the end of a group for the others: the tasks of the next one follow at once. ``progress`` is
-    called with the name of a group, and counts the tasks of all groups.
+    No worker waits at the end of a group for the others: the tasks of the next group follow at
+    once. ``progress`` is called with the name of a group, and counts the tasks of all groups.
     """
     results: list[list[Arrays]] = [[{}] * len(group.arguments) if keep else [] for group in groups]
     marks = [group.job._marks(group.name, group.arguments) for group in groups]
@@ -156,14 +162,14 @@ def run_groups(
 
 
 class Workers(TypedDict, total=False):
-    """Where the tasks of a job run and who is told, for functions that hand it on: ``**workers: Unpack[Workers]``."""
+    """Executor and progress, for functions that pass them on: ``**workers: Unpack[Workers]``."""
 
     executor: Executor | None
     progress: Progress | None
 
 
 class Run(Workers, total=False):
-    """How long work runs, with a job or without one: ``def work(..., **run: Unpack[Run])``."""
+    """Options of long work, with a job or without: ``def work(..., **run: Unpack[Run])``."""
 
     job: Job | None
 
@@ -171,7 +177,7 @@ class Run(Workers, total=False):
 def run_with_or_without(
     name: str, function: Callable[[A], Mapping[str, Any]], arguments: Sequence[A], **run: Unpack[Run]
 ) -> list[Any]:
-    """Return the results of all tasks in their order, kept in a job if there is one; else as :meth:`Job.run` does."""
+    """Return the results of all tasks in order, as :meth:`Job.run`; save them if there is a job."""
     job, executor, progress = run.get("job"), run.get("executor"), run.get("progress")
     if job is not None:
         return job.run(name, function, arguments, executor=executor, progress=progress)
@@ -186,8 +192,8 @@ def run_with_or_without(
 def run_races(
     name: str, race: Callable[..., Mapping[str, Any]], arguments: Sequence[Any], **run: Unpack[Run]
 ) -> list[Any]:
-    """Return what :func:`run_with_or_without` does, of a function that drives with a number of ``threads``."""
-    # Without an executor races are shared among all cores; with one its workers share the cores.
+    """Return the results of :func:`run_with_or_without` for a function that takes ``threads``."""
+    # Without an executor all cores share the races; with an executor its workers share the cores.
     driven = race if run.get("executor") is None else partial(race, threads=1)
     return run_with_or_without(name, driven, arguments, **run)
 
@@ -204,15 +210,15 @@ def _plain_arrays(value: Any, where: str) -> Arrays:
 
 @contextmanager
 def open_job(folder: str | Path, kind: str, settings: Mapping[str, Any]) -> Iterator[Job]:
-    """Open the folder of a job: a new one, or one in which a run of the same kind and settings was stopped.
+    """Open the folder of a job: new, or of a stopped run of the same kind and settings.
 
     Parameters
     ----------
     folder : str or Path
-        A new or empty folder, or one that this function made.
+        Folder that is new, empty, or made by this function.
     settings : Mapping
-        Everything that the results depend on: texts, numbers, lists and mappings (arrays, tuples, paths and dataclasses
-        become these).
+        All inputs of the results: texts, numbers, lists and mappings (arrays, tuples, paths and
+        dataclasses become these).
     """
     with claim_folder(Path(folder), kind, settings) as plain:
         yield Job(Path(folder), kind, plain)

@@ -11,7 +11,8 @@ Progress = Callable[[int, int, str], None]
 def show_line() -> Callable[[str, bool], None]:
     """Return a function that keeps a line on stderr up to date: ``say(line, last)``.
 
-    Where stderr is no terminal it prints plain lines, at most one in two seconds, and the last one.
+    If stderr is no terminal, the function prints plain lines: at most one line every 2 s, and the
+    last line.
     """
     spoken = time.monotonic()
 
@@ -42,7 +43,7 @@ def show_progress(unit: str = "races") -> Progress:
     def show(done: int, total: int, label: str) -> None:
         nonlocal first
         now = time.monotonic()
-        # What was done before this run says nothing about its speed.
+        # Earlier runs say nothing about the speed of this run.
         if first is None:
             first = (now, done) if now - begin < 0.2 else (begin, 0)
         fresh = done - first[1]

@@ -1,4 +1,4 @@
-"""The style of all pictures: colours that colour-blind readers can distinguish, and reproducible bytes."""
+"""Style of all pictures: colours for colour-blind readers, and reproducible bytes."""
 
 import io
 import os
@@ -14,7 +14,7 @@ INK, SOFT, EDGE = "#17202b", "#5c6877", "#dfe4ea"
 CARS = ("#1b6fd8", "#e08700")
 """Colours of car 0 and car 1, as in replays."""
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5195", "#8c6d31", "#6b7480")
-"""Colours of anything else: the palette of Okabe and Ito (2008), then some more; grey comes last."""
+"""Colours of other items: the palette of Okabe and Ito (2008), then some more; grey comes last."""
 
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -46,7 +46,7 @@ T = TypeVar("T")
 
 
 def picture(draw: Callable[P, T]) -> Callable[P, T]:
-    """Decorate a function so that it draws in this style; without matplotlib it raises an error."""
+    """Decorate a function to draw in this style; without matplotlib it raises an error."""
 
     @wraps(draw)
     def styled(*arguments: P.args, **options: P.kwargs) -> T:
@@ -61,12 +61,12 @@ def picture(draw: Callable[P, T]) -> Callable[P, T]:
 
 
 def new_figure(width: float, height: float) -> Any:
-    """Return an empty figure, sizes in inches; no window belongs to it."""
+    """Return an empty figure without a window; sizes in inches."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
-    # Not by pyplot, which keeps every figure and may ask for a screen.
+    # Not by pyplot, which keeps every figure in memory and may ask for a screen.
     FigureCanvasAgg(figure)
     return figure
 
@@ -79,21 +79,23 @@ def tidy(axes: Any, grid: str = "both") -> None:
 
 
 def short(name: str, longest: int = 26) -> str:
-    """Return a name, cut if it is too long for a label."""
+    """Return a name, cut to ``longest`` characters."""
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 
 def spread_labels(desired: list[float], gap: float) -> list[float]:
-    """Return positions of labels on a line, at least ``gap`` apart and as near as possible to the desired ones."""
+    """Return label positions on a line, at least ``gap`` apart, near the desired positions."""
     order = sorted(range(len(desired)), key=lambda i: desired[i])
-    groups: list[list[float]] = []  # of each: sum of desired places of the first label, number of labels
+    # Per group: sum of desired places of the first label, number of labels
+    groups: list[list[float]] = []
     for i in order:
         groups.append([desired[i], 1.0])
         while len(groups) > 1:
             (total, count), (before, number) = groups[-1], groups[-2]
             if total / count - before / number >= gap * number:
                 break
-            # Neighbours that would overlap become one block, whose place is the mean of what its labels want.
+            # Neighbours that would overlap become one block at the mean of the places desired by
+            # its labels.
             groups[-2:] = [[before + total - count * number * gap, number + count]]
     places = [total / count + gap * k for total, count in groups for k in range(int(count))]
     moved = [0.0] * len(desired)
@@ -105,9 +107,10 @@ def spread_labels(desired: list[float], gap: float) -> list[float]:
 def place_labels(
     axes: Any, points: Sequence[Any], texts: Sequence[str], colours: Sequence[str], avoid: Sequence[Any] = ()
 ) -> None:
-    """Write a name beside each point, where possible without covering points or other names.
+    """Write a name next to each point, if possible without covering points or other names.
 
-    Limits and size of the axes must be final. Points to ``avoid`` have no names, but are not to be covered either.
+    Limits and size of the axes must be final. Points to ``avoid`` have no names, but are not to be
+    covered either.
     """
     if not len(points):
         return
@@ -120,7 +123,8 @@ def place_labels(
     for (x, y), text, colour in zip(anchors[: len(points)], texts, colours, strict=True):
         width, height = 5.4 * len(text), 10.0
         best = None
-        # Near places first; a farther one is worth an arrow only if it covers less.
+        # Near places first; a farther place, which takes an arrow, is chosen only if it covers
+        # less.
         for away in (7.0, 14.0, 22.0, 32.0, 44.0):
             for side, up in ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1), (1, 0), (-1, 0)):
                 left = x + side * away - (width if side < 0 else 0.5 * width if side == 0 else 0.0)

@@ -1,4 +1,4 @@
-"""Tables of texts: declared columns, aligned plain text, Markdown, and CSV files, which are read with limits."""
+"""Tables of texts: columns, aligned plain text, Markdown, and CSV files, read with limits."""
 
 import csv
 import io
@@ -15,14 +15,14 @@ from pcs_racing.base.files import read_limited, write_atomically
 
 
 class Column(NamedTuple):
-    """A column of a table: which attribute of its lines it shows, under which heading, and how."""
+    """Column of a table: an attribute of the table's lines, its heading and its format."""
 
     name: str
-    heading: str = ""  #: By default the name.
+    heading: str = ""  #: Heading; the name by default.
     format: str = ""  #: Format of the values, such as ``"+.3f"``.
 
     def text(self, line: object) -> str:
-        """Return the cell of a line; "-" for NaN, nothing for None."""
+        """Return the cell of a line; "-" for NaN, an empty text for None."""
         value = getattr(line, self.name)
         if isinstance(value, tuple):
             return ", ".join(value)
@@ -32,13 +32,13 @@ class Column(NamedTuple):
 
 
 def table_rows(columns: Sequence[Column], lines: Iterable[object]) -> list[tuple[str, ...]]:
-    """Return a table as texts, its headings first."""
+    """Return a table as texts, headings first."""
     head = tuple(column.heading or column.name for column in columns)
     return [head, *(tuple(column.text(line) for column in columns) for line in lines)]
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell begins like a number, an interval or a bound."""
+    """Return whether a cell begins like a number, an interval or a bound."""
     return bool(re.match(r"[-+\[<]?\s?[-+]?[0-9]", cell))
 
 
@@ -53,14 +53,15 @@ def with_interval(value: float, low: float, high: float) -> str:
 
 
 def aligned(rows: Iterable[Sequence[str]], *, left: int | None = None) -> list[str]:
-    """Return rows as lines of plain text, without blanks at the end of a line; the first row may be a head.
+    """Return rows as lines of plain text, without trailing blanks; the first row may be a head.
 
-    So many columns as ``left`` says stand to the left; by default the first one and all that hold no numbers do.
+    The first ``left`` columns are aligned left. By default the first column and all columns without
+    numbers are aligned left.
     """
     cells = [list(row) for row in rows]
     columns = list(zip(*cells, strict=True))
     widths = [max(map(len, column)) for column in columns]
-    # Numbers stand below each other if they end in the same column; words are read from where they begin.
+    # Numbers are aligned right, so that their digits line up; words are aligned left.
     words = [
         i < left
         if left is not None
@@ -77,7 +78,7 @@ def aligned(rows: Iterable[Sequence[str]], *, left: int | None = None) -> list[s
 
 
 def markdown(rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return rows as lines of a table in Markdown; the first is its head."""
+    """Return rows as lines of a table in Markdown; the first row is its head."""
     head, *others = ([cell.replace("|", "\\|") for cell in row] for row in rows)
     return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *others)]
 
@@ -88,19 +89,19 @@ MAX_COLUMNS = 1000
 
 @dataclass(frozen=True, eq=False)
 class CsvTable:
-    """A table whose first line names its columns."""
+    """Table with the names of its columns in the first line."""
 
-    path: str  #: For messages.
+    path: str  #: Path for messages.
     columns: tuple[str, ...]
     _data: bytes = field(repr=False)
 
     def values(self) -> Iterator[tuple[int, list[str]]]:
-        """Go through the table: for every line its number in the file, and its values; empty ones left out."""
+        """Yield the number in the file and the values of every line; skip empty lines."""
         reader = _reader(self._data)
         try:
             next(reader, None)
             for values in reader:
-                # A reader of csv gives an empty list for an empty line, which is harmless.
+                # A csv reader gives an empty list for an empty line, which is harmless.
                 if len(values) not in (0, len(self.columns)):
                     raise InputError(
                         f"{self.path}, line {reader.line_num} is damaged: it has {len(values)} values, more or fewer "
@@ -112,7 +113,7 @@ class CsvTable:
             raise InputError(f"{self.path}, line {reader.line_num} is damaged: {error}") from None
 
     def lines(self) -> Iterator[tuple[int, dict[str, str]]]:
-        """Go through the table as :meth:`values`, with the values by column."""
+        """Return an iterator like :meth:`values`, with the values by column."""
         return ((number, dict(zip(self.columns, values, strict=True))) for number, values in self.values())
 
     def rows(self) -> list[dict[str, str]]:
@@ -121,7 +122,7 @@ class CsvTable:
 
 
 def write_csv(rows: Iterable[Iterable[object]], path: str | os.PathLike[str]) -> Path:
-    """Write the rows of a table, its columns' names first; the file appears whole or not at all."""
+    """Write the rows of a table, column names first; the file appears whole or not at all."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     write_atomically(Path(path), lambda file: file.write(text.getvalue().encode("utf-8")))
@@ -140,7 +141,8 @@ def read_csv(path: str | os.PathLike[str]) -> CsvTable:
     name = os.fspath(path)
     try:
         data = read_limited(path, MAX_BYTES, "a table")
-        # All of it must be text, and the mark at the beginning that spreadsheets write is no part of a name.
+        # The whole file must be text. The mark that spreadsheets write at its beginning is not part
+        # of a name.
         data.decode("utf-8-sig")
         columns = tuple(next(_reader(data), ()))
     except OSError as error:

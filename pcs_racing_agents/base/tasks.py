@@ -1,4 +1,7 @@
-"""Tasks and their execution: a bounded number in flight, results as they come, one error if workers die."""
+"""Tasks and their execution: a bounded number in flight, one error if workers die.
+
+Results are yielded as they come in.
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
@@ -14,10 +17,11 @@ R = TypeVar("R")
 
 
 class Task(NamedTuple, Generic[K]):
-    """One call of a function."""
+    """Call of a function."""
 
-    key: K  #: What its result is known by.
-    #: ``function(argument)``; a large one that is the same object for several tasks travels only once.
+    key: K  #: Key of the result.
+    #: Function of the task, called as ``function(argument)``; a large function shared by several
+    #: tasks (the same object) is sent only once.
     function: Callable[[Any], Any]
     argument: Any
 
@@ -27,10 +31,10 @@ def run_tasks(
     executor: Executor | None = None,
     name: str = "the work",
 ) -> Iterator[tuple[K, Any]]:
-    """Run tasks, and return their keys and results as they come in, with a bounded number of tasks under way.
+    """Run tasks with a bounded number in flight, and yield keys and results as they come in.
 
-    ``tasks`` is advanced only when a task can begin, so that not all of them need be in memory. ``name`` says what is
-    being done, for errors.
+    ``tasks`` is advanced only when a task can begin, so that not all tasks need be in memory.
+    ``name`` describes the work in errors.
     """
     waiting = iter(tasks)
     if executor is None:
@@ -48,21 +52,21 @@ def run_tasks(
                 # The order of the two conditions matters: a task is taken from the iterator only when it can begin.
                 while len(under_way) < limit and (task := next(waiting, None)) is not None:
                     if id(task.function) not in submit:
-                        # As long as it lives nothing else has its identity.
+                        # As long as the function lives, no other object has its identity.
                         functions.append(task.function)
                         submit[id(task.function)] = sent.enter_context(sent_once(task.function, executor))
                     under_way[submit[id(task.function)](task.argument)] = task.key
                 if not under_way:
                     return
                 done = wait(under_way, return_when=FIRST_COMPLETED).done
-                # Results of other tasks are kept before a failure ends the run.
+                # Results of other tasks are yielded before a failure ends the run.
                 for future in sorted(done, key=_failed):
                     key = under_way.pop(future)
                     yield key, future.result()
     except BaseException as error:
         if not is_lost(error):
             raise
-        # Lost workers fail many futures at once; the first one tells what all would.
+        # Lost workers fail many futures at once; the first error is enough for the message.
         why = " ".join(str(error).split()) or "its tasks were cancelled"
         raise JobError(f"{name} was cut short: a worker died or the cluster is gone ({why}); {GO_ON}") from None
     finally:
@@ -84,7 +88,8 @@ def run_task(function: Callable[[A], R], argument: A, executor: Executor | None,
 def in_other_processes(executor: Executor | None) -> Executor | None:
     """Return the executor if its tasks run in other processes, else None.
 
-    Training with torch needs it: torch's random generator and number of threads belong to the process.
+    Training with torch needs other processes: torch's random generator and number of threads belong
+    to the process.
     """
     return None if isinstance(executor, ThreadPoolExecutor) else executor
 

@@ -20,17 +20,21 @@ MOST_ITERATIONS = 10_000_000
 
 
 class Variant(NamedTuple):
-    """A member of the family of discounted CFR (Brown and Sandholm 2019, "Solving imperfect-information games via
-    discounted regret minimization").
+    """A variant of discounted CFR.
 
-    After iteration t cumulative regrets are multiplied with t^e / (t^e + 1), where e is ``alpha`` if they are positive
-    and ``beta`` if not; the strategies of iteration t count t^gamma in the average.
+    Source: Brown and Sandholm 2019, "Solving imperfect-information games via discounted regret
+    minimization". After iteration t cumulative regrets are multiplied with t^e / (t^e + 1), where e
+    is ``alpha`` for positive regrets and ``beta`` for the others. The strategies of iteration t
+    have the weight t^gamma in the average.
     """
 
-    alternating: bool  #: Whether the second player already answers the first one's new strategy.
-    alpha: float  #: ``alpha``, ``beta``: Infinity keeps regrets as they are, minus infinity removes them.
+    #: True if the second player already responds to the first player's new strategy.
+    alternating: bool
+    #: Exponents ``alpha`` and ``beta``: infinity keeps regrets as they are, minus infinity removes
+    #: them.
+    alpha: float
     beta: float
-    gamma: float  #: At least 0.
+    gamma: float  #: Exponent of the weight in the average, at least 0.
 
 
 VARIANTS = {
@@ -40,26 +44,34 @@ VARIANTS = {
     "linear": Variant(alternating=True, alpha=1.0, beta=1.0, gamma=1.0),
     "discounted": Variant(alternating=True, alpha=1.5, beta=0.0, gamma=2.0),
 }
-"""``vanilla``: both players at once (Zinkevich et al. 2007). ``alternating``: by turns, OpenSpiel's ``CFRSolver``.
-``alternating+``: CFR+ (Tammelin 2014), OpenSpiel's ``CFRPlusSolver``. ``linear``, ``discounted``: Brown and Sandholm
-(2019), as OpenSpiel's ``LCFRSolver`` and ``DCFRSolver``."""
+"""Variants by name.
+
+``vanilla``: both players at once (Zinkevich et al. 2007). ``alternating``: players alternately, as
+in OpenSpiel's ``CFRSolver``. ``alternating+``: CFR+ (Tammelin 2014), OpenSpiel's ``CFRPlusSolver``.
+``linear``, ``discounted``: Brown and Sandholm (2019), as OpenSpiel's ``LCFRSolver`` and
+``DCFRSolver``.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class CFRResult:
-    """Average strategies and regrets after some iterations of CFR; lists hold a pair for each level: car 0, car 1."""
+    """Average strategies and regrets after some iterations of CFR.
 
-    average: Profile  #: The average strategies, which approach an equilibrium.
-    current: Profile  #: The strategies of the next iteration.
-    #: Cumulative counterfactual regrets, shapes (rows, A_k) and (rows, B_k), in units of the payoffs: each iteration
-    #: counts as often as chance and the other player led to the infoset in it.
+    Lists hold a pair for each level: car 0, car 1.
+    """
+
+    average: Profile  #: Average strategies, which approach an equilibrium.
+    current: Profile  #: Strategies of the next iteration.
+    #: Cumulative counterfactual regrets, shapes (rows, A_k) and (rows, B_k), in units of the
+    #: payoffs. The weight of an iteration is the probability that chance and the other player lead
+    #: to the infoset.
     regrets: list[tuple[Floats, Floats]]
-    #: That probability summed over the iterations, shape (rows,) each; regrets divided by it are per visit. It is
-    #: discounted like positive regrets.
+    #: Sum of these probabilities over the iterations, shape (rows,) each; regrets divided by it are
+    #: per visit. It is discounted like positive regrets.
     opponent_reach: list[tuple[Floats, Floats]]
     #: Numerators of ``average``: strategies summed with the weights of the player's own reach.
     strategy_sums: list[tuple[Floats, Floats]]
-    iterations: int  #: Of all runs together.
+    iterations: int  #: Number of iterations of all runs together.
     variant: Variant
 
 
@@ -75,7 +87,8 @@ def cfr(
     variant : str or Variant
         One of :data:`VARIANTS`, or your own.
     resume : CFRResult, optional
-        Go on from here; ``iterations`` come on top. The result is that of one long run, to the bit.
+        Earlier result to resume; ``iterations`` are additional. The result is bit-identical to one
+        long run.
     """
     rules = _variant(variant)
     check_whole("iterations", iterations, 1, MOST_ITERATIONS)
@@ -133,7 +146,7 @@ def _result(tree: GameTree, layout: Layout, state: State, iterations: int, varia
 
 
 def _shares(weights: Floats) -> Floats:
-    """Return each row divided by its sum; the uniform distribution where that is 0."""
+    """Return each row divided by its sum; the uniform distribution where the sum is 0."""
     total = weights.sum(axis=1, keepdims=True)
     even = np.full_like(weights, 1.0 / weights.shape[1])
     return np.divide(weights, total, out=even, where=total > 0.0)
@@ -163,7 +176,7 @@ def _copy_out(tree: GameTree, layout: Layout, flat: Floats, at: object, moves: b
 
 
 def _copy_in(tree: GameTree, layout: Layout, flat: Floats, at: object, pairs: list[tuple[Floats, Floats]]) -> None:
-    """Write arrays by level and player into one of the kernels: the inverse of :func:`_copy_out`."""
+    """Write arrays by level and player into an array of the kernels, inverse of :func:`_copy_out`."""
     for k in range(tree.depth):
         for player in (0, 1):
             order = _order(tree, layout, k, player)

@@ -1,8 +1,9 @@
-"""The compiled part of counterfactual regret minimisation: passes over the levels of a tree.
+"""Compiled part of counterfactual regret minimisation: passes over the levels of a tree.
 
-Everything is laid out for vector instructions. Within a level, nodes are numbered with the *last* move slowest, so the
-children that follow one pair of moves are neighbours, in the order of their parents; strategies and regrets hold the
-numbers of one move together. Then all loops run over neighbouring nodes.
+The layout serves vector instructions. Within a level, nodes are numbered with the *last* move
+slowest, so the children of one pair of moves are neighbours, in the order of their parents.
+Strategies and regrets hold the numbers of one move together. Then all loops run over neighbouring
+nodes.
 """
 
 from typing import NamedTuple
@@ -13,49 +14,56 @@ from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree, Integers
 
 BLOCK = 256
-"""Nodes worked on at a time: what is summed up for them stays in the fastest cache."""
+"""Number of nodes processed at a time: their sums stay in the fastest cache."""
 
 
 class Layout(NamedTuple):
-    """A tree as arrays for the kernels; the first axis of an array is the player, where it says (2, m)."""
+    """A tree as arrays for the kernels; the first axis of an array of shape (2, m) is the player."""
 
-    moves: Integers  #: shape (2, m): ``moves``, ``rows``: Moves and infosets of each level.
+    moves: Integers  #: shape (2, m): Moves (``moves``) and infosets (``rows``) of each level.
     rows: Integers
-    nodes: Integers  #: shape (m,): Nodes of each level.
-    node_at: Integers  #: shape (m + 1,): Where a level begins in an array with a number per node.
-    #: shape (2, m): ``sigma_at``, ``regret_at``: Where a level begins in arrays with a number per node and move, or per
-    #: infoset and move.
+    nodes: Integers  #: shape (m,): Number of nodes of each level.
+    #: shape (m + 1,): First index of each level in an array with a number per node.
+    node_at: Integers
+    #: shape (2, m): First index of each level in arrays with a number per node and move
+    #: (``sigma_at``), or per infoset and move (``regret_at``).
     sigma_at: Integers
     regret_at: Integers
-    #: shape (2, m): ``label_at``, ``row_at``: Where a level begins in ``labels`` and in ``first`` (and in all arrays
-    #: with a number per infoset).
+    #: shape (2, m): First index of each level in ``labels`` (``label_at``), and in ``first`` and
+    #: all arrays with a number per infoset (``row_at``).
     label_at: Integers
     row_at: Integers
     labels: Integers  #: Row of every node.
     first: Integers  #: One node of every row.
-    single: "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"  #: shape (2, m): Whether rows are nodes.
+    #: shape (2, m): True if rows are nodes.
+    single: "np.ndarray[tuple[int, ...], np.dtype[np.bool_]]"
     chance: Floats  #: shape (nodes of all levels,): Probability of the root above each node.
 
 
 class State(NamedTuple):
-    """The arrays that the iterations change."""
+    """Arrays that the iterations change."""
 
-    values: Floats  #: shape (nodes of all levels and leaves,): What a node pays to car 0 under the current strategies.
+    #: shape (nodes of all levels and leaves,): Value of a node to car 0 under the current
+    #: strategies.
+    values: Floats
     sigma: Floats  #: Current strategies per node and move.
-    reach: Floats  #: shape (2, nodes of all levels): Probability with which each player's own moves lead to a node.
-    regrets: Floats  #: ``regrets``, ``sums``: Cumulative regrets and summed strategies, per infoset and move.
+    #: shape (2, nodes of all levels): Probability that each player's own moves lead to a node.
+    reach: Floats
+    #: Cumulative regrets (``regrets``) and summed strategies (``sums``), per infoset and move.
+    regrets: Floats
     sums: Floats
-    opponent_reach: Floats  #: Summed probability with which chance and the other player lead to an infoset.
+    #: Summed probability that chance and the other player lead to an infoset.
+    opponent_reach: Floats
 
 
 def node_order(tree: GameTree, level: int) -> Integers:
-    """Node of the tree at each place of the kernels' order, shape (nodes,)."""
+    """Return the node of the tree at each place of the kernels' order, shape (nodes,)."""
     shape = [tree.roots, *(a * b for a, b in tree.moves[:level])]
     return np.arange(tree.nodes(level)).reshape(shape).transpose().reshape(-1)
 
 
 def tree_layout(tree: GameTree) -> Layout:
-    """Lay a tree out for the kernels."""
+    """Return the layout of a tree for the kernels."""
     m = tree.depth
     nodes = np.array([tree.nodes(k) for k in range(m)])
     moves = np.array(tree.moves, dtype=np.int64).T.copy()
@@ -65,7 +73,7 @@ def tree_layout(tree: GameTree) -> Layout:
         for k in range(m):
             places = tree.infosets[k][player][node_order(tree, k)]
             if rows[player, k] == nodes[k]:
-                # Rows stand in the kernels' order, too.
+                # Rows are in the kernels' order, too.
                 places = np.arange(nodes[k])
             labels.append(places)
             first.append(np.unique(places, return_index=True)[1])
@@ -106,7 +114,7 @@ def initial_state(tree: GameTree, layout: Layout) -> State:
 
 @compiled
 def iterate(layout, state, begin, end, alternating, alpha, beta, gamma):  # type: ignore[no-untyped-def]
-    """Run iterations ``begin`` (from 1) to ``end - 1``; strategies follow from the regrets at hand."""
+    """Run iterations ``begin`` (from 1) to ``end - 1``, from strategies of the current regrets."""
     widest = max(layout.moves.max(), 1)
     work = np.empty((widest + 1) * BLOCK)
     table = np.empty(max(1, (layout.moves * layout.rows).max()))
@@ -133,7 +141,7 @@ def iterate(layout, state, begin, end, alternating, alpha, beta, gamma):  # type
 
 @kernel
 def _discount_factor(t, exponent):  # type: ignore[no-untyped-def]
-    """t^e / (t^e + 1): 1 for an infinite exponent, 0 for minus infinity."""
+    """Return t^e / (t^e + 1): 1 for an infinite exponent, 0 for minus infinity."""
     if exponent == np.inf:
         return 1.0
     if exponent == -np.inf:
@@ -144,7 +152,10 @@ def _discount_factor(t, exponent):  # type: ignore[no-untyped-def]
 
 @kernel
 def _match_regrets(layout, state, player, work, table):  # type: ignore[no-untyped-def]
-    """Strategies in proportion to positive regrets, evenly where there are none; then a copy for every node."""
+    """Write strategies in proportion to positive regrets, then copy them to every node.
+
+    Strategies are uniform if no regret is positive.
+    """
     for k in range(layout.nodes.size):
         moves, rows, nodes = layout.moves[player, k], layout.rows[player, k], layout.nodes[k]
         regrets = state.regrets[layout.regret_at[player, k] :]
@@ -177,7 +188,7 @@ def _match_regrets(layout, state, player, work, table):  # type: ignore[no-untyp
 
 @kernel
 def _push_reach(layout, state, player):  # type: ignore[no-untyped-def]
-    """Probability of a player's own moves, from the root down."""
+    """Write the probability of a player's own moves, from the root down."""
     for k in range(layout.nodes.size - 1):
         nodes, first, second = layout.nodes[k], layout.moves[0, k], layout.moves[1, k]
         sigma = state.sigma[layout.sigma_at[player, k] :]
@@ -194,7 +205,7 @@ def _push_reach(layout, state, player):  # type: ignore[no-untyped-def]
 
 @kernel
 def _add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
-    """Values of all nodes, from the last level up, and what each move of a player would have gained there."""
+    """Write the values of all nodes, from the last level up, and add each move's regrets of a player."""
     other = 1 - player
     sign = 1.0 if player == 0 else -1.0
     for k in range(layout.nodes.size - 1, -1, -1):
@@ -231,7 +242,8 @@ def _add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
             reach = state.reach[other, at : at + n]
             chance = layout.chance[at : at + n]
             for j in range(n):
-                # Regrets are counterfactual: weighted with everything that leads here but the player's own moves.
+                # Regrets are counterfactual: weighted with all probabilities but the player's own
+                # moves.
                 weight[j] = reach[j] * chance[j]
             if single:
                 infoset_reach = reached[low : low + n]
@@ -253,13 +265,13 @@ def _add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
 
 @kernel
 def _add_strategy(layout, state, player, weight):  # type: ignore[no-untyped-def]
-    """Sum up the current strategies, each weighted with the probability of the player's own moves."""
+    """Sum the current strategies, weighted with the probability of the player's own moves."""
     for k in range(layout.nodes.size):
         moves, rows, nodes = layout.moves[player, k], layout.rows[player, k], layout.nodes[k]
         sigma = state.sigma[layout.sigma_at[player, k] :]
         sums = state.sums[layout.regret_at[player, k] :]
         reach = state.reach[player, layout.node_at[k] : layout.node_at[k] + nodes]
-        # Most trees of races show all past moves; then no labels need be looked up, and the loops are straight.
+        # Most trees of races show all past moves: no labels to look up, and straight loops.
         if layout.single[player, k]:
             for a in range(moves):
                 s = sigma[a * nodes : (a + 1) * nodes]
@@ -287,7 +299,7 @@ def _discount(layout, state, player, keep_gains, keep_losses):  # type: ignore[n
     for j in range(regrets.size):
         r = regrets[j]
         regrets[j] = r * keep_gains if r > 0.0 else r * keep_losses
-    # Regrets are divided by this sum to be per visit, so both are discounted alike.
+    # Regrets per visit are divided by this sum, so both are discounted alike.
     if keep_gains != 1.0:
         rows = layout.rows[player, last]
         reached = state.opponent_reach[layout.row_at[player, 0] : layout.row_at[player, last] + rows]

@@ -13,28 +13,32 @@ from pcs_racing_agents.solvers.exact import ExactResult, solve_exact
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 
 METHODS = ("exact", *VARIANTS, "argmax-regret")
-"""``exact`` is backward induction; then the average strategies of the variants of CFR; ``argmax-regret`` is the
-decision rule of the paper: always the move of largest cumulative regret (of ``vanilla``)."""
+"""Solvers by name.
+
+``exact`` is backward induction; then come the average strategies of the variants of CFR;
+``argmax-regret`` is the decision rule of the paper: always the move with the max cumulative regret
+(of ``vanilla``).
+"""
 
 INDIFFERENT = 1e-9
-"""Moves whose value differs by less, in units of the payoffs' range, are equally good."""
+"""Difference in value, in units of the payoffs' range, below which moves are equally good."""
 
 
 class MethodRow(NamedTuple):
-    """The scores of one method on one tree."""
+    """Scores of one method on one tree."""
 
     method: str
-    value: float  #: What its profile pays to car 0.
-    exploitability: float  #: Half of what both players could gain by best responses.
-    #: ``agreement``, ``on_path``: See :func:`agreement`; the second weights histories with how often the exact solution
-    #: leads to them.
+    value: float  #: Payoff of the profile to car 0.
+    exploitability: float  #: Half of the sum of both players' gains by best responses.
+    #: Results of :func:`agreement`; ``on_path`` weights histories with their frequency under the
+    #: exact solution.
     agreement: float
     on_path: float
-    seconds: float  #: What it took.
+    seconds: float  #: Run time, s.
 
 
 def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str] = METHODS) -> list[MethodRow]:
-    """Solve a tree whose players see all past moves with several of :data:`METHODS`."""
+    """Solve a tree with observed past moves by several of :data:`METHODS`."""
     for method in methods:
         if method not in METHODS:
             raise UnknownNameError(f"method {method!r} is unknown; choose from {', '.join(METHODS)}")
@@ -52,13 +56,14 @@ def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str
 
 
 def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: bool = False) -> float:
-    """Share of the decisions at which a profile's likeliest move is a best one against the exact solution.
+    """Return the share of decisions in which a profile's likeliest move is optimal.
 
-    Decisions at which all moves have the same value do not count; 1 if there are no others. With ``on_path`` joint
-    histories count as often as the exact solution leads to them, else equally.
+    A move is optimal if it is a best response to the exact solution. Decisions with equal values of
+    all moves do not count; 1 if there are no others. With ``on_path`` joint histories are weighted
+    with their frequency under the exact solution, else equally.
     """
     game = tree.averaged
-    # What counts as equal depends on the unit of the payoffs; a game without differences has none.
+    # Equality depends on the unit of the payoffs; a game without differences has none.
     span = float(np.ptp(game.payoffs)) or 1.0
     reach = reach_probabilities(game, exact.profile)
     agreed = decisions = 0.0
@@ -75,9 +80,10 @@ def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: 
 
 
 def regret_argmax(tree: GameTree, iterations: int) -> Profile:
-    """Return the pure profile that takes the move of largest cumulative regret everywhere, the first among equals.
+    """Return the pure profile of the moves with the max cumulative regret, the first among equals.
 
-    The paper clips regrets at 0 and chooses arbitrarily where none is left; this takes the largest of all.
+    The paper clips regrets at 0 and chooses arbitrarily if none is left; this function takes the
+    max of all.
     """
 
     def pure(regrets: Floats) -> Floats:

@@ -21,7 +21,7 @@ def write_efg(
     title: str = "pcs-racing",
     move_names: Sequence[tuple[Sequence[str], Sequence[str]]] | None = None,
 ) -> Path:
-    """Write :func:`efg_text` to a file whose name ends in ``.efg``; it appears whole or not at all."""
+    """Write :func:`efg_text` to a file with the suffix ``.efg``, entirely or not at all."""
     target = Path(path)
     if target.suffix != ".efg":
         raise InputError(f"can't write {target}: its name must end in .efg")
@@ -36,10 +36,10 @@ def efg_text(
     title: str = "pcs-racing",
     move_names: Sequence[tuple[Sequence[str], Sequence[str]]] | None = None,
 ) -> str:
-    """Return a tree in Gambit's format: at every node car 0 moves, then car 1 without having seen it.
+    """Return a tree in Gambit's format: at every node car 0 moves, then car 1 without observing it.
 
-    A player with a single move has no node there. Infosets are named by :func:`infoset_name`. Chance that no player
-    sees is left out: the payoffs are then expected ones.
+    A player with a single move has no node there. Infosets are named by :func:`infoset_name`.
+    Chance that no player observes is left out: the payoffs are then expected payoffs.
 
     Parameters
     ----------
@@ -61,15 +61,15 @@ def efg_text(
 
 
 def infoset_name(level: int, row: int) -> str:
-    """Name of an infoset in the file: its level, and its row in a strategy."""
+    """Return the name of an infoset in the file: its level, and its row in a strategy."""
     return f"{level}:{row}"
 
 
 def _lines(tree: GameTree, actions: list[str]) -> Iterator[str]:
-    """All nodes, each before its children."""
+    """Yield all nodes, each before its children."""
     m = tree.depth
     counted = [[tree.rows(k, player) * (tree.moves[k][player] > 1) for player in (0, 1)] for k in range(m)]
-    # OpenSpiel wants the numbers of infosets without gaps.
+    # OpenSpiel requires numbers of infosets without gaps.
     numbers = np.cumsum([[0, 0], *counted], axis=0)
     rows = [(first.tolist(), second.tolist()) for first, second in tree.infosets]
     leaves = [_decimal(value) for value in tree.payoffs.reshape(-1).tolist()]
@@ -102,17 +102,17 @@ def _lines(tree: GameTree, actions: list[str]) -> Iterator[str]:
 
 
 def _decimal(value: float) -> str:
-    """All digits of a number, never with an exponent."""
+    """Return all digits of a number, never with an exponent."""
     return np.format_float_positional(value + 0.0, trim="0")
 
 
 def _shares(tree: GameTree) -> list[str]:
-    """Probabilities that add up to exactly 1, as Gambit demands."""
+    """Return probabilities with a sum of exactly 1, as Gambit requires."""
     if (tree.chance == tree.chance[0]).all():
         return [f"1/{tree.roots}"] * tree.roots
     context = Context(prec=17, rounding=ROUND_HALF_EVEN)
     shares = [context.create_decimal_from_float(p).quantize(Decimal("1e-17")) for p in tree.chance.tolist()]
-    # What rounding leaves goes to the largest, which it changes least.
+    # The remainder of rounding goes to the max share, with the min relative change.
     shares[int(tree.chance.argmax())] += 1 - sum(shares)
     return [f"{share:f}" for share in shares]
 

@@ -1,6 +1,7 @@
 """Evaluation of behaviour profiles: values, reach, action values, best responses and exploitability.
 
-Plain array code for every tree, whatever the players see. It shares nothing with the solvers, so it judges them.
+Plain array code for every tree, whatever the players observe. It shares no code with the solvers,
+so it can judge them.
 """
 
 from typing import NamedTuple
@@ -12,28 +13,32 @@ from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree, Integers
 
 Profile = list[tuple[Floats, Floats]]
-"""For each level the strategies of car 0, shape (rows, A_k), and car 1, shape (rows, B_k): a distribution per row."""
+"""Strategies of car 0, shape (rows, A_k), and car 1, shape (rows, B_k), for each level.
 
-SUM_TOLERANCE = 1e-5  # networks answer in float32
+A row is a distribution.
+"""
+
+SUM_TOLERANCE = 1e-5  # networks have float32 outputs
 
 
 class BestResponse(NamedTuple):
     """A best response to the other player's strategy of a profile."""
 
-    value: float  #: What it then gets.
-    strategy: list[Floats]  #: One pure best response for each level, shape (rows, M_k).
-    #: Value of each move to it in expectation, if it goes on with best responses, shape (rows, M_k).
+    value: float  #: Value of the best response to its player.
+    strategy: list[Floats]  #: Pure best response of each level, shape (rows, M_k).
+    #: Expected value of each move to its player, with best responses afterwards, shape (rows, M_k).
     q: list[Floats]
 
 
 class Exploitability(NamedTuple):
-    """The exploitability of a profile, by player and in total."""
+    """Exploitability of a profile, by player and in total."""
 
-    nash_conv: float  #: Sum of what both players would gain by a best response; 0 in an equilibrium.
-    exploitability: float  #: Half of that.
-    gains: Floats  #: shape (2,): What each player would gain.
-    value: float  #: What the profile pays to car 0.
-    best_responses: Floats  #: shape (2,): What each player gets at best against the other's half.
+    nash_conv: float  #: Sum of both players' gains by a best response; 0 in an equilibrium.
+    exploitability: float  #: Half of ``nash_conv``.
+    gains: Floats  #: shape (2,): Gain of each player.
+    value: float  #: Payoff of the profile to car 0.
+    #: shape (2,): Payoff of each player's best response to the other player's strategy.
+    best_responses: Floats
 
 
 def uniform_profile(tree: GameTree) -> Profile:
@@ -47,7 +52,7 @@ def uniform_profile(tree: GameTree) -> Profile:
 
 
 def check_profile(tree: GameTree, profile: list[tuple[ArrayLike, ArrayLike]] | Profile) -> Profile:
-    """Return a profile as float64 whose rows sum up to 1."""
+    """Return a profile as float64, with rows that sum up to 1."""
     if len(profile) != tree.depth or any(len(pair) != 2 for pair in profile):
         raise InputError(f"a profile of this tree has {tree.depth} pairs of strategies, one for each level")
     checked = []
@@ -71,9 +76,10 @@ def check_profile(tree: GameTree, profile: list[tuple[ArrayLike, ArrayLike]] | P
 
 
 def reach_probabilities(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
-    """For each level, the probability with which each player's own moves lead to each node, shape (nodes,) each.
+    """Return, for each level, the probability that each player's own moves lead to each node.
 
-    A node is reached with the product of both and of its root's chance.
+    Arrays have shape (nodes,). The probability of a node is the product of both and of its root's
+    chance.
     """
     sigma = _at_nodes(tree, check_profile(tree, profile))
     reach = [(np.ones(tree.roots), np.ones(tree.roots))]
@@ -87,7 +93,10 @@ def reach_probabilities(tree: GameTree, profile: Profile) -> list[tuple[Floats, 
 
 
 def node_values(tree: GameTree, profile: Profile) -> list[Floats]:
-    """Expected payoff to car 0 at every node of levels 0 to m if both follow the profile, shape (nodes,) each."""
+    """Return the expected payoff to car 0 at every node if both players follow the profile.
+
+    The list covers levels 0 to m, shape (nodes,) each.
+    """
     sigma = _at_nodes(tree, check_profile(tree, profile))
     values = [tree.payoffs.reshape(-1)]
     for first, second in reversed(sigma):
@@ -97,20 +106,21 @@ def node_values(tree: GameTree, profile: Profile) -> list[Floats]:
 
 
 def play_value(tree: GameTree, profile: Profile) -> float:
-    """Expected payoff to car 0 if both follow the profile."""
+    """Return the expected payoff to car 0 if both players follow the profile."""
     tree = tree.averaged
     return float((tree.chance * node_values(tree, profile)[0]).sum())
 
 
 def q_values(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
-    """Q-values: expected payoff of every move to the player who makes it, if both follow the profile afterwards.
+    """Return Q-values: expected payoffs of moves to their player if both follow the profile afterwards.
 
     Returns
     -------
     list of (ndarray, ndarray)
-        Shapes (rows, A_k) and (rows, B_k): expected over the nodes of an infoset, weighted with how often chance and
-        the other player lead there (evenly where they never do), and over the other's move. For the value against a
-        fixed opponent with best play from then on, see :func:`best_response`.
+        Shapes (rows, A_k) and (rows, B_k): expected over the nodes of an infoset, weighted with the
+        frequency at which chance and the other player lead there (equally if they never do), and
+        over the other player's move. For the value against a fixed opponent with best play
+        afterwards, see :func:`best_response`.
     """
     tree = tree.averaged
     profile = check_profile(tree, profile)
@@ -126,7 +136,7 @@ def q_values(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
 
 
 def advantages(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
-    """Advantages: the q-values of the moves minus their mean under the strategy."""
+    """Return advantages: the Q-values of the moves minus their mean under the strategy."""
     return [
         (q0 - (q0 * s0).sum(axis=1, keepdims=True), q1 - (q1 * s1).sum(axis=1, keepdims=True))
         for (q0, q1), (s0, s1) in zip(q_values(tree, profile), check_profile(tree, profile), strict=True)
@@ -136,14 +146,14 @@ def advantages(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
 def best_response(tree: GameTree, profile: Profile, player: int) -> BestResponse:
     """Compute a player's best response to the other player's strategy of a profile.
 
-    From the last level up, each infoset takes the move of highest expected value, weighting its nodes with how often
-    chance and the other player lead there; with perfect recall the weights do not depend on the player's own moves.
-    Among equal moves the first one is taken.
+    From the last level up, each infoset takes the move with the max expected value. The weights of
+    its nodes are the frequencies at which chance and the other player lead there; with perfect
+    recall they do not depend on the player's own moves. Among equal moves the first one is taken.
 
     Parameters
     ----------
     profile : Profile
-        Its strategies of ``player`` play no role.
+        Strategies of both players; the strategies of ``player`` are not used.
     player : {0, 1}
     """
     if player not in (0, 1):
@@ -162,14 +172,14 @@ def best_response(tree: GameTree, profile: Profile, player: int) -> BestResponse
         best = at_rows.argmax(axis=1)
         strategy.append(np.eye(at_rows.shape[1])[best])
         q.append(at_rows)
-        # One move for the whole infoset, although another might be better at this node: the player can't tell them
-        # apart.
+        # One move for the whole infoset, although another might be better at this node: the player
+        # can't distinguish its nodes.
         values = np.take_along_axis(at_nodes, best[tree.infosets[k][player]][:, None], axis=1)[:, 0]
     return BestResponse(float((tree.chance * values).sum()), strategy[::-1], q[::-1])
 
 
 def exploitability(tree: GameTree, profile: Profile) -> Exploitability:
-    """Measure how far a profile is from an equilibrium (NashConv; Lanctot et al. 2017)."""
+    """Measure the distance of a profile from an equilibrium (NashConv; Lanctot et al. 2017)."""
     value = play_value(tree, profile)
     best = np.array([best_response(tree, profile, player).value for player in (0, 1)])
     gains = best - [value, -value]
@@ -177,7 +187,7 @@ def exploitability(tree: GameTree, profile: Profile) -> Exploitability:
 
 
 def _at_nodes(tree: GameTree, profile: Profile) -> Profile:
-    """Strategies with a row per node."""
+    """Return strategies with a row per node."""
     return [(s0[rows0], s1[rows1]) for (s0, s1), (rows0, rows1) in zip(profile, tree.infosets, strict=True)]
 
 
@@ -186,14 +196,14 @@ def _children(values: Floats, first: Floats, second: Floats) -> Floats:
 
 
 def _over_infosets(tree: GameTree, level: int, player: int, at_nodes: Floats, other_reach: Floats) -> Floats:
-    """Mean of numbers per node over each infoset, weighted with chance and the other's reach."""
+    """Return the mean per infoset of numbers per node, weighted with chance and the other's reach."""
     rows: Integers = tree.infosets[level][player]
     count = tree.rows(level, player)
     if count == len(rows):
         # Every infoset is a node, and they are numbered in the order of the nodes.
         return at_nodes
     weights = other_reach * np.repeat(tree.chance, len(rows) // tree.roots)
-    # Where the other player never comes, all nodes count equally: their weights would sum up to 0.
+    # All nodes count equally if the other player never comes: their weights would sum up to 0.
     never = np.bincount(rows, weights, count)[rows] == 0.0
     weights = np.where(never, 1.0, weights)
     total = np.bincount(rows, weights, count)

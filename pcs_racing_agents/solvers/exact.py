@@ -1,4 +1,4 @@
-"""Exact solutions: backward induction where all past moves are seen, the sequence-form linear program elsewhere.
+"""Exact solutions: backward induction for observed past moves, else the sequence-form linear program.
 
 In backward induction every node is a zero-sum matrix game over the values of its children.
 """
@@ -14,23 +14,24 @@ from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 
 
 class ExactResult(NamedTuple):
-    """The solution of a tree whose players see all past moves."""
+    """Solution of a tree whose players observe all past moves."""
 
     value: float  #: Value of the game to car 0.
-    #: An equilibrium, and one in every subtree (subgame perfect). Where there are several it is one of them.
+    #: Equilibrium, also in every subtree (subgame perfect); one of them, if there are several.
     profile: Profile
     node_values: list[Floats]  #: Value of each joint history of levels 0 to m to car 0, shape (rows,).
     #: Value of each move to its player against the equilibrium, shapes (rows, A_k) and (rows, B_k).
     q: list[tuple[Floats, Floats]]
-    #: The same above the node's value: 0 for the moves of the equilibrium, below 0 for mistakes.
+    #: Values ``q`` minus the node's value: 0 for the moves of the equilibrium, below 0 for
+    #: mistakes.
     advantages: list[tuple[Floats, Floats]]
-    gap: float  #: Largest sum of what the players of one matrix game could still gain: rounding errors.
+    gap: float  #: Max sum of both players' possible gains in one matrix game: rounding errors.
 
 
 def solve_exact(tree: GameTree) -> ExactResult:
     """Solve a game of observed past moves exactly.
 
-    Chance that no player sees is averaged out first; rows are then joint histories.
+    Chance that no player observes is averaged out first; rows are then joint histories.
     """
     game = tree.averaged
     if not game.perfect:
@@ -44,7 +45,7 @@ def solve_exact(tree: GameTree) -> ExactResult:
     for k in reversed(range(game.depth)):
         games = values[-1].reshape(-1, *game.moves[k])
         solution = solve_matrix_games(games)
-        # Sums in a fixed order: BLAS would choose one by the processor.
+        # Sums in a fixed order: the order of BLAS depends on the processor.
         q0 = np.einsum("gab,gb->ga", games, solution.columns)
         q1 = -np.einsum("ga,gab->gb", solution.rows, games)
         values.append(solution.values)
@@ -60,29 +61,31 @@ class SequenceSolution(NamedTuple):
     """An equilibrium of a tree."""
 
     value: float  #: Value of the game to car 0.
-    profile: Profile  #: An equilibrium; infosets that a player's own moves never lead to get the even distribution.
+    #: Equilibrium; infosets that a player's own moves never reach have the uniform distribution.
+    profile: Profile
 
 
 class _Sequences(NamedTuple):
-    """A player's sequences (an infoset and a move there; number 0 is the empty one) and the plans over them."""
+    """Sequences of a player (an infoset and a move there; number 0 is empty), for plans over them."""
 
     begin: list[int]  #: Number of the first sequence of each level.
-    parents: list[Integers]  #: shape (rows,): The sequence that leads to each infoset.
+    parents: list[Integers]  #: shape (rows,): Sequence that leads to each infoset.
     size: int
-    leaves: Integers  #: shape (roots * leaves,): The sequence that leads to each leaf.
+    leaves: Integers  #: shape (roots * leaves,): Sequence that leads to each leaf.
 
 
 def solve_sequence_form(tree: GameTree) -> SequenceSolution:
     """Solve any tree by linear programming (Koller, Megiddo and von Stengel 1996), with scipy's HiGHS.
 
-    The size of the program grows with the infosets, not with plans for all of them. Exact to about 1e-9 of the largest
-    payoff: :func:`~pcs_racing_agents.solvers.exploitability` tells. Slow on large trees; where all past moves are seen,
+    The size of the program grows with the infosets, not with plans for all of them. The solution is
+    exact to about 1e-9 of the max payoff; :func:`~pcs_racing_agents.solvers.exploitability`
+    measures its error. The method is slow on large trees; for observed past moves
     :func:`~pcs_racing_agents.solvers.solve_exact` is a thousand times faster.
     """
     from scipy.sparse import coo_array
 
     game = tree.averaged
-    # HiGHS has absolute tolerances: payoffs are brought to the size of 1.
+    # HiGHS has absolute tolerances: payoffs are scaled to the size of 1.
     scale = float(np.abs(game.payoffs).max()) or 1.0
     weighted = (game.chance[:, None] * game.payoffs / scale).reshape(-1)
     first, second = _sequences(game, 0), _sequences(game, 1)
@@ -94,13 +97,13 @@ def solve_sequence_form(tree: GameTree) -> SequenceSolution:
         (_behaviour(game, k, 0, first, plans[0][1]), _behaviour(game, k, 1, second, plans[1][1]))
         for k in range(game.depth)
     ]
-    # There is a program for each player; both give the value, each with a rounding error of its own.
+    # Each player has a program; both give the value, each with its own rounding error.
     return SequenceSolution(float(plans[0][0] - plans[1][0]) / 2.0 * scale, profile)
 
 
 def _sequences(game: GameTree, player: int) -> _Sequences:
     begin, parents, count = [], [], 1
-    # The sequence that leads to each node.
+    # Sequence that leads to each node.
     reached = np.zeros(game.roots, dtype=np.int64)
     for k in range(game.depth):
         rows = game.infosets[k][player]
@@ -118,7 +121,10 @@ def _sequences(game: GameTree, player: int) -> _Sequences:
 
 
 def _flow(player: _Sequences) -> Any:
-    """Matrix E of the plans x >= 0 with E x = (1, 0, 0, ...): each infoset hands on what leads to it."""
+    """Return the matrix E of the plans x >= 0 with E x = (1, 0, 0, ...).
+
+    A row says that the outflow of an infoset is its inflow.
+    """
     from scipy.sparse import coo_array
 
     rows: list[Any] = [[0]]
@@ -138,7 +144,7 @@ def _flow(player: _Sequences) -> Any:
 
 
 def _best_plan(own: _Sequences, other: _Sequences, gains: Any) -> tuple[float, Floats]:
-    """Maximise, over plans x, what is left after the other's best reply: max q_0 with F' q <= G' x."""
+    """Maximise the value against the best response over plans x: max q_0 with F' q <= G' x."""
     from scipy.optimize import linprog
     from scipy.sparse import block_array, coo_array
 
@@ -164,7 +170,7 @@ def _best_plan(own: _Sequences, other: _Sequences, gains: Any) -> tuple[float, F
 
 
 def _behaviour(game: GameTree, level: int, player: int, sequences: _Sequences, plan: Floats) -> Floats:
-    """Probabilities of the moves at each infoset of a level, from a plan."""
+    """Return the probabilities of the moves at each infoset of a level, from a plan."""
     begin, count = sequences.begin[level], game.moves[level][player]
     weights = np.maximum(plan[begin : begin + game.rows(level, player) * count].reshape(-1, count), 0.0)
     total = weights.sum(axis=1, keepdims=True)

@@ -1,7 +1,7 @@
-"""The game tree as dense arrays: simultaneous moves, level by level, with payoffs at the leaves.
+"""Game tree as dense arrays: simultaneous moves, level by level, with payoffs at the leaves.
 
-All nodes of a level stand in one array, in row-major order of their history. That makes every algorithm on the tree a
-few array operations per level, and a strategy one array per level and player.
+All nodes of a level are in one array, in row-major order of their history. So every algorithm on
+the tree is a few array operations per level, and a strategy is one array per level and player.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 CHANCE_TOLERANCE = 1e-9
-LARGEST = 1e100  # so that sums and products stay finite
+LARGEST = 1e100  # max payoff: sums and products stay finite
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,25 +30,28 @@ class GameTree:
     nodes of one *information set* (infoset), so its strategy is an array with a row per infoset.
     """
 
-    payoffs: Floats  #: shape (roots, leaves): What each leaf pays to car 0; car 1 gets minus that. Read-only.
-    moves: tuple[tuple[int, int], ...]  #: ``(A_k, B_k)``: how many moves car 0 and car 1 have at each level.
+    #: shape (roots, leaves): Payoff of each leaf to car 0; car 1 gets minus the payoff. Read-only.
+    payoffs: Floats
+    #: Numbers of moves ``(A_k, B_k)`` of car 0 and car 1 at each level.
+    moves: tuple[tuple[int, int], ...]
     chance: Floats  #: shape (roots,): Probability of each root.
-    #: For each level and player the row of every node, shape (roots * N_k,). Infosets are numbered in the order in
-    #: which their first nodes come.
+    #: Row of every node for each level and player, shape (roots * N_k,). Infosets are numbered in
+    #: the order of their first nodes.
     infosets: tuple[tuple[Integers, Integers], ...]
 
     @classmethod
     def from_payoffs(cls, payoffs: ArrayLike, chance: ArrayLike | None = None) -> "GameTree":
-        """Make a tree in which both players see all past moves.
+        """Make a tree with all past moves observed by both players.
 
         Parameters
         ----------
         payoffs : array, shape (A_0, B_0, A_1, B_1, ...)
-            What car 0 gets for each sequence of moves, in the order car 0, car 1, car 0, ... With ``chance``, the
-            first axis is its outcome: (S, A_0, B_0, ...).
+            Payoff to car 0 for each sequence of moves, in the order car 0, car 1, car 0, ... With
+            ``chance``, the first axis is its outcome: (S, A_0, B_0, ...).
         chance : array, shape (S,), optional
-            Probabilities of outcomes (seeds of the noise, say) that no player sees; they are at least 0 and sum up to
-            1. See :meth:`with_infosets` for outcomes that a player sees.
+            Probabilities of outcomes (such as seeds of the noise) that no player observes; they are
+            at least 0 and sum up to 1. See :meth:`with_infosets` for outcomes that a player
+            observes.
         """
         table = _real(payoffs, "payoffs")
         if chance is None:
@@ -69,7 +72,8 @@ class GameTree:
             raise InputError(f"chance is {weights.tolist()}; probabilities are at least 0 and sum up to 1")
         roots, moves = len(table), tuple(zip(table.shape[1::2], table.shape[2::2], strict=True))
         histories = [int(np.prod(table.shape[1 : 2 * k + 1])) for k in range(len(moves))]
-        # Whatever chance has drawn, the same joint history is the same infoset: nobody sees the outcome.
+        # The same joint history is the same infoset for every outcome of chance: no player observes
+        # it.
         rows = [np.tile(np.arange(count), roots) for count in histories]
         flat = np.array(table.reshape(roots, -1), order="C")
         return cls(_fixed(flat), moves, _fixed(weights / weights.sum()), tuple((_fixed(r), _fixed(r)) for r in rows))
@@ -98,11 +102,11 @@ class GameTree:
         return replace(self, infosets=tuple(infosets))
 
     def with_observations(self, observations: Sequence[tuple[ArrayLike, ArrayLike]]) -> "GameTree":
-        """Return the tree whose players see these observations and their own moves, and remember all of them.
+        """Return the tree whose players observe these numbers and their own moves, with perfect recall.
 
-        ``observations``: for each level, what car 0 and car 1 see at every node: shape (roots * N_k,) or (roots * N_k,
-        d). Nodes whose numbers are all equal look the same: round measured numbers to the precision of the player's
-        sensors.
+        ``observations``: for each level, the observations of car 0 and car 1 at every node: shape
+        (roots * N_k,) or (roots * N_k, d). Nodes with equal numbers look the same: round measured
+        numbers to the precision of the player's sensors.
         """
         self._check_levels(observations, "observations")
         infosets: list[tuple[Integers, Integers]] = []
@@ -117,7 +121,7 @@ class GameTree:
                     )
                 key = observed.reshape(len(observed), -1)
                 if k:
-                    # What was seen before and the own last move are remembered: perfect recall.
+                    # The earlier observations and the own last move are remembered: perfect recall.
                     key = np.column_stack([self._past(k, player, infosets[k - 1][player]), key])
                 rows.append(_numbered(np.unique(key, axis=0, return_inverse=True)[1].reshape(-1)))
             infosets.append((rows[0], rows[1]))
@@ -144,11 +148,11 @@ class GameTree:
         return len(self.chance)
 
     def nodes(self, level: int) -> int:
-        """Number of nodes of a level; level m are the leaves."""
+        """Return the number of nodes of a level; level m are the leaves."""
         return self.roots * int(np.prod([a * b for a, b in self.moves[:level]], dtype=np.int64))
 
     def rows(self, level: int, player: int) -> int:
-        """Number of a player's infosets at a level: the rows of its strategy."""
+        """Return the number of a player's infosets at a level: the rows of its strategy."""
         return self._row_counts[level][player]
 
     @cached_property
@@ -159,12 +163,18 @@ class GameTree:
 
     @cached_property
     def perfect(self) -> bool:
-        """Whether every infoset holds one node: both players see everything but the other's simultaneous move."""
+        """True if every infoset holds one node.
+
+        Both players then observe everything except the other player's simultaneous move.
+        """
         return all(self.rows(k, player) == self.nodes(k) for k in range(self.depth) for player in (0, 1))
 
     @cached_property
     def hides_chance(self) -> bool:
-        """Whether both players see all past moves and nothing of chance: their infosets are the joint histories."""
+        """True if both players observe all past moves and nothing of chance.
+
+        Their infosets are then the joint histories.
+        """
         return all(
             np.array_equal(rows, np.tile(np.arange(self.nodes(k) // self.roots), self.roots))
             for k, pair in enumerate(self.infosets)
@@ -173,7 +183,10 @@ class GameTree:
 
     @cached_property
     def averaged(self) -> "GameTree":
-        """The tree with expected payoffs, where chance is hidden (profiles keep their rows); else the tree itself."""
+        """Tree with expected payoffs, if chance is hidden; else the tree itself.
+
+        Profiles keep their rows.
+        """
         if self.roots == 1 or not self.hides_chance:
             return self
         shape = [size for pair in self.moves for size in pair]
@@ -186,7 +199,7 @@ class GameTree:
             raise InputError(f"{name} must be {self.depth} pairs, one for each level: of car 0 and of car 1")
 
     def _past(self, level: int, player: int, before: Integers) -> Integers:
-        """For every node of a level: a number for the player's infoset and own move one level up."""
+        """Return, per node of a level, a number for the player's infoset and own move one level up."""
         a, b = self.moves[level - 1]
         child = np.arange(self.nodes(level))
         own = (child // b) % a if player == 0 else child % b

@@ -1,14 +1,15 @@
-"""A compiled exact solver for many zero-sum matrix games.
+"""Compiled exact solver for many zero-sum matrix games.
 
-An agent that looks ahead solves thousands of small games for one decision, so the simplex method is compiled here: a
-game of 5 x 5 moves takes 1 microsecond, with scipy's HiGHS 4 milliseconds. It does the same operations on every
-processor, so that agents make the same moves everywhere.
+An agent that looks ahead solves thousands of small games for one decision, so the simplex method is
+compiled here: a game of 5 x 5 moves takes 1 microsecond, with scipy's HiGHS 4 milliseconds. It does
+the same operations on every processor, so that agents make the same moves everywhere.
 
-A saddle point is taken where there is one. Otherwise the simplex method solves the linear program of Dantzig (1951):
-with all payoffs made positive, the column player finds max sum(y) subject to P y <= 1, y >= 0; the game's value is
-1 / sum(y), and the dual solution is the row player's strategy. What the two could still gain is measured on every
-solution; a game whose moves are so nearly equal that rounding led astray (payoffs that differ by a billionth of their
-range) is solved once more in whole numbers.
+A saddle point is taken if there is one. Otherwise the simplex method solves the linear program of
+Dantzig (1951): with all payoffs made positive, the column player finds max sum(y) subject to P y <=
+1, y >= 0; the game's value is 1 / sum(y), and the dual solution is the row player's strategy. The
+remaining gains of both players are measured on every solution. If rounding fails on a game with
+nearly equal moves (payoffs that differ by a billionth of their range), the game is solved once more
+in whole numbers.
 """
 
 from typing import NamedTuple
@@ -22,10 +23,10 @@ from pcs_racing_agents.solvers.game_tree import Floats
 from pcs_racing_agents.solvers.rational_games import solve_rationally
 
 TOLERANCE = 1e-14
-"""The reduced cost of a move must exceed this, in units of the payoffs' range, for the simplex method to go on."""
+"""Min reduced cost of a move, in units of the payoffs' range, for another simplex step."""
 
 SMALLEST_PIVOT = 1e-11
-"""In units of the payoffs' range."""
+"""Min pivot, in units of the payoffs' range."""
 
 GOOD_GAP = 1e-12
 """Gap, in units of the payoffs' range, above which a game is solved again in whole numbers."""
@@ -34,25 +35,27 @@ GOOD_GAP = 1e-12
 class MatrixSolution(NamedTuple):
     """Equilibria of B matrix games."""
 
-    values: Floats  #: shape (B,): What the row player gets.
-    #: shapes (B, A) and (B, C): ``rows``, ``columns``: Strategies of the row player, who maximises, and of the column
-    #: player, who minimises.
+    values: Floats  #: shape (B,): Payoff to the row player.
+    #: shapes (B, A) and (B, C): Strategies of the row player (``rows``), who maximises, and of the
+    #: column player (``columns``), who minimises.
     rows: Floats
     columns: Floats
-    gaps: Floats  #: shape (B,): What the two players could gain by best replies, added up: rounding errors.
+    #: shape (B,): Sum of both players' possible gains by best responses: rounding errors.
+    gaps: Floats
 
 
 def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     """Solve zero-sum matrix games.
 
-    Where a game has several equilibria, one of them is returned, always the same.
+    If a game has several equilibria, one of them is returned, always the same.
 
     Parameters
     ----------
     payoffs : array, shape (B, A, C) or (A, C)
-        What the row player gets, who has A moves against C; the column player gets minus that.
+        Payoffs to the row player, with A moves against C; the column player gets minus the payoffs.
     """
-    # Writeable, although nothing is written: numba compiles read-only arrays, as a tree's are, as a type of their own.
+    # Writeable, although nothing is written: numba compiles read-only arrays, such as a tree's, as
+    # a type of their own.
     games = np.require(payoffs, np.float64, ["C", "W"])
     if games.ndim not in (2, 3) or 0 in games.shape:
         raise InputError(f"payoffs have shape {games.shape}; they must have (B, A, C) or (A, C), none of them 0")
@@ -74,7 +77,7 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
 
 @compiled
 def _solve_games(games, values, rows, columns, gaps):  # type: ignore[no-untyped-def]
-    """Solve games of shape (B, A, C) into arrays like those of :class:`MatrixSolution`."""
+    """Solve games of shape (B, A, C) into the arrays of a :class:`MatrixSolution`."""
     count, a, c = games.shape
     table = np.empty((a + 1, c + 1))
     labels = np.empty(a + c, np.int64)
@@ -90,7 +93,7 @@ def _solve_games(games, values, rows, columns, gaps):  # type: ignore[no-untyped
 
 @kernel
 def _saddle_point(game, row, column):  # type: ignore[no-untyped-def]
-    """Whether there is an equilibrium in pure moves; if so, write the first one into ``row`` and ``column``."""
+    """Return whether a pure equilibrium exists; write the first one into ``row`` and ``column``."""
     a, c = game.shape
     best, best_row = -np.inf, 0
     for i in range(a):
@@ -119,7 +122,7 @@ def _saddle_point(game, row, column):  # type: ignore[no-untyped-def]
 
 @kernel
 def bounds(game):  # type: ignore[no-untyped-def]
-    """Smallest and largest payoff."""
+    """Return min and max payoff."""
     low, high = game[0, 0], game[0, 0]
     for i in range(game.shape[0]):
         for j in range(game.shape[1]):
@@ -129,7 +132,10 @@ def bounds(game):  # type: ignore[no-untyped-def]
 
 @kernel
 def _expected(game, low, row, column):  # type: ignore[no-untyped-def]
-    """Expected payoff to the row player, summed above the smallest payoff: a large common offset costs no digits."""
+    """Return the expected payoff to the row player.
+
+    It is summed above the min payoff: a large common offset costs no digits.
+    """
     total = 0.0
     for i in range(row.size):
         for j in range(column.size):
@@ -139,7 +145,10 @@ def _expected(game, low, row, column):  # type: ignore[no-untyped-def]
 
 @kernel
 def _duality_gap(game, low, row, column):  # type: ignore[no-untyped-def]
-    """What the best reply to the column player gets, minus what the best reply to the row player leaves."""
+    """Return the max payoff against the column player minus the min payoff against the row player.
+
+    Each is the payoff of a best response.
+    """
     most, least = -np.inf, np.inf
     for i in range(row.size):
         total = 0.0
@@ -158,14 +167,14 @@ def _duality_gap(game, low, row, column):  # type: ignore[no-untyped-def]
 def _simplex(game, low, high, table, labels, row, column):  # type: ignore[no-untyped-def]
     """Solve a game that has no saddle point by the simplex method on a condensed tableau.
 
-    ``labels`` holds the variable of each row of the tableau, then that of each column: 0 to C - 1 are the column
-    player's moves, C + i the slack of the row player's move i. Moves enter by the largest gain, and after a while by
-    the smallest label (Bland 1977), which never cycles.
+    ``labels`` holds the variable of each row of the tableau, then the variable of each column: 0 to
+    C - 1 are the column player's moves, C + i is the slack of the row player's move i. Moves enter
+    by the max gain, and after a while by the min label (Bland 1977), which never cycles.
     """
     a, c = game.shape
     _begin(game, low, high, table, labels)
     for step in range(50 * (a + c)):
-        # The largest gain is the faster rule, but it can go round in circles where many moves are equal.
+        # The max gain is the faster rule, but it can cycle if many moves are equal.
         bland = step >= 4 * (a + c)
         enter = _entering(table, labels, a, c, bland)
         if enter < 0:
@@ -190,7 +199,7 @@ def _simplex(game, low, high, table, labels, row, column):  # type: ignore[no-un
 
 @kernel
 def _begin(game, low, high, table, labels):  # type: ignore[no-untyped-def]
-    """Tableau of the basis of slacks, with payoffs scaled into [1, 2]."""
+    """Write the tableau of the basis of slacks, with payoffs scaled into [1, 2]."""
     a, c = game.shape
     scale = 1.0 / (high - low)
     for i in range(a):
@@ -206,7 +215,7 @@ def _begin(game, low, high, table, labels):  # type: ignore[no-untyped-def]
 
 @kernel
 def _entering(table, labels, a, c, bland):  # type: ignore[no-untyped-def]
-    """Column of the variable to enter, or -1 at the optimum."""
+    """Return the column of the variable to enter, or -1 at the optimum."""
     column = -1
     for j in range(c):
         if table[a, j] < -TOLERANCE:
@@ -222,7 +231,10 @@ def _entering(table, labels, a, c, bland):  # type: ignore[no-untyped-def]
 
 @kernel
 def _leaving(table, labels, a, c, enter, bland):  # type: ignore[no-untyped-def]
-    """Row of the variable that reaches 0 first; among equals the largest pivot, or by Bland the smallest label."""
+    """Return the row of the variable that reaches 0 first.
+
+    Among equals it takes the max pivot, or by Bland the min label.
+    """
     row, best = -1, np.inf
     for i in range(a):
         size = table[i, enter]
@@ -242,7 +254,7 @@ def _leaving(table, labels, a, c, enter, bland):  # type: ignore[no-untyped-def]
 
 @kernel
 def _pivot(table, labels, a, c, leave, enter):  # type: ignore[no-untyped-def]
-    """Exchange a row's variable for a column's."""
+    """Exchange the variables of a row and a column."""
     inverse = 1.0 / table[leave, enter]
     for j in range(c + 1):
         if j != enter:

@@ -1,6 +1,7 @@
 """Conversion of trees to games of OpenSpiel, and of strategies in both directions.
 
-:func:`efg_game` hands a tree to OpenSpiel's C++ as an extensive form file. Algorithms in Python take that game, too.
+:func:`efg_game` passes a tree to OpenSpiel's C++ as an extensive form file. Algorithms in Python
+take that game, too.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,12 +16,18 @@ from pcs_racing_agents.solvers.game_tree import GameTree
 
 
 def efg_game(tree: GameTree) -> Any:
-    """Return a tree as a game of OpenSpiel's C++ (``pyspiel.load_efg_game``): car 0 moves first, unseen by car 1."""
+    """Return a tree as a game of OpenSpiel's C++ (``pyspiel.load_efg_game``).
+
+    Car 0 moves first; car 1 does not observe its move.
+    """
     return _pyspiel().load_efg_game(efg_text(tree))
 
 
 def efg_policy(tree: GameTree, profile: Profile) -> dict[str, list[tuple[int, float]]]:
-    """Return a profile as OpenSpiel's functions take it for :func:`efg_game`: information state to (move, share)."""
+    """Return a profile in the form of OpenSpiel's functions for :func:`efg_game`.
+
+    The form is information state to (move, share).
+    """
     game = tree.averaged
     keys = _efg_keys(game)
     policy = {}
@@ -33,7 +40,7 @@ def efg_policy(tree: GameTree, profile: Profile) -> dict[str, list[tuple[int, fl
 
 
 def efg_profile(tree: GameTree, policy: Mapping[str, Sequence[tuple[int, float]]]) -> Profile:
-    """Return a tabular policy of :func:`efg_game` (``policy.policy_table()``, say) as a profile."""
+    """Return a tabular policy of :func:`efg_game`, such as ``policy.policy_table()``, as a profile."""
     game = tree.averaged
     keys = _efg_keys(game)
     profile = []
@@ -56,7 +63,7 @@ def efg_profile(tree: GameTree, policy: Mapping[str, Sequence[tuple[int, float]]
 
 
 def _efg_keys(game: GameTree) -> dict[tuple[int, int, int], str]:
-    """OpenSpiel's string for each (player, level, row) that has a decision."""
+    """Return OpenSpiel's string for each (player, level, row) with a decision."""
     keys, numbers = {}, [0, 0]
     for k, moves in enumerate(game.moves):
         for player in (0, 1):

@@ -1,8 +1,9 @@
-"""An exact solver of one zero-sum matrix game in rational numbers, for the rare game that rounding defeats.
+"""Exact solver of one zero-sum matrix game in rational numbers, for rare games with rounding failures.
 
-Every float is a fraction with a power of two below, so a game of floats can be scaled to whole numbers. The simplex
-method then runs on a tableau of whole numbers with one common denominator (Edmonds' integer pivoting; see Avis 2000,
-"lrs: a revised implementation of the reverse search vertex enumeration algorithm"), with Bland's rule against cycles.
+Every float is a fraction with a power of two as denominator, so a game of floats can be scaled to
+whole numbers. The simplex method then runs on a tableau of whole numbers with one common
+denominator (Edmonds' integer pivoting; see Avis 2000, "lrs: a revised implementation of the reverse
+search vertex enumeration algorithm"), with Bland's rule against cycles.
 """
 
 from fractions import Fraction
@@ -13,14 +14,17 @@ from pcs_racing_agents.solvers.game_tree import Floats
 
 
 def solve_rationally(game: Floats) -> tuple[float, Floats, Floats]:
-    """Solve a matrix game, shape (A, C): value, and strategies of row and column. Only the answer is rounded."""
+    """Solve a matrix game, shape (A, C): return the value, and strategies of row and column.
+
+    Only the result is rounded.
+    """
     a, c = game.shape
     exact = [[Fraction(value) for value in line] for line in game.tolist()]
     low = min(min(line) for line in exact)
     unit = (max(max(line) for line in exact) - low) or Fraction(1)
-    # All payoffs above 0: then the game's value is, too.
+    # All payoffs are above 0, and so is the game's value.
     table = [[value - low + unit for value in line] for line in exact]
-    # All denominators are powers of two, so the largest is their common multiple.
+    # All denominators are powers of two, so the max is their common multiple.
     scale = max(value.denominator for line in table for value in line)
     rows = [[int(value * scale) for value in line] + [1] for line in table]
     rows.append([-1] * c + [0])
@@ -30,7 +34,7 @@ def solve_rationally(game: Floats) -> tuple[float, Floats, Floats]:
         gaining = [j for j in range(c) if rows[a][j] < 0]
         if not gaining:
             break
-        # Bland's rule: always the smallest label, which never cycles.
+        # Bland's rule: always the min label, which never cycles.
         enter = min(gaining, key=lambda j: across[j])
         limits = [(Fraction(rows[i][c], rows[i][enter]), down[i], i) for i in range(a) if rows[i][enter] > 0]
         leave = min(limits)[2]

@@ -1,4 +1,4 @@
-"""Construction of a game tree by simulation, level by level, all nodes of a level in one batch; and its root."""
+"""Construction of a game tree by simulation: its root, and its levels, each in one batch."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -18,31 +18,31 @@ from pcs_racing_agents.trees.tree import PolicyPaths, RaceTree, check_size, poli
 
 Indices = NDArray[np.int64]
 
-ATTEMPTS = 20  # as many as RaceGame.reset makes
+ATTEMPTS = 20  # same number as in RaceGame.reset
 NOISY_SEEDS = 4
 
 
 class Root(NamedTuple):
-    """The root of a tree: policies, start and noise."""
+    """Root of a tree: policies, start and noise."""
 
     policies: Indices  #: shape (2,)
     start_s: float  #: Arc length of the start line, m.
-    side: int  #: 0 when car 0 starts on the left or in front.
+    side: int  #: Side of car 0: 0 on the left or in front.
     seeds: NDArray[np.uint64]  #: shape (S,): Keys of the games.
 
 
 def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
     """Choose pairs of starting policies, shape (count, 2).
 
-    The policies are a diverse choice of about ``2 sqrt(count)`` of the archive's (:func:`select_diverse`); no pair
-    comes twice before all of them have come once, whichever way round.
+    The policies are a diverse choice of about ``2 sqrt(count)`` policies of the archive
+    (:func:`select_diverse`). No pair repeats, in either order, before all pairs have occurred once.
 
     Parameters
     ----------
     count : int
-        1 to 100,000.
+        Number of pairs, 1 to 100,000.
     seed : int
-        Of the choice.
+        Seed of the choice.
     """
     from pcs_racing_agents.policies.diverse import select_diverse
 
@@ -57,17 +57,17 @@ def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
 
 
 def default_seeds(game: RaceGame) -> int:
-    """Noise seeds of a root: one where there is no noise, four where there is."""
+    """Return the default number of noise seeds of a root: 1 without noise, 4 with noise."""
     return NOISY_SEEDS if game.config.race.steering_noise > 0.0 else 1
 
 
 def draw_root(game: RaceGame, policies: Indices, seeds: int, rng: np.random.Generator) -> Root:
-    """Draw start line, side and noise for a pair of policies, so that neither car crashes before the first move.
+    """Draw start line, side and noise for a pair of policies; no car crashes before the first move.
 
-    The games of a root, one for each of the ``seeds``, differ in their noise alone.
+    A root has ``seeds`` games, which differ only in their noise.
     """
-    # Like `RaceGame.reset`, it draws again where a car crashes, and gives up after some attempts: a pair that always
-    # crashes has a tree of nothing but crashes.
+    # Like `RaceGame.reset`, it draws again after a crash, up to a limit of attempts: a pair that
+    # always crashes has a tree of crashes only.
     noisy = game.config.race.steering_noise > 0.0
     start_s, side, kept = 0.0, 0, np.zeros(0, np.uint64)
     for _ in range(ATTEMPTS):
@@ -94,22 +94,23 @@ def build_tree(
 ) -> RaceTree:
     """Build the tree of all moves in a game from one start.
 
-    Histories of moves that pass through the same policies are driven once, a crash ends its branch, and the last step
-    of two cars that are out of each other's sight is put together from their single drives
+    Histories of moves that pass through the same policies are driven once. A crash ends its branch.
+    The last step of two cars out of each other's sight is combined from their single drives
     (:mod:`pcs_racing_agents.trees.driving`). None of that changes a bit of the result.
 
     Parameters
     ----------
     game : RaceGame
-        Both cars drive policies of its archive.
+        Game; both cars drive policies of its archive.
     policies : array of int, shape (2,)
-        Policies that the cars start with.
+        Starting policies of the cars.
     start : Starts of one start, or (float, int)
         Arc length of the start line (m) and side.
     seeds : array of int, shape (S,), optional
-        Keys of the games, as for :meth:`RaceGame.reset`; key 0 by default. Without steering noise a single one.
+        Keys of the games, as for :meth:`RaceGame.reset`; key 0 by default. A single key without
+        steering noise.
     share : bool
-        Whether to put last steps together instead of driving all of them.
+        Whether to combine last steps from single drives instead of driving all of them.
     """
     check_game(game)
     place = start if isinstance(start, Starts) else Starts(*(np.array([value]) for value in start))
@@ -167,18 +168,18 @@ Grown = tuple[
 
 
 def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: bool) -> Grown:
-    """Build the tree of one seed: payoffs, and for each level leads, estimates and which races are over."""
+    """Build the tree of one seed: payoffs, and for each level leads, estimates and ended races."""
     moves, axes = game.config.moves, len(game.characteristics)
-    races = root.race  # those of the level that go on
-    row = np.where(races.crashed, -1, 0).reshape(1, 1)  # of each pair of paths in ``races``, -1 where it is over
+    races = root.race  # races of the level that go on
+    row = np.where(races.crashed, -1, 0).reshape(1, 1)  # row in `races` of each pair, -1 if over
     payoffs = np.where(races.crashed, reward(game.config, races, 0), 0.0).reshape(1, 1)
     leads = [root.leads[:, 0].reshape(1, 1)]
     estimates = [root.estimates[:, :, 0].reshape(1, 1, 2, axes).astype(np.float32)]
     over = [row < 0]
     driven = live = 1
     for k in range(1, moves + 1):
-        # A pair of paths continues the race of the pair of their parents.
-        # Paths of one car and of the other are independent: all pairs of them stand in a matrix.
+        # A pair of paths continues the race of the pair of their parents. The paths of the two cars
+        # are independent: all pairs of them form a matrix.
         above = np.ix_(*(path.parent[k] for path in paths))
         parents, payoffs = row[above], payoffs[above]
         at = np.nonzero(parents >= 0)
@@ -205,7 +206,7 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
         row[at[0][go_on], at[1][go_on]] = np.arange(len(go_on))
         races = type(below)._make(array[go_on] for array in below)
         driven += len(rows)
-    # A pair of paths counts once for every joint history that goes along it.
+    # A pair of paths counts once for every joint history along it.
     weights = [np.bincount(path.history[moves]) for path in paths]
     crashes = int(weights[0] @ crashed.astype(np.int64) @ weights[1])
     return payoffs.astype(np.float32), leads, estimates, over, (driven, live, crashes)

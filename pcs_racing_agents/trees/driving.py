@@ -1,17 +1,18 @@
-"""Simulation of the nodes of a tree's level from the states of the level above, in chunks that threads share.
+"""Simulation of a level of a tree from the states of the level above, in chunks for threads.
 
-A thread drives its races from beginning to end. Threads that waited for each other whenever progress is noted, every
-0.1 s, would gain much less.
+A thread drives its races from beginning to end. Threads that waited for each other at every sample
+of progress, every 0.1 s, would gain much less.
 
-The last step of games whose cars are out of each other's sight is driven only once for each car (:func:`finish`). A
-driver that promises a limited ``sight`` (:class:`pcs_racing.Planner`) drives the same whatever happens beyond it. From
-a moment at which the cars are that far apart, ``n`` policies of one car and ``n`` of the other make ``n * n`` races,
-but only ``2 n`` different drives: ``n`` races show them all. The others are put together from them, if the cars would
-not have come near each other and neither crashed; otherwise they are driven, too. The result is the same to the last
-bit. Steering noise changes nothing of that, since it depends on the race's seed, the car and the time alone.
+The last step of games with the cars out of each other's sight is driven only once for each car
+(:func:`finish`). A planner with a limited ``sight`` (:class:`pcs_racing.Planner`) drives the same
+whatever happens beyond it. Once the cars are that far apart, ``n`` policies of one car and ``n``
+policies of the other make ``n * n`` races, but only ``2 n`` different drives: ``n`` races show all
+drives. The other races are combined from these drives, if the cars would not have come near each
+other and neither crashed; otherwise they are driven, too. The result is the same to the last bit,
+with steering noise as well: the noise depends only on the race's seed, the car and the time.
 
-That holds for progress and crashes, which is what the end of a game counts. The minimum time to collision sees the
-other car at any distance, so steps in which it is measured are driven one by one.
+This holds for progress and crashes, which the end of a game counts. The minimum time to collision
+depends on the other car at any distance, so steps with a measurement of it are driven one by one.
 """
 
 from collections.abc import Callable
@@ -32,16 +33,16 @@ Indices = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 CHUNK = 64
-"""Races that a thread drives at a time: about 30 ms of work, and 1.2 kB of state each."""
+"""Races that a thread drives at a time: about 30 ms of work, and 1.2 kB of state per race."""
 
 MARGIN = 2.0
-"""Distance beyond the sight, m: more than the gap can change in the 0.1 s between two looks at it."""
+"""Distance beyond the sight, m: more than the gap can change in the 0.1 s between two checks."""
 
 UNKNOWN, KNOWN, CRASHES = range(3)
 
 
 class RaceEnds(NamedTuple):
-    """The ends of B races: those parts of a :class:`RaceState` that decide the payoff."""
+    """Ends of B races: the parts of a :class:`RaceState` that decide the payoff."""
 
     progress: Floats  #: shape (B, 2)
     crash: NDArray[np.int8]  #: shape (B, 2)
@@ -49,7 +50,7 @@ class RaceEnds(NamedTuple):
 
     @classmethod
     def empty(cls, races: int) -> "RaceEnds":
-        """Return arrays of zeros for so many races."""
+        """Return arrays of zeros for ``races`` races."""
         return cls(np.zeros((races, 2)), np.zeros((races, 2), np.int8), np.zeros((races, 2), np.int8))
 
     def write(self, rows: Indices | slice, ends: "RaceEnds") -> None:
@@ -59,12 +60,12 @@ class RaceEnds(NamedTuple):
         self.fault[rows] = ends.fault
 
     def as_races(self) -> RaceState:
-        """Return a state that holds these numbers, as :func:`pcs_racing.game.reward.reward` wants it."""
+        """Return a state with these numbers, for :func:`pcs_racing.game.reward.reward`."""
         return empty_state(len(self.progress), 0)._replace(**self._asdict())
 
 
 def _in_chunks(game: RaceGame, races: int, work: Callable[[slice], Any]) -> list[Any]:
-    """Call a function for chunks of so many races, on the threads of the game, and return the answers in order."""
+    """Call a function for each chunk of races, on the game's threads; return results in order."""
     chunks = [slice(first, first + CHUNK) for first in range(0, races, CHUNK)]
     threads = min(game.threads or default_threads(), len(chunks))
     if threads <= 1 or any(planner.drive is not None for planner in game.setup.planners):
@@ -74,14 +75,14 @@ def _in_chunks(game: RaceGame, races: int, work: Callable[[slice], Any]) -> list
 
 
 def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: Indices) -> tuple[RaceState, Floats]:
-    """Simulate a step of the game: child ``i`` goes on from state ``rows[i]`` with the two ``policies[i]``.
+    """Simulate a step of the game: child ``i`` continues state ``rows[i]`` with ``policies[i]``.
 
     Returns
     -------
     races : RaceState
-        B races, a step later.
+        B races, one step later.
     estimates : ndarray, shape (B, 2, G)
-        What was measured in that step (:meth:`RaceGame.drive`).
+        Measurements of that step (:meth:`RaceGame.drive`).
     """
     single = replace(game, threads=1)
 
@@ -97,14 +98,14 @@ def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: 
 def drive_to_the_end(
     game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, trace: bool = False
 ) -> tuple[RaceEnds, NDArray[np.float32]]:
-    """Simulate the last step of the game, in which no characteristics are measured, as :func:`drive_children` does.
+    """Simulate the last step of the game like :func:`drive_children`, without characteristics.
 
     Returns
     -------
     ends : RaceEnds
     trace : ndarray, shape (B, T, 2), float32
-        Progress of each car whenever the drivers plan (every 0.1 s), the step's first and last moment included;
-        ``T = 0`` without ``trace``.
+        Progress of each car at every plan (every 0.1 s), including the first and the last moment of
+        the step; ``T = 0`` without ``trace``.
     """
     ticks = int(np.diff(game.config.end_ticks)[-1])
     moments = ticks // PLAN_EVERY + 1 if trace else 0
@@ -129,10 +130,11 @@ def drive_to_the_end(
 def finish(
     game: RaceGame, parents: RaceState, rows: Indices, policies: Indices, *, share: bool = True
 ) -> tuple[RaceEnds, int]:
-    """Compute how the last step of the game ends, and how many races were driven for that.
+    """Return the ends of the last step of the game, and the number of races driven for them.
 
-    ``parents``, ``rows``, ``policies``: as for :func:`pcs_racing_agents.trees.driving.drive_children`. ``share``:
-    whether to put races together where that is possible; it does not change the result.
+    ``parents``, ``rows``, ``policies``: as for
+    :func:`pcs_racing_agents.trees.driving.drive_children`. ``share``: whether to combine races from
+    single drives where that is possible; it does not change the result.
     """
     sight = max(planner.sight for planner in game.setup.planners) + MARGIN
     ends = RaceEnds.empty(len(rows))
@@ -142,12 +144,13 @@ def finish(
     drives = _different_drives(parents, rows[far], policies[far])
     status = np.full((2, int(drives.max(initial=-1)) + 1), UNKNOWN)
     source = np.zeros_like(status)  # row of a known drive in ``known`` and ``traces``
-    known = np.zeros((0, 2))  # progress at the end of races that were driven
+    known = np.zeros((0, 2))  # progress at the end of driven races
     traces = np.zeros((0, 1, 2), np.float32)
     waiting = np.arange(len(far))  # races whose end is not known yet
     count = 0
     not_shared = [np.flatnonzero(~apart[rows])]  # races that must be driven themselves
-    # Few races show every drive at least once; where a crash hid what the other car does, others are driven for it.
+    # A few races show every drive at least once. If a crash hides the drive of the other car,
+    # another race is driven for it.
     while len(waiting):
         batch = waiting[_cover(drives[:, waiting], status)]
         if len(batch) == 0:
@@ -156,8 +159,9 @@ def finish(
         ends.write(far[batch], batch_ends)
         apart_throughout = _stay_apart(batch_trace[:, :, 0], batch_trace[:, :, 1], length, sight)
         for car in range(2):
-            # A race stands still after a crash: what the other car would have done is not known then. Where the cars
-            # came near each other nothing is known of either, and another race may show it.
+            # A race stands still after a crash: the rest of the other car's drive is unknown then.
+            # If the cars came near each other, both drives are unknown, and another race may show
+            # them.
             shown = drives[car, batch]
             complete = apart_throughout & ~batch_ends.crash.any(axis=1)
             status[car, shown[apart_throughout & (batch_ends.crash[:, car] != 0)]] = CRASHES
@@ -174,7 +178,8 @@ def finish(
         block = waiting[first : first + 4096]
         from0, from1 = (source[car, drives[car, block]] for car in range(2))
         apart_in_block = _stay_apart(traces[from0, :, 0], traces[from1, :, 1], length, sight)
-        # Neither car crashes in its known drive: together they would not, either, unless they come near each other.
+        # Neither car crashes in its known drive: together they would not crash, either, unless they
+        # come near each other.
         ends.progress[far[block]] = np.stack([known[from0, 0], known[from1, 1]], axis=1)
         not_shared.append(far[block[~apart_in_block]])
     rest = np.concatenate(not_shared)
@@ -191,12 +196,12 @@ def _apart(lead: NDArray[np.floating], length: float) -> NDArray[np.floating]:
 def _stay_apart(
     first: NDArray[np.float32], second: NDArray[np.float32], length: float, sight: float
 ) -> NDArray[np.bool_]:
-    """Whether two cars never come within sight of each other, for their progress over time, shapes (B, T)."""
+    """Return whether two cars never come within sight, from their progress over time, (B, T)."""
     return np.asarray((_apart(first - second, length) > sight).all(axis=1))
 
 
 def _different_drives(parents: RaceState, rows: Indices, policies: Indices) -> Indices:
-    """Return numbers of each car's drives, shape (2, B): equal ones have the same car, state and policy."""
+    """Number each car's drives, shape (2, B); equal numbers: same car, state and policy."""
     numbers = np.zeros((2, len(rows)), np.int64)
     if len(rows) == 0:
         return numbers
@@ -217,7 +222,7 @@ def _different_drives(parents: RaceState, rows: Indices, policies: Indices) -> I
 
 
 def _cover(drives: Indices, status: Indices) -> Indices:
-    """Select few races that contain every unknown drive: first those that contain two, then the others."""
+    """Select a few races with every unknown drive: first races with two of them, then with one."""
     unknown = [(status[car] == UNKNOWN).tolist() for car in range(2)]
     pairs = list(zip(*drives.tolist(), strict=True))
     selected = []

@@ -37,7 +37,8 @@ class _TreeTask:
 
 
 def _build(game: RaceGame, task: _TreeTask) -> Arrays:
-    # The root depends on the tree's number, not on what was drawn for others: missing trees are made again alone.
+    # The root depends on the tree's number, not on draws for other trees: missing trees are built
+    # again alone.
     rng = np.random.default_rng(np.random.SeedSequence(task.seed, spawn_key=(1, task.index)))
     root = draw_root(game, task.policies, task.seeds, rng)
     return build_tree(game, root.policies, (root.start_s, root.side), root.seeds).arrays()
@@ -60,16 +61,16 @@ def build_trees(
     Parameters
     ----------
     folder : str or Path
-        New, empty, or left by the same call.
+        Folder that is new, empty, or from an earlier identical call.
     pairs : int or array of int, shape (N, 2)
-        Starting policies, or how many pairs to choose (:func:`choose_pairs`).
+        Starting policies, or the number of pairs to choose (:func:`choose_pairs`).
     seeds_per_pair : int, optional
-        Noise seeds of each root, 1 to 1000; by default 4 where there is noise, and 1 where there is none.
+        Number of noise seeds of each root, 1 to 1000; by default 4 with noise and 1 without noise.
     seed : int
-        Root of all that is drawn. Tree ``i`` is a function of it and of ``i``.
+        Root of all random draws. Tree ``i`` is a function of it and of ``i``.
     executor : concurrent.futures.Executor, optional
-        Where the trees are played, each on one core; by default one after the other, each on all cores. It does not
-        change the result.
+        Executor for the trees, each on one core; by default one tree after the other, each on all
+        cores. It does not change the result.
     progress : callable, optional
         Called as ``progress(done, total, label)`` after every tree.
     """
@@ -90,10 +91,10 @@ def open_trees(
     seed: int = 0,
     one_thread: bool = True,
 ) -> Iterator[TaskGroup]:
-    """Open the folder of :func:`build_trees` for as long as a ``with`` block lasts, and yield the trees as tasks.
+    """Open the folder of :func:`build_trees` in a ``with`` block, and yield the trees as tasks.
 
-    Those of several folders can be played side by side (:func:`pcs_racing_agents.base.jobs.run_groups`), then each tree
-    in ``one_thread``.
+    Trees of several folders can be built side by side
+    (:func:`pcs_racing_agents.base.jobs.run_groups`), each tree in ``one_thread``.
     """
     check_game(game)
     start_pairs = _checked_pairs(game.archive, pairs, seed)
@@ -123,7 +124,7 @@ def game_settings(game: RaceGame) -> dict[str, Any]:
 
 
 def stored_identity(settings: Mapping[str, Any]) -> GameIdentity:
-    """Return the identity of the game that stored trees belong to, out of :func:`game_settings`."""
+    """Return the identity of the game of stored trees, from :func:`game_settings`."""
     rules, archive = settings["rules"], settings["archive"]
     epsilon = rules["epsilon"]
     return GameIdentity(
@@ -148,7 +149,7 @@ def _checked_pairs(archive: PolicyArchive, pairs: int | ArrayLike, seed: int) ->
 
 @dataclass(frozen=True)
 class StoredTrees(Sequence[RaceTree]):
-    """Trees in a folder, each read when it is asked for."""
+    """Trees in a folder, each read on access."""
 
     folder: Path
     settings: Mapping[str, Any]  #: Settings of the job: the game (:func:`game_settings`), pairs and seeds.
@@ -157,7 +158,7 @@ class StoredTrees(Sequence[RaceTree]):
         return len(self.settings["pairs"])
 
     def __repr__(self) -> str:
-        """Show where they are, and their archive and track."""
+        """Show the folder, the archive and the track."""
         archive, track = (self.settings[key]["name"] for key in ("archive", "track"))
         return f"<StoredTrees: {len(self)} in {self.folder}, archive {archive!r}, track {track!r}>"
 
@@ -171,7 +172,7 @@ class StoredTrees(Sequence[RaceTree]):
         return chunk_file(self.folder, NAME, index)
 
     def missing(self) -> list[int]:
-        """Return the trees that have no file."""
+        """Return the indices of the trees without a file."""
         return [i for i in range(len(self)) if not self.file(i).is_file()]
 
     @overload
@@ -193,12 +194,12 @@ class StoredTrees(Sequence[RaceTree]):
         return tree
 
     def check(self, game: RaceGame) -> None:
-        """Check that the trees are those of a game."""
+        """Check that the trees belong to a game."""
         for key, wanted in _plain(game_settings(game)).items():
             stored = self.settings.get(key)
             if stored != wanted:
                 if isinstance(wanted, dict) and isinstance(stored, dict):
-                    # `self` stands for a missing entry: no value of a manifest is equal to it.
+                    # `self` marks a missing entry: no value of a manifest is equal to it.
                     inner = next(k for k in {**stored, **wanted} if stored.get(k, self) != wanted.get(k, self))
                     key, stored, wanted = f"{key} {inner}", stored.get(inner), wanted.get(inner)
                 raise InputError(f"the trees in {self.folder} are of another game: {key} is {stored!r}, not {wanted!r}")
@@ -212,7 +213,7 @@ def _read(file: Path) -> Arrays:
 
 
 def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> StoredTrees:
-    """Open a folder of trees, played with the archive if one is given."""
+    """Open a folder of trees, and check that they belong to the archive if one is given."""
     trees = StoredTrees(Path(folder), _read_settings(Path(folder) / "job.yaml"))
     archive_settings = trees.settings["archive"]
     if archive is not None and archive_settings["sha256"] != archive.content_hash:
@@ -228,7 +229,7 @@ def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> Stor
 
 
 def _read_settings(file: Path) -> dict[str, Any]:
-    """Read the settings of a job, after a check of the types of all entries that are used."""
+    """Read the settings of a job, after a check of the types of all used entries."""
     try:
         manifest = read_job(file)
     except OSError as error:

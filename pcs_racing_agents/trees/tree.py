@@ -1,7 +1,8 @@
-"""The game tree of one start: all races that the players' moves can lead to, as plain arrays.
+"""Game tree of one start: all races that the players' moves can lead to, as plain arrays.
 
-Moves of an archive often lead to the same policy, and a race knows only policies, not the names of the moves. So two
-histories of moves that pass through the same policies (a *path*) are one race, and only one of them has to be driven.
+Moves of an archive often lead to the same policy, and a race depends only on policies, not on the
+names of the moves. So two histories of moves that pass through the same policies (a *path*) are one
+race, which is driven once.
 """
 
 from collections.abc import Mapping
@@ -22,26 +23,29 @@ MAX_LEAVES = 10_000_000
 
 
 class PolicyPaths(NamedTuple):
-    """The different policy paths of one player, level by level; ``U_k`` of them after ``k`` moves."""
+    """Different policy paths of one player, level by level; ``U_k`` paths after ``k`` moves."""
 
     policy: tuple[Indices, ...]  #: shape (U_k,): Policy at the end of each path.
-    parent: tuple[Indices, ...]  #: shape (U_k,): Path of the level above that it continues.
-    #: shape (A**k,): Path that each history of the player's own moves goes along; histories in row-major order, first
-    #: move first.
+    parent: tuple[Indices, ...]  #: shape (U_k,): Parent path, in the level above.
+    #: shape (A**k,): Path of each history of the player's own moves; histories in row-major order,
+    #: first move first.
     history: tuple[Indices, ...]
 
     def count(self, level: int) -> int:
-        """Return the number of different paths after so many moves."""
+        """Return the number of different paths after ``level`` moves."""
         return len(self.policy[level])
 
 
 def policy_paths(table: Indices, start: int, moves: int) -> PolicyPaths:
-    """Follow all moves from a policy, so many in turn; ``table`` (K, A) says where each leads from every policy."""
+    """Follow all sequences of ``moves`` moves from a policy.
+
+    ``table``, shape (K, A), holds the policy that each move leads to from every policy.
+    """
     policy, parent = [np.array([start], np.int64)], [np.zeros(1, np.int64)]
     history = [np.zeros(1, np.int64)]
     policies, options = table.shape
     for _ in range(moves):
-        # A path is known by the number of the one that it continues and by the policy that the move leads to.
+        # A path is identified by the number of its parent and by the policy that the move leads to.
         reached = np.arange(len(policy[-1]))[:, None] * policies + table[policy[-1]]
         different, which = np.unique(reached, return_inverse=True)
         parent.append(different // policies)
@@ -51,10 +55,10 @@ def policy_paths(table: Indices, start: int, moves: int) -> PolicyPaths:
 
 
 def own_histories(level: int, options: int) -> tuple[Indices, Indices]:
-    """Return each player's own history within every joint history of a level, shapes (A**(2 level),).
+    """Return each player's own history in every joint history of a level, shapes (A**(2 level),).
 
-    Joint histories stand in row-major order of (move of car 0, move of car 1), first step first; own histories in
-    row-major order of the own moves.
+    Joint histories are in row-major order of (move of car 0, move of car 1), first step first; own
+    histories in row-major order of the own moves.
     """
     first = second = np.zeros(1, np.int64)
     moves = np.arange(options)
@@ -79,48 +83,52 @@ if TYPE_CHECKING:
 
 
 class TreeStatistics(NamedTuple):
-    """The cost of a tree in driven segments (steps of the game, the first one included), and what sharing saved."""
+    """Cost of a tree in driven segments (all steps of the game), and savings by sharing."""
 
-    seeds: int  #: Noise seeds of the root; all numbers below are sums over them.
-    driven: int  #: Segments that were driven.
-    #: Segments of different policy paths, those after a crash left out: what is driven where no two cars are too far
-    #: apart to see each other.
+    seeds: int  #: Noise seeds of the root; all counts below are sums over them.
+    driven: int  #: Driven segments.
+    #: Segments of different policy paths, without segments after a crash: all are driven if no two
+    #: cars are too far apart to see each other.
     live: int
     shared: int  #: Segments of a tree whose branches share only their beginnings: one for each joint history of moves.
-    replayed: int  #: Segments if every joint history of all moves was raced from the start.
+    replayed: int  #: Segments if every joint history of all moves were driven from the start.
     crashed: float  #: Share of the joint histories of all moves that end in a crash.
-    #: Share of the joint histories of all moves that go along the same policies as another one that was counted.
+    #: Share of the joint histories of all moves that pass through the same policies as an already
+    #: counted history.
     duplicates: float
 
 
 @dataclass(frozen=True, eq=False)
 class RaceTree:
-    """The tree of all moves in one game from one start.
+    """Tree of all moves in one game from one start.
 
-    It is kept by policy paths (:mod:`pcs_racing_agents.trees.tree`): ``U0_k`` and ``U1_k`` different ones of the two
-    players after ``k`` moves. The properties ``payoffs``, ``leads``, ``estimates``, ``over`` and ``policy`` spread it
-    out over all joint histories of moves, ``N_k = (A * A)**k`` of them after ``k`` moves: those below history ``j`` are
+    It is stored by policy paths (:mod:`pcs_racing_agents.trees.tree`): ``U0_k`` and ``U1_k``
+    different paths of the two players after ``k`` moves. The properties ``payoffs``, ``leads``,
+    ``estimates``, ``over`` and ``policy`` expand it to all joint histories of moves,
+    ``N_k = (A * A)**k`` histories after ``k`` moves. The children of history ``j`` are
     ``j * A * A + a0 * A + a1`` for moves ``a0`` of car 0 and ``a1`` of car 1.
 
-    With steering noise the same moves end differently for each noise seed. Seeds share their information sets: the
-    players see the history, but not the seed.
+    With steering noise the same moves end differently for each noise seed. Seeds share their
+    information sets: the players see the history, but not the seed.
     """
 
-    policies: Indices  #: shape (2,): Policies that the cars start with.
+    policies: Indices  #: shape (2,): Starting policies of the cars.
     start_s: float  #: Arc length of the start line, m.
-    side: int  #: 0 when car 0 started on the left or in front.
-    #: shape (S,): Keys of the games: ``RaceGame.reset(seeds, policies=..., starts=...)`` starts the same ones.
+    side: int  #: Side of car 0: 0 on the left or in front.
+    #: shape (S,): Keys of the games: ``RaceGame.reset(seeds, policies=..., starts=...)`` starts the
+    #: same games.
     seeds: NDArray[np.uint64]
-    table: Indices  #: shape (K, A): Where every move leads from every policy.
+    table: Indices  #: shape (K, A): Policy that every move leads to from every policy.
     points: Floats  #: shape (K, G): Normalised coordinates of the policies as the players see them.
-    path_payoffs: NDArray[np.float32]  #: shape (S, U0_m, U1_m): Payoffs to car 0; car 1 gets minus that.
+    #: shape (S, U0_m, U1_m): Payoffs to car 0; the payoffs to car 1 are their negatives.
+    path_payoffs: NDArray[np.float32]
     #: shape (S, U0_k, U1_k): Lead of car 0 at the end of step ``k``, m, for ``k`` below ``m``; 0 where the race was
     #: over before.
     path_leads: tuple[Floats, ...]
     #: shape (S, U0_k, U1_k, 2, G): Normalised coordinates of each car as measured in step ``k``; 0 where the race was
     #: over before.
     path_estimates: tuple[NDArray[np.float32], ...]
-    #: shape (S, U0_k, U1_k): Whether the race had ended in a crash when move ``k`` was due.
+    #: shape (S, U0_k, U1_k): True if the race had ended in a crash before move ``k``.
     path_over: tuple[NDArray[np.bool_], ...]
     #: shape (S,): ``driven``, ``live``, ``crashed``: Numbers behind :attr:`statistics`; ``crashed`` counts joint
     #: histories of all moves.
@@ -138,17 +146,17 @@ class RaceTree:
 
     @property
     def moves(self) -> int:
-        """Moves of each player, m."""
+        """Number of moves of each player, m."""
         return len(self.path_leads)
 
     @property
     def options(self) -> int:
-        """Choices at each move, A."""
+        """Number of choices at each move, A."""
         return self.table.shape[1]
 
     @cached_property
     def paths(self) -> tuple[PolicyPaths, PolicyPaths]:
-        """Each player's policy paths."""
+        """Policy paths of each player."""
         first, second = (policy_paths(self.table, int(start), self.moves) for start in self.policies)
         return first, second
 
@@ -175,7 +183,7 @@ class RaceTree:
 
     @cached_property
     def over(self) -> list[NDArray[np.bool_]]:
-        """Whether the race had ended when move ``k`` was due; for each level an array of shape (S, N_k)."""
+        """True if the race had ended before move ``k``; per level an array of shape (S, N_k)."""
         return [self._spread(array, k) for k, array in enumerate(self.path_over)]
 
     @cached_property
@@ -191,12 +199,12 @@ class RaceTree:
         return array[:, first, second]
 
     def observations(self, level: int) -> NDArray[np.float32]:
-        """Return the players' observations before move ``level``, as of ``RaceGame.observation``.
+        """Return the players' observations before move ``level``, as in ``RaceGame.observation``.
 
         Returns
         -------
         ndarray, shape (S, N_k, 2, D), float32
-            Where the race was over by then, the observation at its end.
+            Observations; for a race that is over, the observation at its end.
         """
         if not 0 <= level < self.moves:
             raise InputError(f"move {level} is none of the tree's; it must lie in 0 to {self.moves - 1}")
@@ -205,9 +213,11 @@ class RaceTree:
         estimates = np.zeros_like(own)
         leads = np.zeros((*shape, self.moves + 1))
         step = np.full(shape, level)
-        # From the last step to the first: where a race was over, the earliest step at which it was remains.
+        # From the last step to the first: for an ended race the earliest step after its end
+        # remains.
         for k in range(level, -1, -1):
-            above = np.repeat(np.arange(branches**k), branches ** (level - k))  # the node of level k that each came by
+            # Ancestor of each node in level k.
+            above = np.repeat(np.arange(branches**k), branches ** (level - k))
             own[:, :, :, k] = self.points[self.policy[k]][above]
             estimates[:, :, :, k] = self.estimates[k][:, above]
             leads[:, :, k] = self.leads[k][:, above]
@@ -228,7 +238,7 @@ class RaceTree:
 
     @property
     def statistics(self) -> TreeStatistics:
-        """The cost of the tree in driven segments."""
+        """Cost of the tree in driven segments."""
         seeds, ends = len(self.seeds), (self.options**2) ** self.moves
         different = self.path_payoffs.shape[1] * self.path_payoffs.shape[2]
         return TreeStatistics(
@@ -257,9 +267,10 @@ _LEVELS = ("leads", "estimates", "over")
 def _check_arrays(
     arrays: Mapping[str, NDArray[Any]], wanted: Mapping[str, tuple[str, tuple[int, ...]]], where: str
 ) -> None:
-    """Check arrays by name, which stand in a file that anybody may have written.
+    """Check arrays by name from a file of any origin.
 
-    ``wanted``: for each name the kinds of numbers ("f", "b" or "iu", as of ``dtype.kind``) and the shape.
+    ``wanted``: for each name the kinds of numbers ("f", "b" or "iu", as in ``dtype.kind``) and the
+    shape.
     """
     for name, (kinds, shape) in wanted.items():
         array = arrays[name]
@@ -272,7 +283,7 @@ def _check_arrays(
 
 
 def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) -> RaceTree:
-    """Return the tree of arrays from :meth:`RaceTree.arrays`."""
+    """Return the tree of the arrays of :meth:`RaceTree.arrays`."""
     names = [*_PLAIN, "payoffs", *(f"{name}_{k}" for name in _LEVELS for k in range(moves))]
     missing = [name for name in names if name not in arrays]
     if missing:
@@ -292,7 +303,8 @@ def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str)
     plain: dict[str, Any] = {name: arrays[name] for name in _PLAIN}
     plain.update(start_s=float(plain["start_s"]), side=int(plain["side"]))
     tree = RaceTree(path_payoffs=arrays["payoffs"], **plain, **levels)
-    # How many paths a level has follows from the table: only now is it known what shapes its arrays must have.
+    # The number of paths of a level follows from the table: the shapes of its arrays are known only
+    # here.
     count = [(*seeds, *(paths.count(k) for paths in tree.paths)) for k in range(moves + 1)]
     of_levels: dict[str, tuple[str, tuple[int, ...]]] = {"payoffs": ("f", count[moves])}
     for k in range(moves):

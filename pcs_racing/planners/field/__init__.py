@@ -1,1 +1,1 @@
-"""Planners of the literature and of courses, each after its paper."""
+"""Planners from the literature and from courses, each implemented after its paper."""

@@ -1,16 +1,19 @@
-"""Alpha-RACER [1]_: five numbers say how a car races, and both cars' numbers maximise a potential of their game.
+"""Alpha-RACER [1]_: both cars' driving parameters, five each, maximise a potential of their game.
 
-The numbers of a car are a factor of its speed, a look-ahead (how soon it is where it wants to be across the track),
-the distance at which it passes the other car, how far away it begins to, and how much it moves in front of a car
-behind. Ten times a second both cars get a few samples of them, and every pair of samples is driven on in thought. What
-a pair pays a car is its progress less that of the other car and the costs of collisions, of walls and of
-leaving the race line. A game in which what one car gains by another choice is what one function of both choices gains,
-the potential, has its equilibria where the potential is greatest. So the car drives its part of the best pair.
+The parameters of a car are a factor of its speed, a look-ahead (how soon it reaches its target
+position across the track), the distance at which it passes the other car, the distance at which a
+pass begins, and how much it moves in front of a car behind. Ten times a second both cars get a few
+samples of them, and every pair of samples is simulated. The payoff of a pair to a car is its
+progress minus the other car's progress and the costs of collisions, of walls and of leaving the
+race line. In a potential game, one function of both choices, the potential, changes as much as the
+payoff of the car that changes its choice. The maximum of the potential is an equilibrium. So the
+car drives its part of the pair with the max potential.
 
-What differs: the potential is not a network learned offline, but that of the potential game nearest to the sampled
-one, which a least-squares projection gives in closed form [2]_. Cars are driven on for 3 s along the race line instead
-of being valued over a whole race, each closing in on its place across the track like a damped spring. The opponent is
-taken to keep its own share of the profile, and not to make way for a car behind. There are two cars instead of three.
+Differences: the potential is not learned offline by a network. It is the potential of the potential
+game nearest to the sampled game, in closed form by a least-squares projection [2]_. Cars are
+simulated for 3 s along the race line instead of being valued over a whole race; each approaches its
+position across the track like a damped spring. The opponent is assumed to keep its own share of the
+profile, and not to make way for a car behind. There are two cars instead of three.
 
 References
 ----------
@@ -50,26 +53,27 @@ PARAMETERS = (
 )
 SPEED, LOOK, SHIFT, RANGE, BLOCKING, RIVALRY, SIDE, WALL_AIR, OPPONENT_AIR = range(_D + 1, len(PARAMETERS))
 
-SAMPLES = 12  # of each car: a third of them pass to the right, a third stay, a third pass to the left
+SAMPLES = 12  # per car: a third pass right, a third stay, a third pass left
 NUMBERS = 5
-_ROOT = 1.1347241384015194  # of x^6 = x + 1: its powers give a sequence of low discrepancy in five dimensions
+_ROOT = 1.1347241384015194  # root of x^6 = x + 1: its powers are a 5-D low-discrepancy sequence
 _POINTS = (0.5 + np.arange(SAMPLES)[:, None] / np.cumprod(np.full(NUMBERS, _ROOT))) % 1.0
 _F, _T, _SHIFT, _RANGE, _BLOCK = range(NUMBERS)
 
-STEPS, STEP, FINE = 12, 0.25, 0.08  # the last two in s: of the game, and of the plan that is driven
+STEPS, STEP, FINE = 12, 0.25, 0.08  # number, length in the game and in the driven plan (s)
 MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2
-COLLISION, WALL, KEPT = 15.0, 4.0, 0.3  # m: what they cost, and what the last choice gains
-BEHIND = 6.0  # m within which a car behind may be blocked
-SIGHT = 12.0  # m within which the game is played
-PLACES, SPACE, BACK = 120, 0.5, 14.0  # of the table; the last two in m
-EASE = 0.1  # m per m by which the ways to the sides change at most
+COLLISION, WALL, KEPT = 15.0, 4.0, 0.3  # m: costs, and the bonus of the last choice
+BEHIND = 6.0  # max distance of a blocked car behind, m
+SIGHT = 12.0  # max distance of the opponent in the game, m
+PLACES, SPACE, BACK = 120, 0.5, 14.0  # rows of the table, spacing (m), reach behind the car (m)
+EASE = 0.1  # max change of the free widths, m per m
 _SPEED, _KAPPA, _RIGHT, _LEFT = range(4)
 
-# Memory: the lane, and the sample that was chosen last, counted from 1.
+# Memory: the lane, and the last chosen sample, counted from 1.
 _CHOSEN = _line.KEPT_LANE
 MEMORY = _line.KEPT_LANE + 1
-# Scratch: the samples of both cars; arc lengths and distances from the line of the own plan; both cars' values of every
-# pair; their means over each car's own samples; the table of the track; the lane.
+# Scratch: the samples of both cars; arc lengths and distances from the line of the own plan;
+# payoffs of every pair to both cars; their means over each car's own samples; the table of the
+# track; the lane.
 _PAIRS = SAMPLES * SAMPLES
 _PLAN = 2 * SAMPLES * NUMBERS
 _VALUES = _PLAN + 2 * STEPS
@@ -81,14 +85,16 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 @inner_kernel
 def _draw(theta, clear, passes, samples):  # type: ignore[no-untyped-def]
-    """Write the five numbers of all samples of a car; ``clear`` is the least distance at which it passes, m.
+    """Write the five parameters of all samples of a car.
 
-    A car that is passed does not make way: it goes on, faster or slower, and may block.
+    ``clear`` is the min distance at which it passes, m. A car that is passed does not make way: it
+    goes on, faster or slower, and may block.
     """
     for k in range(SAMPLES):
         own, point = samples[k * NUMBERS :], _POINTS[k]
         own[_F] = 1.0 - (1.0 - theta[SPEED]) * (point[_F] if k > 2 else 0.0)
-        own[_T] = 0.125 * theta[LOOK] * (1.0 + point[_T])  # a fourth of it: then it is there but for a tenth
+        # Time constant: a quarter of the look-ahead, after which a tenth of the way is left.
+        own[_T] = 0.125 * theta[LOOK] * (1.0 + point[_T])
         own[_SHIFT] = (k % 3 - 1.0) * (clear + theta[SHIFT] * point[_SHIFT]) if passes else 0.0
         own[_RANGE] = 0.5 * theta[RANGE] * (1.0 + point[_RANGE])
         own[_BLOCK] = theta[BLOCKING] * point[_BLOCK]
@@ -96,14 +102,14 @@ def _draw(theta, clear, passes, samples):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _near(distance, reach):  # type: ignore[no-untyped-def]
-    """1 at no distance, falling smoothly to 0 at the reach."""
+    """Return 1 at distance 0, falling smoothly to 0 at the reach."""
     q = max(1.0 - (distance / reach) ** 2, 0.0)
     return q * q
 
 
 @inner_kernel
 def _lay_table(track, view, keep, table):  # type: ignore[no-untyped-def]
-    """Write speed, curvature and the eased ways to both sides (m) for places from `BACK` m behind the car on."""
+    """Write speed, curvature and eased free widths (m), from `BACK` m behind the car on."""
     for k in range(PLACES):
         sample, row = track.line[line_index(track, view[_view.OWN_S] + k * SPACE - BACK)], table[4 * k :]
         row[_SPEED], row[_KAPPA] = sample[_frenet.SPEED], sample[_frenet.KAPPA]
@@ -117,15 +123,15 @@ def _lay_table(track, view, keep, table):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _row(table, s):  # type: ignore[no-untyped-def]
-    """Where the row of the table for an arc length from the car on begins."""
+    """Return the index of the table row for an arc length (m) from the car on."""
     return 4 * min(max(int((s + BACK) / SPACE), 0), PLACES - 1)
 
 
 @inner_kernel(forceinline=True)
 def _step(theta, table, dt, five, decay, home, top, grip, long, wide, s, v, d, rate, other_s, other_v, other_d):  # type: ignore[no-untyped-def]
-    """Drive a car on by ``dt``: its arc length, speed, distance from the line, how fast that grows, and costs."""
+    """Advance a car by ``dt``; return arc length, speed, distance from the line, its rate, cost."""
     here, time, gap = table[_row(table, s) :], five[_T], other_s - s
-    soon = table[_row(table, s + 2.0 * v * time) :]  # a spring comes late
+    soon = table[_row(table, s + 2.0 * v * time) :]  # the spring lags
     place = home
     if gap < -long:
         place += five[_BLOCK] * _near(gap, BEHIND) * (other_d - home)
@@ -149,7 +155,7 @@ def _step(theta, table, dt, five, decay, home, top, grip, long, wide, s, v, d, r
 
 @inner_kernel
 def _play(theta, view, dt, at, d, rate, opp_d, scale, opp_scale, i, j, scratch):  # type: ignore[no-untyped-def]
-    """Drive both cars on with a sample each, write the own plan, and return the payoff of either, m."""
+    """Simulate both cars with one sample each; write the own plan, return both payoffs (m)."""
     table, grip = scratch[_TABLE:_LANE], 1.3 * _line.GRIP * max(scale * scale, 1.0)
     long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.1
     wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
@@ -170,7 +176,7 @@ def _play(theta, view, dt, at, d, rate, opp_d, scale, opp_scale, i, j, scratch):
         )  # fmt: skip
         value, opp_value = value - cost, opp_value - opp_cost
         scratch[_PLAN + k], scratch[_PLAN + STEPS + k] = s, d
-        # What is missing beside the other car counts while they are level; the first half second can't be helped.
+        # Missing clearance costs while the cars are level; in the first 0.5 s only an overlap does.
         if abs(opp_s - s) < long:
             lack = max(wide + (theta[OPPONENT_AIR] if k > 1 else 0.0) - abs(opp_d - d), 0.0)
             cost = COLLISION * lack / wide * (1.5 - k / STEPS)
@@ -181,16 +187,16 @@ def _play(theta, view, dt, at, d, rate, opp_d, scale, opp_scale, i, j, scratch):
 
 @kernel
 def best_of_potential(own, opponent, means, last):  # type: ignore[no-untyped-def]
-    """The pair of samples at which the potential of the nearest potential game is greatest.
+    """Return the pair of samples with the max potential of the nearest potential game.
 
     Parameters
     ----------
     own, opponent : ndarray, shape (SAMPLES * SAMPLES,)
-        Payoffs of the pairs for either car; own samples are rows.
+        Payoffs of the pairs to each car; own samples are rows.
     means : ndarray, shape (4 * SAMPLES,)
         Working memory.
     last : int
-        The own sample that pays `KEPT` more.
+        Own sample with a bonus of `KEPT`.
     """
     n = SAMPLES
     means[:] = 0.0
@@ -203,7 +209,8 @@ def best_of_potential(own, opponent, means, last):  # type: ignore[no-untyped-de
     row, column, best = 0, 0, -np.inf
     for i in range(n):
         for j in range(n):
-            # A choice gains what it does on average over the other car's, and half of what it does beyond that.
+            # Potential of a choice: its mean gain over the other car's samples, plus half of the
+            # rest.
             gains = own[i * n + j] - means[j] + opponent[i * n + j] - means[n + i]
             value = 0.5 * (gains + means[2 * n + i] + means[3 * n + j]) + (KEPT if i == last else 0.0)
             if value > best:
@@ -213,7 +220,7 @@ def best_of_potential(own, opponent, means, last):  # type: ignore[no-untyped-de
 
 @kernel
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Play the game where the opponent is near, and drive the own part of the best pair."""
+    """Play the game if the opponent is near, and drive the own part of the best pair."""
     gap, scale, lane = gap_ahead(track, view), _line.speed_scale(view, theta[_PACE]), scratch[_LANE:SCRATCH]
     if abs(gap) > SIGHT:
         memory[0] = memory[_CHOSEN] = 0.0

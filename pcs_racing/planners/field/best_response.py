@@ -1,16 +1,19 @@
-"""Iterated best response [1]_, [2]_: both cars improve their plans in turn, each keeping clear of the other's.
+"""Iterated best response [1]_, [2]_: both cars improve their plans alternately, without contact.
 
-A plan is a place on the track for each of the next `STEPS` steps. The best reply to the other car's plan goes as far
-along the track as the speed profile allows, and to one side of the other car where both would be level; between that
-and staying behind it the car takes what leaves it farther ahead. Across the track it is the minimum of a quadratic
-cost: acceleration, distance from the race line, and what is missing beside the other car and the walls. The opponent
-is taken to plan in the same way, with its own share of the profile. The own plan comes last.
+A plan is a position on the track for each of the next `STEPS` steps. The best response to the other
+car's plan goes as far along the track as the speed profile allows, and to one side of the other car
+where both would be level. Between passing and staying behind, the car takes the option that brings
+it farther ahead. Across the track the plan is the minimum of a quadratic cost: acceleration,
+distance from the race line, and missing clearance to the other car and the walls. The opponent is
+assumed to plan in the same way, with its own share of the profile. The own plan is computed last.
 
-The sensitivity term of [1]_ adds how much the opponent's constraint pushes it: a step at which the opponent has to
-give way pulls the own plan in front of it, with the multiplier of that constraint. So a car defends.
+The sensitivity term of [1]_ adds the push on the opponent by its constraint: a step at which the
+opponent has to give way pulls the own plan in front of it, with the multiplier of that constraint.
+So a car defends.
 
-What differs: the quadratic cost has penalties in place of constraints, and the multipliers are those of the penalties;
-plans live along the race line, where the track is a corridor.
+Differences: the quadratic cost has penalties in place of constraints, and the multipliers are
+multipliers of the penalties; plans are expressed along the race line, where the track is a
+corridor.
 
 References
 ----------
@@ -43,19 +46,19 @@ PARAMETERS = (
 )
 _PACE, ROUNDS, SENSITIVITY, LINE, ACCELERATION, SIDE, WALL_AIR, OPPONENT_AIR, FOLLOW = range(len(PARAMETERS))
 
-STEPS, STEP = 15, 0.2  # the last in s
-STEEP = 20.0  # cost of a squared metre that is missing beside the other car or a wall
-PASSES = 3  # over the penalties of one reply
+STEPS, STEP = 15, 0.2  # number, length in s
+STEEP = 20.0  # cost per squared metre of missing clearance to the other car or a wall
+PASSES = 3  # iterations over the penalties of one response
 MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2 along the track
-SIGHT = 25.0  # m within which the opponent is considered
+SIGHT = 25.0  # max distance of a considered opponent, m
 IMPOSSIBLE = 1e3
 
 
 # Memory: the last plan as a lane, and the side on which it passes the opponent.
 _PASSED = _line.KEPT_LANE
 MEMORY = _line.KEPT_LANE + 1
-# Scratch: plans of both cars, each of arc length from the own car on, distance from the line and multiplier; a reply
-# under study; widths to either side, the band matrix and its right side; the lane.
+# Scratch: plans of both cars (arc length from the own car on, distance from the line, multiplier);
+# a response under study; widths to both sides, the band matrix and its right side; the lane.
 _PLAN = 3 * STEPS
 _TRIAL = 2 * _PLAN
 _RIGHT, _LEFT, _MAIN, _NEXT, _AFTER, _SIDE_OF = (_TRIAL + _PLAN + STEPS * k for k in range(6))
@@ -65,9 +68,9 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 @inner_kernel
 def _go(track, s_from, at, v, scale, plan, other, blocked, keep_back):  # type: ignore[no-untyped-def]
-    """Write the arc lengths of a plan: as fast as the profile allows, and behind the other car where that blocks.
+    """Write the arc lengths of a plan: as fast as the profile allows, and behind a blocking car.
 
-    Returns how far it goes.
+    Returns the last arc length.
     """
     s = at
     for k in range(STEPS):
@@ -75,7 +78,7 @@ def _go(track, s_from, at, v, scale, plan, other, blocked, keep_back):  # type: 
         slowest = max(v - STEP * MOST_BRAKING, 0.0)
         v = max(min(v + STEP * MOST_ACCELERATION, profile), slowest)
         if blocked:
-            # Behind it at this step, and so that its braking can be followed.
+            # Stay behind at this step, and able to follow the other car's braking.
             v = max(min(v, (other[k] - keep_back - s) / STEP), slowest)
         s += STEP * v
         plan[k] = s
@@ -84,7 +87,7 @@ def _go(track, s_from, at, v, scale, plan, other, blocked, keep_back):  # type: 
 
 @inner_kernel
 def _solve(main, following, after, right):  # type: ignore[no-untyped-def]
-    """Solve a symmetric system with two bands beside the diagonal in place, by its LDL' factors."""
+    """Solve a symmetric system with two bands next to the diagonal in place, by LDL' factors."""
     n = STEPS
     for k in range(n):
         if k > 0:
@@ -108,10 +111,11 @@ def _solve(main, following, after, right):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):  # type: ignore[no-untyped-def]
-    """Write the distances from the line of a plan that passes the other car on a side (0: does not), and multipliers.
+    """Write distances from the line and multipliers of a plan.
 
-    ``pull`` (1/m) are the opponent's multipliers that draw the plan towards it. Returns what is missing beside the
-    other car or a wall at most, m.
+    The plan passes the other car on ``side`` (0: no pass). ``pull`` (1/m) are the opponent's
+    multipliers, which draw the plan towards the opponent. Returns the max missing clearance to the
+    other car or a wall, m.
     """
     main, following, after = scratch[_MAIN:_NEXT], scratch[_NEXT:_AFTER], scratch[_AFTER:_SIDE_OF]
     out = plan[STEPS : 2 * STEPS]
@@ -123,7 +127,7 @@ def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):  # 
         previous = d - STEP * rate
         for k in range(STEPS):
             was = out[k]
-            # Squares of d[k] - 2 d[k - 1] + d[k - 2], with the two places before the plan given.
+            # Squares of d[k] - 2 d[k - 1] + d[k - 2], with the two positions before the plan given.
             main[k] = theta[LINE] + bend * (6.0 if k < STEPS - 2 else 5.0 if k == STEPS - 2 else 1.0)
             following[k] = bend * (-4.0 if k < STEPS - 2 else -2.0)
             after[k] = bend
@@ -159,7 +163,7 @@ def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):  # 
 
 @inner_kernel
 def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, other, scratch):  # type: ignore[no-untyped-def]
-    """Replace a plan by the best reply to the other car's; returns the side on which it passes."""
+    """Replace a plan by the best response to the other plan; return the side on which it passes."""
     s0 = view[_view.OWN_S]
     trial = scratch[_TRIAL : _TRIAL + _PLAN]
     reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.3
@@ -172,7 +176,7 @@ def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, o
         meets = False
         for k in range(STEPS):
             sample = track.line[line_index(track, s0 + trial[k])]
-            # On the line a wall is as near as it is.
+            # The race line itself is always allowed, however near a wall.
             scratch[_RIGHT + k] = max(sample[_frenet.RIGHT] - keep, 0.0)
             scratch[_LEFT + k] = max(sample[_frenet.LEFT] - keep, 0.0)
             meets = meets or abs(trial[k] - other[k]) < reach
@@ -186,7 +190,7 @@ def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, o
         if not blocked and (missing > 0.12 and meets):
             value -= IMPOSSIBLE
         if not meets and not blocked:
-            # Nobody is met: the line is free.
+            # No car is met: the line is free.
             _across(theta, d, rate, 0.0, reach, clear, pull, trial, other, scratch)
             side, value = 0.0, IMPOSSIBLE
         if value > best:
@@ -200,7 +204,7 @@ def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, o
 
 @kernel
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Improve both plans in turn, and drive the own one."""
+    """Improve both plans alternately, and drive the own plan."""
     s0 = view[_view.OWN_S]
     scale = _line.speed_scale(view, theta[_PACE])
     gap = gap_ahead(track, view)
@@ -213,7 +217,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     clear = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
     far = not -SIGHT < gap < SIGHT
     opp_scale = view[_view.OPP_V] / track.line[line_index(track, s0 + gap), _frenet.SPEED]
-    # The opponent's first plan keeps its place across the track.
+    # The opponent's first plan keeps its position across the track.
     _go(track, s0, gap, view[_view.OPP_V], opp_scale, opponent, own, False, 0.0)
     for k in range(STEPS):
         opponent[k] += 1e6 if far else 0.0
@@ -229,7 +233,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
                 0.0, none, opponent, own, scratch,
             )  # fmt: skip
             for k in range(STEPS):
-                # Only a car behind is to be held up.
+                # Only a car behind is blocked.
                 pull[k] = theta[SENSITIVITY] * pull[k] if gap < 0.0 else 0.0
         side = _reply(
             track, theta, view, 0.0, view[_view.OWN_V], d0, rate, scale, clear, memory[_PASSED], pull, own, opponent,

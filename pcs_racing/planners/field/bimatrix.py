@@ -1,14 +1,16 @@
-"""The bimatrix game of racing [1]_: both cars choose among a few trajectories, and each knows that the other one does.
+"""Bimatrix game of racing [1]_: both cars choose from a few trajectories and anticipate each other.
 
-Ten times a second each car has trajectories to places across the track at several speeds, one of them that of
-following. The payoff of a pair of trajectories is how far a car gets, less a cost of leaving the race line. A collision
-costs the car behind, whose duty it is to avoid it, and, as far as the game is cooperative, the car ahead too. In the
-blocking game the car ahead is paid for staying ahead. The game is solved for its Stackelberg equilibrium with the car
+Ten times a second each car has trajectories to several positions across the track at several
+speeds, including the speed of following. The payoff of a pair of trajectories is the progress of a
+car, minus a cost of leaving the race line. A collision costs the car behind, whose duty it is to
+avoid it, and, as far as the game is cooperative, the car ahead too. In the blocking game the car
+ahead is paid for staying ahead. The game is solved for its Stackelberg equilibrium with the car
 ahead as the leader, and played again at the next plan.
 
-What differs: trajectories are cubics along the race line instead of those of a viability kernel; the opponent is taken
-to keep its own share of the profile, or to be slower, and to want to stay where it is across the track; Nash
-equilibria are left out, as the leader's favourite one drove the same races.
+Differences: trajectories are cubics along the race line instead of trajectories of a viability
+kernel; the opponent is assumed to keep its own share of the profile, or to be slower, and to prefer
+its current position across the track; Nash equilibria are left out, because the leader's favourite
+Nash equilibrium drove the same races.
 
 References
 ----------
@@ -35,21 +37,21 @@ PARAMETERS = (
 )
 COOPERATION, BLOCKING, SIDE, WALL_AIR, OPPONENT_AIR = range(len(_line.TRAILING), len(PARAMETERS))
 
-PLACES, PLACE_STEP = 5, 0.62  # ends across the track, m apart, the middle one where the car wants to be
-SPEEDS = 2  # of the profile, and that of following
-PART = 0.8  # of the speed, of a car that follows though it is ahead
+PLACES, PLACE_STEP = 5, 0.62  # lateral end positions and spacing, m; the middle one is preferred
+SPEEDS = 2  # speed of the profile, and speed of following
+PART = 0.8  # factor of the speed for a car that follows though it is ahead
 MOVES = PLACES * SPEEDS
-STEPS, STEP = 8, 0.25  # the last in s
+STEPS, STEP = 8, 0.25  # number, length in s
 MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2
 GRIP = 1.3 * _line.GRIP  # m/s^2 across the track
-COLLISION, IMPOSSIBLE, KEPT = 20.0, 1e3, 0.3  # m: costs, and what the last choice gains
-SIGHT = 12.0  # m within which the game is played
-AIR_LATER = 2  # steps within which the air beside the opponent may still be missing
+COLLISION, IMPOSSIBLE, KEPT = 20.0, 1e3, 0.3  # m: costs, and the bonus of the last choice
+SIGHT = 12.0  # max distance of the opponent in the game, m
+AIR_LATER = 2  # steps in which clearance to the opponent may still be missing
 
-_CHOSEN = _line.KEPT_LANE  # memory: the lane, and the place that was chosen last, counted from 1
+_CHOSEN = _line.KEPT_LANE  # memory: the lane, and the last chosen position, counted from 1
 MEMORY = _line.KEPT_LANE + 1
-# Scratch: of each trajectory of both cars arc lengths and distances from the line at the steps, its value alone; the
-# payoffs of both cars; the lane.
+# Scratch: arc lengths and distances from the line of each trajectory of both cars at the steps, and
+# its value alone; the payoffs of both cars; the lane.
 _S, _D, _VALUE = 0, 2 * MOVES * STEPS, 4 * MOVES * STEPS
 _OWN, _OPP = _VALUE + 2 * MOVES, _VALUE + 2 * MOVES + MOVES * MOVES
 _LANE = _OPP + MOVES * MOVES
@@ -58,7 +60,7 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 @inner_kernel
 def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, follow, scratch):  # type: ignore[no-untyped-def]
-    """Write the trajectories of a car that is ``begin`` m ahead of the own one and wants to be at ``home`` (m)."""
+    """Write the trajectories of a car ``begin`` m ahead of the own car; it prefers ``home`` (m)."""
     s0, reach = view[_view.OWN_S], max(3.0, 1.2 * v)
     keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
     for move in range(MOVES):
@@ -85,7 +87,7 @@ def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, foll
 
 @inner_kernel
 def _collision(view, air, own, opponent, scratch):  # type: ignore[no-untyped-def]
-    """Cost in m of a trajectory of the own car that meets one of the opponent's: the sooner the more; 0 if not."""
+    """Return the cost (m) of a collision of two trajectories: higher if sooner, 0 if none."""
     long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.1
     wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
     a, b = own * STEPS, (MOVES + opponent) * STEPS
@@ -116,10 +118,13 @@ def _payoffs(theta, view, leads, last, scratch):  # type: ignore[no-untyped-def]
 
 @kernel
 def solve(own, opponent, leads):  # type: ignore[no-untyped-def]
-    """The own move in the Stackelberg equilibrium of payoffs of shape (MOVES * MOVES,): own moves are rows."""
+    """Return the own move in the Stackelberg equilibrium.
+
+    Payoffs have shape (MOVES * MOVES,); own moves are rows.
+    """
     chosen, best = 0, -np.inf
     for move in range(MOVES):
-        # The follower's best column against the leader's row, or its best row against the leader's column.
+        # The follower's best column against the leader's row, or best row against its column.
         reply = int(np.argmax(opponent[move * MOVES :][:MOVES] if leads else own[move::MOVES]))
         value = own[move * MOVES + reply] if leads else opponent[reply * MOVES + move]
         if value > best:
@@ -129,7 +134,7 @@ def solve(own, opponent, leads):  # type: ignore[no-untyped-def]
 
 @kernel
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Play the game where the opponent is near, and drive the own trajectory."""
+    """Play the game if the opponent is near, and drive the own trajectory."""
     gap, scale, lane = gap_ahead(track, view), _line.speed_scale(view, theta[0]), scratch[_LANE:SCRATCH]
     if abs(gap) > SIGHT:
         memory[0] = memory[_CHOSEN] = 0.0

@@ -1,11 +1,12 @@
-"""The disparity extender of UNC Chapel Hill [1]_: drive straight for the farthest point that the car fits through to.
+"""Disparity extender of UNC Chapel Hill [1]_: drive straight for the farthest point within reach.
 
-Where the ranges of two neighbouring beams differ by much there is an edge, and beside it the car needs half of its
-width. So the nearer range is extended over as many beams of the farther side as half a car covers at that distance. The
-car steers for the longest range that is left in front of it, and goes straight on if something is beside it on the side
-to which it would turn. Its speed grows with the distance straight ahead.
+A large difference between the ranges of two neighbouring beams is an edge, and next to an edge the
+car needs half of its width. So the nearer range is extended over as many beams of the farther side
+as half a car covers at that distance. The car steers for the longest remaining range in front of
+it, and goes straight on if something is next to it on the side of the turn. Its speed grows with
+the distance straight ahead.
 
-What differs: the speed is also limited by the lateral acceleration of the bend.
+Differences: the speed is also limited by the lateral acceleration of the bend.
 
 References
 ----------
@@ -38,7 +39,7 @@ SCRATCH = SCAN_SIZE + BEAMS
 
 @compiled
 def extend_disparities(ranges, disparity, half_width, extended):  # type: ignore[no-untyped-def]
-    """Write the ranges (m) that are left where every edge is extended by half a car, into ``extended``."""
+    """Write the ranges (m), with every edge extended by half a car, into ``extended``."""
     for k in range(BEAMS):
         extended[k] = ranges[k]
     for k in range(BEAMS - 1):
@@ -54,13 +55,13 @@ def extend_disparities(ranges, disparity, half_width, extended):  # type: ignore
 
 @compiled
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Scan, extend, steer for the farthest."""
+    """Scan, extend the disparities, and steer for the farthest point."""
     scan(track, view, scratch)
     ranges, extended = scratch[SCAN_SIZE - BEAMS : SCAN_SIZE], scratch[SCAN_SIZE:SCRATCH]
     extend_disparities(ranges, theta[DISPARITY], 0.5 * view[_view.OWN_WIDTH] + theta[TOLERANCE], extended)
     first, last = beam_at(-0.5 * np.pi), beam_at(0.5 * np.pi)
     steering = theta[GAIN] * ANGLES[farthest(extended, ANGLES, first, last + 1)]
-    # What is beside or behind the car on the side to which it turns.
+    # Beams to the side of the turn, next to or behind the car.
     begin, end = (last, BEAMS) if steering > 0.0 else (0, first + 1)
     for k in range(begin, end):
         if ranges[k] < theta[SIDE]:
@@ -74,4 +75,4 @@ VARIANTS = {"calm": {"top_speed": 5.0, "lateral": 4.0}, "fast": {"full_distance"
 DISPARITY_EXTENDER = Planner(
     name="disparity-extender", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH, variants=VARIANTS
 )
-"""Drives straight for the farthest point."""
+"""Planner that drives straight for the farthest point."""

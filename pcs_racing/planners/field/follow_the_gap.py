@@ -1,12 +1,12 @@
-"""Follow the gap as the F1TENTH course teaches it [2]_, a simplification of [1]_.
+"""Follow-the-gap method of the F1TENTH course [2]_, a simplification of [1]_.
 
-The ranges are cut off at a longest one and smoothed. Around the nearest point a bubble as large as the car is set to
-zero; the longest run of beams that is left is the gap. The car steers for the farthest point of the gap, of ranges
-averaged once more, and chooses one of three speeds by the steering angle. `pcs_racing.planners.field.gap_follower` is a
-driver of our own after the same idea.
+The ranges are capped at a max range and smoothed. Around the nearest point a bubble as large as the
+car is set to zero; the longest remaining run of beams is the gap. The car steers for the farthest
+point of the gap, in ranges averaged once more, and chooses one of three speeds by the steering
+angle. `pcs_racing.planners.field.gap_follower` is our own planner after the same idea.
 
-What differs: only beams within a quarter turn of straight ahead count, and the speeds are higher than those of the
-course's exercise.
+Differences: only beams within a quarter turn of straight ahead count, and the speeds are higher
+than in the exercise of the course.
 
 References
 ----------
@@ -36,7 +36,7 @@ PARAMETERS = (
 )
 (BUBBLE, LONGEST, SMOOTHING, BEST, GAIN, STRAIGHT_ANGLE, CORNER_ANGLE, STRAIGHT, BEND, CORNER) = range(len(PARAMETERS))
 
-NO_LIMIT = 1e6  # m/s^2 of lateral acceleration: the speeds are those of the angles
+NO_LIMIT = 1e6  # lateral acceleration, m/s^2: only the angles limit the speed
 _SMOOTH = SCAN_SIZE
 _CHOICE = _SMOOTH + BEAMS
 SCRATCH = _CHOICE + BEAMS
@@ -44,7 +44,7 @@ SCRATCH = _CHOICE + BEAMS
 
 @compiled
 def smooth(ranges, longest, angle, out):  # type: ignore[no-untyped-def]
-    """Write the means of the ranges (m), cut off at ``longest``, over ``angle`` (rad) to either side into ``out``."""
+    """Write means of the ranges (m), capped at ``longest``, over +-``angle`` (rad) into ``out``."""
     reach = int(angle / STEP)
     total = 0.0
     first, last = 0, -1
@@ -60,7 +60,7 @@ def smooth(ranges, longest, angle, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def longest_gap(ranges):  # type: ignore[no-untyped-def]
-    """First beam of the longest run of ranges above 0, and the one after its last."""
+    """Return the first beam of the longest run of ranges above 0, and the beam after its last."""
     best, best_end, begin = 0, 0, 0
     for k in range(BEAMS + 1):
         if k == BEAMS or ranges[k] <= 0.0:
@@ -72,7 +72,7 @@ def longest_gap(ranges):  # type: ignore[no-untyped-def]
 
 @compiled
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Scan, burst the bubble, steer for the farthest point of the longest gap."""
+    """Scan, clear the bubble, and steer for the farthest point of the longest gap."""
     scan(track, view, scratch)
     ranges, choice = scratch[_SMOOTH:_CHOICE], scratch[_CHOICE:SCRATCH]
     smooth(scratch[SCAN_SIZE - BEAMS : SCAN_SIZE], theta[LONGEST], theta[SMOOTHING], ranges)

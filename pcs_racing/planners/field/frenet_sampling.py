@@ -1,14 +1,16 @@
-"""Frenet sampling [1]_: quintic and quartic polynomials to a grid of end states, and the cheapest that is possible.
+"""Frenet sampling [1]_: the cheapest feasible polynomial trajectory to a grid of end states.
 
-Ten times a second a set of trajectories is made. Across the track each is the quintic polynomial in time from the
-present state to a distance from the race line, along the track the quartic to a speed. Its cost adds the integral of
-the squared jerk, the time and the deviation of the end state, across and along. The trajectories are tried in the order
-of their costs; the first one that keeps off the walls and the predicted opponent, and within the limits of
-acceleration, is driven. The next set starts from where that one is by then.
+Ten times a second a set of trajectories is made. Across the track each is the quintic polynomial in
+time from the present state to a distance from the race line, along the track the quartic to a
+speed. Its cost adds the integral of the squared jerk, the time and the deviation of the end state,
+across and along. The trajectories are tried in the order of their costs. The car drives the first
+one that keeps off the walls and the predicted opponent, and within the limits of acceleration. The
+next set starts from the state on that trajectory.
 
-What differs: the speeds of the ends are shares of the circuit's profile there, one of them that of trailing; along the
-track the set starts from the car's own speed; the opponent is predicted to keep its share of the profile and its place
-across the track; if nothing is possible, the car trails on the race line.
+Differences: the end speeds are shares of the track's profile there, and the speed of trailing;
+along the track the set starts from the car's own speed; the opponent is predicted to keep its share
+of the profile and its position across the track; without a feasible trajectory the car trails on
+the race line.
 
 References
 ----------
@@ -43,30 +45,30 @@ TRAILING_GAP = 1
     len(_line.TRAILING), len(PARAMETERS)
 )
 
-OFFSETS, OFFSET_STEP = 9, 0.3  # end states across the track, m apart
+OFFSETS, OFFSET_STEP = 9, 0.3  # lateral end states, and their spacing (m)
 DURATIONS, SHORTEST, DURATION_STEP = 3, 1.0, 0.5  # s
-SPEEDS = 4  # the profile's, shares of it, and the opponent's
-SHARES = (1.0, 0.85, 0.65, 0.4)  # the last one where there is nobody to follow
+SPEEDS = 4  # speed of the profile, shares of it, and the opponent's speed
+SHARES = (1.0, 0.85, 0.65, 0.4)  # the last share is used if there is no car to follow
 SETS = OFFSETS * DURATIONS * SPEEDS
-CHECKS = 10  # points of a trajectory at which it is checked
-SIGHT = 20.0  # m within which the opponent is predicted
-SOON = 0.5  # s within which the air beside the opponent may still be missing
+CHECKS = 10  # checked points of a trajectory
+SIGHT = 20.0  # max distance of a predicted opponent, m
+SOON = 0.5  # time in which clearance to the opponent may still be missing, s
 MOST_ACCELERATION, MOST_BRAKING = 10.0, 7.0  # m/s^2 along the track
 
-# Memory: whether there is a plan, its time of the race, duration, quintic and quartic, in powers of time from 0 to 5.
+# Memory: flag of a plan, its race time, duration, quintic and quartic (powers of time 0 to 5).
 _VALID, _BEGUN, _DURATION, _QUINTIC, _QUARTIC = 0, 1, 2, 3, 9
 MEMORY = _QUARTIC + 6
 # Scratch: costs, the quintic and the quartic of one trajectory, the predicted opponent, the lane.
 _COST, _D, _S, _OPP = 0, SETS, SETS + 6, SETS + 12
 _OPP_V = _OPP + CHECKS * DURATIONS
-_ACROSS = _OPP_V + DURATIONS  # costs of the ends across the track
+_ACROSS = _OPP_V + DURATIONS  # costs of the lateral end states
 _LANE = _ACROSS + OFFSETS
 SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
 def quintic(d, d_dot, d_bend, end, end_rate, duration, out):  # type: ignore[no-untyped-def]
-    """Coefficients of the quintic from a state to a value and rate; returns the integral of its squared jerk."""
+    """Write the quintic from a state to a value and rate; return its integral of jerk^2."""
     per = 1.0 / duration
     rest = end - d - duration * (d_dot + 0.5 * duration * d_bend)
     slope = end_rate - d_dot - duration * d_bend
@@ -81,7 +83,7 @@ def quintic(d, d_dot, d_bend, end, end_rate, duration, out):  # type: ignore[no-
 
 @inner_kernel
 def _quartic(v, a, end, duration, out):  # type: ignore[no-untyped-def]
-    """Coefficients of the quartic from a speed and acceleration to a speed; returns its squared jerk's integral."""
+    """Write the quartic from speed and acceleration to a speed; return its integral of jerk^2."""
     third = ((end - v) / duration - 2.0 / 3.0 * a) / duration
     fourth = -(a + 6.0 * third * duration) / (12.0 * duration * duration)
     out[0], out[1], out[2], out[3], out[4], out[5] = 0.0, v, 0.5 * a, third, fourth, 0.0
@@ -91,25 +93,25 @@ def _quartic(v, a, end, duration, out):  # type: ignore[no-untyped-def]
 
 @inner_kernel(forceinline=True)
 def _at(c, t):  # type: ignore[no-untyped-def]
-    """Value of a quintic."""
+    """Return the value of a quintic."""
     return c[0] + t * (c[1] + t * (c[2] + t * (c[3] + t * (c[4] + t * c[5]))))
 
 
 @inner_kernel(forceinline=True)
 def _rate(c, t):  # type: ignore[no-untyped-def]
-    """Its derivative."""
+    """Return the first derivative of a quintic."""
     return c[1] + t * (2.0 * c[2] + t * (3.0 * c[3] + t * (4.0 * c[4] + t * 5.0 * c[5])))
 
 
 @inner_kernel(forceinline=True)
 def _bend(c, t):  # type: ignore[no-untyped-def]
-    """Its second derivative."""
+    """Return the second derivative of a quintic."""
     return 2.0 * c[2] + t * (6.0 * c[3] + t * (12.0 * c[4] + t * 20.0 * c[5]))
 
 
 @inner_kernel
 def _present(track, view, memory):  # type: ignore[no-untyped-def]
-    """State across the track from which the plan goes on: distance, its rate, the rate's rate."""
+    """Return the lateral state at which the plan continues: distance, first, second derivative."""
     t = view[_view.TIME] - memory[_BEGUN]
     if memory[_VALID] > 0.0 and t < 0.5:
         c = memory[_QUINTIC:]
@@ -123,9 +125,10 @@ def _present(track, view, memory):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _along(theta, v, a, profile, duration, k, opp_s, opp_v, out):  # type: ignore[no-untyped-def]
-    """Polynomial along the track to the k-th kind of end: a share of the profile's speed, or behind the opponent.
+    """Write the polynomial along the track to the k-th kind of end state.
 
-    Returns the integral of its squared jerk, and the speed at the end.
+    The end state has a share of the profile's speed, or is behind the opponent. Returns the
+    integral of the squared jerk, and the speed at the end.
     """
     if k == SPEEDS - 1 and opp_s > 0.0:
         return quintic(0.0, v, a, opp_s - theta[TRAILING_GAP], opp_v, duration, out), opp_v
@@ -135,7 +138,7 @@ def _along(theta, v, a, profile, duration, k, opp_s, opp_v, out):  # type: ignor
 
 @inner_kernel
 def _possible(track, theta, view, duration, number, seen, scratch):  # type: ignore[no-untyped-def]
-    """Whether a trajectory keeps off walls and the opponent, and within the limits of acceleration."""
+    """Return whether a trajectory keeps off walls and opponent, and within acceleration limits."""
     c, along = scratch[_D:_S], scratch[_S:_OPP]
     keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
     side = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
@@ -154,7 +157,7 @@ def _possible(track, theta, view, duration, number, seen, scratch):  # type: ign
         kappa = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * d, 0.25)
         if abs(kappa * v * v + _bend(c, t)) > grip:
             return False
-        # Air that is not there yet must be there in time.
+        # Clearance may still be missing up to `SOON`.
         soon = t < SOON
         near = abs(scratch[_OPP + number * CHECKS + k - 1] - s) < reach - (theta[BUMPER_AIR] if soon else 0.0)
         if seen and near and abs(view[_view.OPP_D] - d) < side - (theta[OPPONENT_AIR] if soon else 0.0):
@@ -164,7 +167,7 @@ def _possible(track, theta, view, duration, number, seen, scratch):  # type: ign
 
 @kernel
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Make the set, and drive the cheapest trajectory that is possible."""
+    """Sample the trajectories, and drive the cheapest feasible one."""
     s0, v0 = view[_view.OWN_S], max(view[_view.OWN_V], 1.0)
     scale = _line.speed_scale(view, theta[0])
     gap = gap_ahead(track, view)
@@ -218,7 +221,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     memory[_BEGUN], memory[_DURATION] = view[_view.TIME], duration
     for k in range(12):
         memory[_QUINTIC + k] = scratch[_D + k]
-    # Along the lane by arc length: the time of each point follows from the one before.
+    # Sample the lane by arc length: the time of a point follows from the previous one.
     t = 0.0
     for j in range(_line.LANE_POINTS):
         lane[j] = _at(c, min(t, duration))

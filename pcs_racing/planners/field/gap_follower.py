@@ -1,10 +1,10 @@
-"""Follow the gap: a driver that knows no map, only what its lidar sees [1]_.
+"""Follow-the-gap planner without a map: its only input is the lidar [1]_.
 
-Every point that the lidar hits grows into a bubble that the middle of the car must not enter. That gives each
-direction a free distance; the car heads for the middle of the directions whose free distance comes close to the
-longest one, leans away from what is beside it, and drives no faster than it can stop within the free distance. The
-race line and the opponent's state stay unused: the opponent is one more thing in the scan, of which the car does not
-know that it moves.
+Every point that the lidar hits grows into a bubble that the middle of the car must not enter. That
+gives each direction a free distance. The car heads for the middle of the directions with a free
+distance close to the longest one, leans away from obstacles next to it, and drives no faster than
+it can stop within the free distance. The race line and the opponent's state are unused: the
+opponent is one more obstacle in the scan, and the planner does not know that it moves.
 
 References
 ----------
@@ -39,10 +39,10 @@ BUBBLE, DEPTH, SIDE_AIR, REACH, TOP_SPEED, BRAKING, LATERAL = range(len(PARAMETE
 
 SLOWEST = 1.0  # m/s, to creep out of a dead end
 SIDE_BEAMS = BEAMS // 6  # the outer 30 degrees on each side
-LEAN = 0.4  # rad per metre that a side is too near
+LEAN = 0.4  # turn per missing metre to a side, rad/m
 _ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 _SIN, _COS = sine_tables(_ANGLES)
-_APART_SIN, _APART_COS = sine_tables(STEP * np.arange(BEAMS))  # of the angle between two beams that are so many apart
+_APART_SIN, _APART_COS = sine_tables(STEP * np.arange(BEAMS))  # by index difference of two beams
 
 # Scratch: the lidar's own working memory, the ranges, and the free distances.
 _FREE = WORK + BEAMS
@@ -51,7 +51,7 @@ SCRATCH = _FREE + BEAMS
 
 @compiled
 def free_distances(ranges, bubble, free):  # type: ignore[no-untyped-def]
-    """How far the middle of the car may go in each beam's direction before it enters a bubble around a point hit, m."""
+    """Write the free distance (m) of the car's middle along each beam, up to the first bubble."""
     for k in range(BEAMS):
         free[k] = ranges[k]
     for j in range(BEAMS):
@@ -68,7 +68,7 @@ def free_distances(ranges, bubble, free):  # type: ignore[no-untyped-def]
 
 @compiled
 def widest_gap(free, depth):  # type: ignore[no-untyped-def]
-    """Direction of the middle of the gap around the longest free distance (rad), and that distance (m)."""
+    """Return the middle (rad) of the gap around the longest free distance, and this distance, m."""
     best = farthest(free, _ANGLES, 0, BEAMS)
     enough = depth * free[best]
     right = best
@@ -82,7 +82,7 @@ def widest_gap(free, depth):  # type: ignore[no-untyped-def]
 
 @compiled
 def lean(ranges, side_air):  # type: ignore[no-untyped-def]
-    """Angle (rad, positive to the left) by which to turn away from what is beside the car, such as another car."""
+    """Return the turn (rad, positive to the left) away from obstacles next to the car."""
     right = side_air
     left = side_air
     for k in range(SIDE_BEAMS):
@@ -112,4 +112,4 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 
 GAP_FOLLOWER = Planner(name="gap-follower", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH)
-"""Drives by its lidar alone."""
+"""Planner that drives by its lidar alone."""

@@ -1,14 +1,16 @@
-"""Lidar drivers with a network, and their folders: a convolutional network [1]_ and a recurrent one [2]_.
+"""Lidar planners with a network, convolutional [1]_ or recurrent [2]_, and their folders.
 
-A third one (:mod:`pcs_racing.planners.field.residual`) corrects a driver without a map; these two imitate one that has a map.
-Ten times a second a network sees the ranges of its beams, and of the own car the speed, the yaw rate, the steering
-angle and the speed scale that the pace stands for. It puts out the slope and the bend of the path ahead, relative to
-the car's heading, and the speeds to drive nearby and farther on. It was trained on what the predictive spliner, which
-has a map and knows the opponent's state, does in the same places (``examples/imitate_from_lidar.py``).
+A third one (:mod:`pcs_racing.planners.field.residual`) corrects a planner without a map; these two
+imitate a planner with a map. The inputs of a network, ten times a second, are the ranges of its
+beams and the own car's speed, yaw rate, steering angle and speed scale (from the pace). The outputs
+are the slope and the bend of the path ahead, relative to the car's heading, and the speeds nearby
+and farther on. The network was trained to imitate the predictive spliner, which has a map and knows
+the opponent's state, in the same places (``examples/imitate_from_lidar.py``).
 
-What differs: networks are smaller, for 135 beams, and see more of the own car; they put out a path ten times a second,
-which is followed fifty times a second, instead of steering angles; and they are taught where they drive themselves,
-too, not only where the teacher does.
+Differences: networks are smaller, for 135 beams, and have more inputs about the own car; their
+output is a path ten times a second, which is followed fifty times a second, instead of steering
+angles; training also covers the places where the networks drive, not only the places where the
+teacher drives.
 
 References
 ----------
@@ -43,7 +45,8 @@ from pcs_racing.planners.scanning import FIELD_OF_VIEW, MAX_RANGE, WORK, scan_be
 from pcs_racing.planners.trained import DRIVER_FORMAT
 from pcs_racing.planners.view import PATH_POINTS
 
-# Dense layers on parts of what went in; both kernels take a layer's numbers as `DenseLayers.flat` orders them.
+# Dense layers on parts of the input; both kernels take a layer's numbers in the order of
+# `DenseLayers.flat`.
 
 
 @kernel
@@ -53,15 +56,15 @@ def convolve(flat, sizes, step, x, y):  # type: ignore[no-untyped-def]
     Parameters
     ----------
     flat : ndarray
-        The layer's numbers.
+        Numbers of the layer.
     sizes : ndarray, shape (2,)
-        Numbers of a window, and that come out of it: positions times channels, and channels.
+        Inputs of a window (positions times channels), and its outputs (channels).
     step : int
         Numbers from one window to the next.
     x : ndarray
-        Position after position, with all channels of one beside each other.
+        Inputs, position after position, with all channels of a position next to each other.
     y : ndarray
-        As many positions as there are windows.
+        Outputs, one position for each window.
     """
     width = sizes[1]
     for k in range(y.shape[0] // width):
@@ -73,10 +76,10 @@ def convolve(flat, sizes, step, x, y):  # type: ignore[no-untyped-def]
 
 @kernel
 def recur(flat, inputs, units, x, state, work):  # type: ignore[no-untyped-def]
-    """Move the state of gated recurrent units (``units``,) on by the inputs ``x``.
+    """Advance the state of gated recurrent units (``units``,) by the inputs ``x``.
 
-    ``flat`` holds the layer from the inputs to the reset, update and new gates, and that from the state to them;
-    ``work`` 6 times as many numbers as there are units.
+    ``flat`` holds the layer from the inputs to the reset, update and new gates, then the layer from
+    the state to the gates; ``work`` holds 6 times as many numbers as there are units.
     """
     gates = 3 * units
     from_inputs, from_state = work[:gates], work[gates : 2 * gates]
@@ -90,24 +93,24 @@ def recur(flat, inputs, units, x, state, work):  # type: ignore[no-untyped-def]
 
 
 BEAMS = 135
-SEEN = BEAMS + 4  # what a network sees: the beams from right to left; then speed, yaw rate, steering, speed scale
+SEEN = BEAMS + 4  # inputs: beams from right to left; speed, yaw rate, steering, speed scale
 OUTPUTS = 4  # slope and bend of the path, speeds nearby and farther on
-NEAR, FAR = 3, 7  # points of the path that have these speeds
+NEAR, FAR = 3, 7  # path points with these speeds
 SLOWEST = 0.5  # m/s
 KINDS, MOST = ("weight", "bias"), 100.0
 _STEP = FIELD_OF_VIEW / (BEAMS - 1)
 _ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 _SIN, _COS = sine_tables(_ANGLES)
 
-UNITS = 48  # of the recurrent network
+UNITS = 48  # units of the recurrent network
 LAYERS = {
     # Three convolutions (positions times channels, channels), a hidden layer, the outputs.
     "cnn": ((7, 8), (5 * 8, 12), (4 * 12, 16), (9 * 16 + 4, 32), (32, OUTPUTS)),
-    # To the gates from what is seen and from the state, the outputs.
+    # Layers from the inputs and from the state to the gates, the outputs.
     "gru": ((SEEN, 3 * UNITS), (UNITS, 3 * UNITS), (UNITS, OUTPUTS)),
     "residual": _residual.LAYERS,
 }
-"""Numbers that go into and come out of the layers of each network."""
+"""Numbers of inputs and outputs of the layers of each network."""
 MEMORY = {"cnn": 0, "gru": UNITS, "residual": 0}
 SCANNED = {"cnn": BEAMS, "gru": BEAMS, "residual": _residual.BEAMS}
 SCRATCH = 800  # numbers of working memory of a network
@@ -131,11 +134,11 @@ LIDAR_FORMAT = ArtifactFormat(
 
 @compiled
 def observe(track, view, pace, work, seen):  # type: ignore[no-untyped-def]
-    """Write what the network sees, all of order one, into ``seen``, shape (SEEN,)."""
+    """Write the inputs of the network, all of order one, into ``seen``, shape (SEEN,)."""
     beams = Beams(_ANGLES[0], _STEP, MAX_RANGE, _COS, _SIN)
     scan_beams(track, beams, view, view[_view.OWN_PSI], work, seen[:BEAMS])
     for k in range(BEAMS):
-        # The root keeps apart what is near without losing what is far.
+        # The root resolves near ranges without losing far ones.
         seen[k] = 2.0 * np.sqrt(seen[k] / MAX_RANGE) - 1.0
     seen[BEAMS] = view[_view.OWN_V] / 8.0
     seen[BEAMS + 1] = view[_view.OWN_PSI_DOT] / 4.0
@@ -145,7 +148,7 @@ def observe(track, view, pace, work, seen):  # type: ignore[no-untyped-def]
 
 @compiled
 def answer_cnn(flat, seen, state, work):  # type: ignore[no-untyped-def]
-    """Pass what is seen through the convolutional network; the outputs stand at the beginning of ``work``."""
+    """Evaluate the convolutional network; the outputs are at the beginning of ``work``."""
     features, first, second = work[:148], work[148:492], work[492:732]
     convolve(flat, (7, 8), 3, seen, first)
     convolve(flat[64:], (40, 12), 16, first, second)
@@ -157,7 +160,7 @@ def answer_cnn(flat, seen, state, work):  # type: ignore[no-untyped-def]
 
 @compiled
 def answer_gru(flat, seen, state, work):  # type: ignore[no-untyped-def]
-    """Move the state of the recurrent network on; the outputs stand at the beginning of ``work``."""
+    """Advance the recurrent network; the outputs are at the beginning of ``work``."""
     recur(flat, SEEN, UNITS, seen, state, work)
     last = 3 * UNITS * (SEEN + UNITS + 2)
     dense_forward(flat[last:], (UNITS, OUTPUTS), state, work, False)
@@ -168,7 +171,7 @@ ANSWERS = {"cnn": answer_cnn, "gru": answer_gru}
 
 @compiled
 def lay_path(view, outputs, share, path):  # type: ignore[no-untyped-def]
-    """Write the path and the speeds that the network's outputs stand for."""
+    """Write the path and the speeds of the network's outputs."""
     sine, cosine = sine_cosine(view[_view.OWN_PSI])
     slope, bend = 0.1 * outputs[0], 0.1 * outputs[1]
     near, far = 6.0 + 2.0 * outputs[2], 6.0 + 2.0 * outputs[3]
@@ -200,10 +203,10 @@ def _plan(network: str, frozen: bytes) -> Any:
 def save_lidar_driver(
     folder: str | Path, network: str, layers: Sequence[Any], *, name: str, training: Mapping[str, Any]
 ) -> Path:
-    """Write a driver into a folder, which is made if need be.
+    """Save a lidar planner in a folder, created if missing.
 
-    ``network`` is one of :data:`LAYERS`, ``layers`` are weight (out, in) and bias (out,) of each of its layers, and
-    ``training`` says how it was trained: texts and numbers by name.
+    ``network`` is one of :data:`LAYERS`, ``layers`` are weight (out, in) and bias (out,) of each of
+    its layers, and ``training`` describes the training: texts and numbers by name.
     """
     pairs = enumerate(layers)
     tensors = {f"layers.{i}.{kind}": a for i, pair in pairs for kind, a in zip(KINDS, pair, strict=True)}
@@ -214,7 +217,7 @@ def save_lidar_driver(
 
 
 def flat_weights(layers: Iterable[Any]) -> NDArray[np.float64]:
-    """All numbers of layers (weight, bias) as one vector, as the compiled networks take them."""
+    """Return all numbers of layers (weight, bias) as one vector for the compiled networks."""
     return flat_layers(layers).astype(np.float64)
 
 
@@ -235,7 +238,7 @@ def _flat(folder: Path, network: Any, content: bytes) -> NDArray[np.float64]:
 
 
 def read_lidar_driver(source: str | Path) -> tuple[str, str, NDArray[np.float64]]:
-    """Return name, network and weights of a lidar driver, from the name of a shipped one or from its folder."""
+    """Return name, network and weights of a lidar planner, from its shipped name or its folder."""
     folder = LIDAR_FORMAT.find(source)
     fields, content = LIDAR_FORMAT.load(folder)
     flat, beams = _flat(folder, fields["network"], content), SCANNED[fields["network"]]
@@ -245,7 +248,7 @@ def read_lidar_driver(source: str | Path) -> tuple[str, str, NDArray[np.float64]
 
 
 def load_lidar_driver(source: str | Path) -> Planner:
-    """Return a lidar driver's planner; source and errors as for :func:`read_lidar_driver`."""
+    """Return a lidar planner; source and errors as for :func:`read_lidar_driver`."""
     name, network, flat = read_lidar_driver(source)
     residual = network == "residual"
     known = _residual.PARAMETERS if residual else PARAMETERS
@@ -260,7 +263,7 @@ def load_lidar_driver(source: str | Path) -> Planner:
 
 
 def __getattr__(name: str) -> Any:
-    """``LIDAR_CNN``, ``LIDAR_GRU`` and ``RESIDUAL``, the shipped planners, loaded at their first use."""
+    """Return ``LIDAR_CNN``, ``LIDAR_GRU`` or ``RESIDUAL``, shipped planners loaded at first use."""
     if name not in ("LIDAR_CNN", "LIDAR_GRU", "RESIDUAL"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = load_lidar_driver(name.lower().replace("_", "-"))

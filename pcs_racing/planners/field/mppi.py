@@ -1,15 +1,16 @@
-"""Model predictive path integral control [1]_: hundreds of disturbed plans, averaged by how good they are.
+"""Model predictive path integral control [1]_: a cost-weighted mean of hundreds of disturbed plans.
 
-The plan is a sequence of curvatures, counted from that of the race line, and accelerations. Ten times a second it is
-moved on by one step, and `SAMPLES` copies of it are disturbed by normal noise and driven in a kinematic model along the
-race line. A copy's cost adds the squares of its distance from the speed profile and from the race line, nearness to
-walls and to the predicted opponent, lateral acceleration beyond the grip, and what its disturbance costs. The new plan
-is the mean of all copies with the weights ``exp(-cost / temperature)``.
+The plan is a sequence of curvatures, relative to the race line, and accelerations. Ten times a
+second it is shifted by one step, and `SAMPLES` copies of it are disturbed by normal noise and
+driven in a kinematic model along the race line. A copy's cost adds the squares of its distance from
+the speed profile and from the race line, nearness to walls and to the predicted opponent, lateral
+acceleration beyond the grip, and the cost of its disturbance. The new plan is the mean of all
+copies with the weights ``exp(-cost / temperature)``.
 
-What differs: the model is kinematic; the plan begins where the last one is by then, and is driven by following its
-path, which makes up for the slip of the tyres, instead of by its first control; the noise comes from a table that is
-drawn once, read at places that depend on the time of the race, so that one race has one result, and is held for some
-steps.
+Differences: the model is kinematic; the plan begins at the last plan's present position; the car
+follows the path of the plan, which compensates the slip of the tyres, instead of its first control;
+the noise comes from a table that is drawn once, read at places that depend on the race time, so
+that one race has one result, and is held for some steps.
 
 References
 ----------
@@ -48,21 +49,24 @@ PARAMETERS = (
     SMOOTHNESS, OPPONENT_LENGTH, OPPONENT_WIDTH,
 ) = range(len(PARAMETERS))  # fmt: skip
 
-SAMPLES, STEPS, STEP = 256, 15, 0.1  # the last in s
-HELD = 3  # steps for which a disturbance is held: fewer numbers to try, and plans that do not tremble
-CONTROL = 0.1  # cost of a plan that differs from the curvature of the line, as a share of the temperature
-GRIP = 6.0  # m/s^2 of lateral acceleration that costs nothing at speed scales up to 1, with its square above
+SAMPLES, STEPS, STEP = 256, 15, 0.1  # copies, steps, step length in s
+HELD = 3  # steps per disturbance: fewer numbers to sample, and smooth plans
+CONTROL = 0.1  # cost of leaving the line's curvature, as a share of the temperature
+GRIP = 6.0  # free lateral acceleration up to speed scale 1, above it by its square, m/s^2
 GRIP_WEIGHT = 4.0
-WALL_AIR = 0.30  # m beside the car from which on a wall costs
+WALL_AIR = 0.30  # clearance below which a wall costs, m
 CRASH = 300.0
 MOST_KAPPA, MOST_NOISE, MOST_BRAKING, MOST_ACCELERATION = 1.2, 0.3, 5.5, 6.0
-CELL, CELLS = 0.25, 128  # m, and how many of them of the race line ahead are copied together
+CELL, CELLS = 0.25, 128  # length (m) and number of the copied cells of the race line ahead
 
 _TABLE = 4096
 
 
 def normal_table(size: int) -> NDArray[np.float64]:
-    """Nearly normal numbers, mean 0 and variance 1: sums of four uniform ones of 16 bits, from a counter."""
+    """Return nearly normal numbers, mean 0 and variance 1.
+
+    Each is a sum of four uniform numbers of 16 bits, from a counter.
+    """
     key = scramble(np.arange(1, size + 1, dtype=np.uint64) * GOLDEN)
     total = sum(((key >> np.uint64(shift)) & np.uint64(0xFFFF)).astype(np.float64) for shift in (0, 16, 32, 48))
     drawn = (np.asarray(total) / 65535.0 - 2.0) * np.sqrt(3.0)
@@ -71,30 +75,31 @@ def normal_table(size: int) -> NDArray[np.float64]:
 
 NOISE = normal_table(_TABLE)
 
-# Memory: the plan's curvatures beyond those of the race line (1/m), and its accelerations (m/s^2);
-# and its way as a lane.
+# Memory: the plan's curvatures relative to the race line (1/m) and accelerations (m/s^2); its path
+# as a lane.
 _KAPPAS, _ACCELERATIONS = 0, STEPS
 _KEPT = 2 * STEPS
 MEMORY = _KEPT + _line.KEPT_LANE
-# Scratch: the copies' arc length from the car on, distance from the line, course relative to it, speed, curvature
-# beyond the line's and cost; the race line ahead: curvature, speed, free widths.
+# Scratch: the copies' arc length from the car on, distance from the line, course relative to it,
+# speed, curvature relative to the line and cost; the race line ahead: curvature, speed, free
+# widths.
 _S, _D, _E, _V, _K, _COST = (SAMPLES * k for k in range(6))
 _LINE_KAPPA, _LINE_SPEED, _LINE_RIGHT, _LINE_LEFT = (6 * SAMPLES + CELLS * k for k in range(4))
-# The plan's way, and the lane.
+# The plan's path, and the lane.
 _ALONG, _ACROSS, _SPEEDS, _LANE = (6 * SAMPLES + 4 * CELLS + STEPS * k for k in range(4))
 SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel(forceinline=True)
 def _place(time, step, which):  # type: ignore[no-untyped-def]
-    """Where in the table the noise of a step of the plan begins, at a time of the race in s (splitmix64)."""
+    """Return the table index of the noise of a plan step at a race time in s (splitmix64)."""
     key = scramble_one(np.uint64(int(time * 100.0 + 0.5) * 64 + 2 * step + which + 1) * GOLDEN)
     return np.int64((key >> np.uint64(33)) % np.uint64(_TABLE - SAMPLES))
 
 
 @inner_kernel(forceinline=True)
 def _advance(s, d, e, v, kappa, a, line_kappa):  # type: ignore[no-untyped-def]
-    """One step of the kinematic model along the race line: arc length, distance from it, course, speed."""
+    """Return arc length, distance from the line, course and speed one step of the model later."""
     e2 = e * e
     sine = e * (1.0 - e2 / 6.0)
     cosine = 1.0 - 0.5 * e2
@@ -105,7 +110,7 @@ def _advance(s, d, e, v, kappa, a, line_kappa):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _drive_copies(theta, view, sd_kappa, grip, scale, k, opp_s, opp_d, kappa0, a0, scratch):  # type: ignore[no-untyped-def]
-    """Drive all copies by one step of the plan, and add its cost. Written for the compiler to vectorise."""
+    """Drive all copies by one step of the plan, and add its cost (code for vectorisation)."""
     kappas, accelerations = NOISE[_place(view[0], k // HELD, 0) :], NOISE[_place(view[0], k // HELD, 1) :]
     s_, d_, e_, v_ = scratch[_S:_D], scratch[_D:_E], scratch[_E:_V], scratch[_V:_K]
     k_, cost = scratch[_K:_COST], scratch[_COST:_LINE_KAPPA]
@@ -168,7 +173,7 @@ def _average(theta, time, sd_kappa, memory, scratch):  # type: ignore[no-untyped
 
 @inner_kernel
 def _drive_plan(track, view, d, e, memory, along, across, speeds):  # type: ignore[no-untyped-def]
-    """Drive the plan in the model: distances along the race line and from it, and speeds, after each step."""
+    """Simulate the plan; write arc length, distance from the line and speed after each step."""
     s, v = 0.0, max(view[_view.OWN_V], 0.1)
     for k in range(STEPS):
         line_kappa = track.line[line_index(track, view[_view.OWN_S] + s), _frenet.KAPPA]
@@ -180,11 +185,11 @@ def _drive_plan(track, view, d, e, memory, along, across, speeds):  # type: igno
 
 @kernel
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Move the plan on, disturb it, average."""
+    """Shift the plan, disturb it, and average the copies."""
     s0, v0 = view[_view.OWN_S], max(view[_view.OWN_V], 0.1)
     scale = _line.speed_scale(view, theta[_PACE])
     grip = GRIP * max(scale * scale, 1.0)
-    # From where the last plan is by now: what the car strays from it, `ease_onto` leads back.
+    # Start at the last plan's present position; `ease_onto` removes the car's deviation from it.
     d0, e0, goes_on = _line.last_lane(track, view, memory[_KEPT:])
     if not goes_on:
         d0, e0 = view[_view.OWN_D], _line.course_off_line(track, view)
@@ -203,13 +208,13 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
     for i in range(SAMPLES):
         scratch[_S + i], scratch[_D + i], scratch[_E + i], scratch[_V + i] = 0.0, d0, e0, v0
         scratch[_K + i], scratch[_COST + i] = before, 0.0
-    # The opponent carries on with its share of the profile, where it is across the track.
+    # The opponent keeps its share of the profile and its position across the track.
     opp_s = gap_ahead(track, view)
     behind = opp_s <= -0.5 * view[_view.OWN_LENGTH]
     share = view[_view.OPP_V] / track.line[line_index(track, wrap_s(track, view[_view.OPP_S])), _frenet.SPEED]
     for k in range(STEPS):
         opp_s += STEP * share * track.line[line_index(track, s0 + opp_s), _frenet.SPEED]
-        # A car that is wholly behind has to look after itself.
+        # A car that is entirely behind is responsible for itself.
         seen = -1e3 if behind else opp_s
         kappa, a = memory[_KAPPAS + k], memory[_ACCELERATIONS + k]
         _drive_copies(theta, view, sd_kappa, grip, scale, k, seen, view[_view.OPP_D], kappa, a, scratch)

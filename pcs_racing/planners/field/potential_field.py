@@ -1,10 +1,12 @@
-"""An artificial potential field over the lidar [1]_, the driver that residual learning corrects in [2]_.
+"""Artificial potential field over the lidar [1]_, the base planner of residual learning in [2]_.
 
-Free space pulls and what is near pushes: each beam in front pulls the car along its direction with a power of its
-range, and within a reach each one pushes it away with the inverse square of its range, less what that is at the reach.
-The car steers for the direction of the sum, at a speed from which it can brake within the free distance of that side.
+Free space pulls and near obstacles push. Each beam in front pulls the car along its direction with
+a power of its range. Within a reach, each beam pushes it away with the inverse square of its range,
+minus the inverse square of the reach. The car steers for the direction of the sum, at a speed from
+which it can brake within the free distance of that side.
 
-What differs: free space pulls, where [1]_ has a goal; and a bend's lateral acceleration limits the speed.
+Differences: free space pulls instead of the goal of [1]_, and a bend's lateral acceleration limits
+the speed.
 
 References
 ----------
@@ -33,15 +35,15 @@ PARAMETERS = (
 )
 POWER, REPULSION, REACH, GAIN, BRAKING, TOP_SPEED, LATERAL = range(len(PARAMETERS))
 
-LONGEST = 10.0  # m: what lies beyond pulls no more
-STOP = 0.5  # m left in front of what it stops for
+LONGEST = 10.0  # max range that pulls, m
+STOP = 0.5  # distance left to an obstacle after a stop, m
 SLOWEST = 1.0  # m/s
-NO_LIMIT = 1e6  # m/s^2 of lateral acceleration: the command keeps to its own
+NO_LIMIT = 1e6  # lateral acceleration, m/s^2: the command has its own limit
 
 
 @compiled
 def field_command(theta, view, ranges):  # type: ignore[no-untyped-def]
-    """Steering angle (rad) and speed (m/s) that the field of the ranges (m) asks for."""
+    """Return the steering angle (rad) and speed (m/s) requested by the field of the ranges (m)."""
     first, last = beam_at(-0.5 * np.pi), beam_at(0.5 * np.pi)
     pull_x = pull_y = push_x = push_y = 0.0
     for k in range(first, last + 1):
@@ -52,7 +54,7 @@ def field_command(theta, view, ranges):  # type: ignore[no-untyped-def]
         push_x, push_y = push_x + push * COS[k], push_y + push * SIN[k]
     size = np.sqrt(pull_x**2 + pull_y**2) + 1e-9
     share = theta[REPULSION] / (last + 1 - first)
-    # What is ahead pushes to the side alone: it is the speed that answers to it.
+    # Obstacles ahead push only to the side; the speed accounts for their distance.
     angle = arctangent2(pull_y / size - share * push_y, max(pull_x / size, 0.1))
     steering = min(max(theta[GAIN] * angle, -view[_view.STEER_MAX]), view[_view.STEER_MAX])
     free = ranges[beam_at(0.5 * angle)]
@@ -73,4 +75,4 @@ VARIANTS = {"calm": {"top_speed": 5.0, "lateral": 4.0}, "bold": {"braking": 4.0,
 POTENTIAL_FIELD = Planner(
     name="potential-field", parameters=PARAMETERS, plan=plan, scratch_size=SCAN_SIZE, variants=VARIANTS
 )
-"""Drives along the field of the ranges."""
+"""Planner that drives along the field of the ranges."""

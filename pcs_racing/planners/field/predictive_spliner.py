@@ -1,14 +1,15 @@
-"""The predictive spliner [1]_: learn where the opponent drives and how fast, and pass where both will meet.
+"""Predictive spliner [1]_: a learned model of the opponent, and a pass where both cars will meet.
 
-What the opponent does is remembered along the track: its distance from the race line, and its speed as a share of the
-profile. A Gaussian process over arc length smooths both and fills what was not seen. With it both cars are driven on
-in thought, until the car is level with the opponent (the beginning of the region of collision) and wholly past it (its
-end). If the track has room for an evasion all along that region, the lane is a spline around it; otherwise, or where
-the car does not get past in time, it trails like `pcs_racing.planners.field.spliner`.
+The opponent's driving is recorded along the track: its distance from the race line, and its speed
+as a share of the profile. A Gaussian process over arc length smooths both and fills the gaps. With
+it both cars are simulated, until the car is level with the opponent (the beginning of the region of
+collision) and entirely past it (its end). If the track has room for an evasion all along that
+region, the lane is a spline around it; otherwise, or if the car does not get past in time, it
+trails like `pcs_racing.planners.field.spliner`.
 
-What differs: the process has an exponential kernel, on bins of the track, so that its mean follows exactly from a
-tridiagonal system, ten times a second; the spline is laid from cubics through the region's ends instead of being found
-by an optimiser; speeds are learned as shares of the profile.
+Differences: the process has an exponential kernel, on bins of the track, so that its mean follows
+exactly from a tridiagonal system, ten times a second; the spline is made of cubics through the
+region's ends instead of found by an optimiser; speeds are learned as shares of the profile.
 
 References
 ----------
@@ -42,16 +43,17 @@ PARAMETERS = (
 TRAILING_GAP = 1
 EVASION, BOUND, RAMP, HORIZON, BEGIN, END, LENGTH_SCALE, NOISE = range(len(_line.TRAILING), len(PARAMETERS))
 
-BINS = 160  # of the lap
-AHEAD = 48  # bins from the opponent on in which it is predicted
-KEPT = 0.5  # share of what was remembered of a bin that stays when the opponent comes by again
+BINS = 160  # bins per lap
+AHEAD = 48  # predicted bins from the opponent on
+KEPT = 0.5  # weight of a bin's old value when the opponent comes by again
 STEP = 0.1  # s
-ACCELERATION = 4.0  # m/s^2 of the own car on its way to the profile
-NEVER = 1e3  # m ahead, where a region ends that does not
-SIGHT = 20.0  # m within which the opponent is predicted
+ACCELERATION = 4.0  # own acceleration up to the profile, m/s^2
+NEVER = 1e3  # end of an endless region, m ahead
+SIGHT = 20.0  # max distance of a predicted opponent, m
 
-# Memory: the side of the pass (-1, 0, 1), the bin that was seen last (counted from 1), and for each bin the opponent's
-# distance from the race line, its speed as a share of the profile, and whether it was seen.
+# Memory: the side of the pass (-1, 0, 1), the last observed bin (counted from 1), and for each bin
+# the opponent's distance from the race line, its speed as a share of the profile, and an observed
+# flag.
 _SIDE, _LAST, _D = 0, 1, 2
 _V = _D + BINS
 _SEEN = _V + BINS
@@ -63,9 +65,12 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 @inner_kernel
 def remember(memory, at, d, share):  # type: ignore[no-untyped-def]
-    """Keep what the opponent does in the bin ``at``: distance from the race line (m), share of the profile's speed."""
+    """Store the opponent's driving in the bin ``at``.
+
+    ``d`` is its distance from the race line (m), ``share`` its share of the profile's speed.
+    """
     kept = KEPT if memory[_SEEN + at] > 0.0 else 0.0
-    # While it is in the bin the mean moves on slowly.
+    # While the opponent is in the bin, the mean moves slowly.
     kept = 0.8 if memory[_LAST] == at + 1.0 else kept
     memory[_D + at] = kept * memory[_D + at] + (1.0 - kept) * d
     memory[_V + at] = kept * memory[_V + at] + (1.0 - kept) * share
@@ -75,20 +80,22 @@ def remember(memory, at, d, share):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def smooth_ahead(memory, first, values, keep, noise, now, prior, mean, work):  # type: ignore[no-untyped-def]
-    """Write the posterior means of a process with exponential kernel, in `AHEAD` bins from the opponent's on.
+    """Write posterior means of a process with exponential kernel.
+
+    The means are in `AHEAD` bins from the opponent's bin on.
 
     Parameters
     ----------
     memory : ndarray
-        What was seen: observations from index ``values`` on.
+        Observations, from index ``values`` on.
     first : int
         The opponent's bin.
     keep : float
         Correlation of two neighbouring bins.
     noise : float
-        Variance of an observation; that of the process is 1.
+        Variance of an observation; the variance of the process is 1.
     now, prior : float
-        What the opponent does now, known without noise, and the mean of the process.
+        The opponent's present value, known without noise, and the mean of the process.
     """
     inner = (1.0 + keep * keep) / (1.0 - keep * keep)
     side = -keep / (1.0 - keep * keep)
@@ -112,7 +119,7 @@ def smooth_ahead(memory, first, values, keep, noise, now, prior, mean, work):  #
 
 @inner_kernel(forceinline=True)
 def _ahead(means, per_bin, along):  # type: ignore[no-untyped-def]
-    """A mean at a distance (m) beyond the opponent, between the bins."""
+    """Return a mean at a distance (m) beyond the opponent, interpolated between the bins."""
     u = min(max(along * per_bin, 0.0), AHEAD - 1.001)
     k = int(u)
     return means[k] + (u - k) * (means[k + 1] - means[k])
@@ -120,7 +127,7 @@ def _ahead(means, per_bin, along):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _region(track, theta, view, scale, gap, per_bin, shares):  # type: ignore[no-untyped-def]
-    """Distances (m) from the car at which the region of collision begins and ends; no region if the end is 0."""
+    """Return begin and end of the region of collision, m from the car; end 0: no region."""
     s0 = view[_view.OWN_S]
     own, opponent, v, t = 0.0, gap, view[_view.OWN_V], 0.0
     begins = -1.0
@@ -139,21 +146,21 @@ def _region(track, theta, view, scale, gap, per_bin, shares):  # type: ignore[no
 
 @inner_kernel(forceinline=True)
 def _ramp(u):  # type: ignore[no-untyped-def]
-    """Cubic from 0 at u <= 0 to 1 at u >= 1."""
+    """Return a cubic from 0 at u <= 0 to 1 at u >= 1."""
     u = min(max(u, 0.0), 1.0)
     return u * u * (3.0 - 2.0 * u)
 
 
 @inner_kernel(forceinline=True)
 def _evasion(theta, offsets, per_bin, gap, side, begins, ends, x):  # type: ignore[no-untyped-def]
-    """Distance from the race line of the evasion to one side, at a distance (m) ahead of the car."""
+    """Return the offset of an evasion to one side from the race line, ``x`` m ahead of the car."""
     share = _ramp((x - begins) / theta[RAMP] + 1.0) * (1.0 - _ramp((x - ends) / theta[RAMP]))
     return share * (_ahead(offsets, per_bin, x - gap) + side * theta[EVASION])
 
 
 @inner_kernel
 def _least_room(track, theta, view, gap, per_bin, offsets, side, begins, ends):  # type: ignore[no-untyped-def]
-    """Least room (m) that an evasion to one side leaves to the walls, all the way from the line and back."""
+    """Return the min room (m) of an evasion to the walls, over its whole length."""
     keep = theta[BOUND] + 0.5 * view[_view.OWN_WIDTH]
     least = np.inf
     x = max(begins - theta[RAMP], 0.0)
@@ -168,7 +175,7 @@ def _least_room(track, theta, view, gap, per_bin, offsets, side, begins, ends): 
 
 @kernel
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Remember, predict, and pass or trail."""
+    """Record the opponent, predict it, and pass or trail."""
     gap = gap_ahead(track, view)
     scale = _line.speed_scale(view, theta[0])
     per_bin = BINS / track.length
@@ -190,7 +197,8 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         right = _least_room(track, theta, view, gap, per_bin, offsets, -1.0, begins, ends)
         side = memory_side if memory_side != 0.0 else (1.0 if left > right else -1.0)
         passes = ends > 0.0 and (left if side > 0.0 else right) > 0.0
-        # Where it gets past only elsewhere it trails, but a pass is given up only where there is room to brake.
+        # Without room or time for a pass the car trails, but it aborts a pass only with room to
+        # brake.
         closing = max(view[_view.OWN_V] - view[_view.OPP_V], 0.0)
         committed = memory_side != 0.0 and gap < theta[TRAILING_GAP] + closing * closing / (2.0 * BRAKING)
         if passes or committed:
@@ -215,4 +223,4 @@ PREDICTIVE_SPLINER = Planner(
     scratch_size=SCRATCH,
     variants=VARIANTS,
 )
-"""The predictive spliner: learns where the opponent drives, and passes where both will meet."""
+"""The predictive spliner: a learned model of the opponent, and a pass where both cars meet."""

@@ -1,9 +1,10 @@
-"""Pure pursuit of the race line: the plainest driver, and the yardstick for the others.
+"""Pure pursuit of the race line: the simplest planner, and the baseline of the others.
 
-Its path eases from the car back onto the race line, at the speed of the profile; the default ``control`` drives along
-it by pure pursuit [1]_. Pursuing the line itself would not do: a look-ahead that is short enough not to cut corners
-makes a fast car weave. It does not overtake: it follows an opponent ahead, and keeps its place until one beside it
-that is nearer to the line has gone by.
+Its path eases from the car back onto the race line, at the speed of the profile; the default
+``control`` drives along it by pure pursuit [1]_. Direct pursuit of the line fails: a look-ahead
+short enough not to cut corners makes a fast car weave. The planner does not overtake: it follows an
+opponent ahead. Next to an opponent that is nearer to the line, it keeps its position across the
+track until the opponent has gone by.
 
 References
 ----------
@@ -28,33 +29,37 @@ PARAMETERS = (
 )
 PACE, LOOKAHEAD, LOOKAHEAD_TIME, FOLLOW_DISTANCE = range(len(PARAMETERS))
 
-FOLLOW_GAIN = 1.2  # 1/s, closing speed per metre beyond the follow distance
-IN_THE_WAY = 0.1  # m of air beside the opponent below which it is followed
-WALL_MARGIN = 0.38  # m from the car's middle to the wall when it keeps its place beside an opponent
+FOLLOW_GAIN = 1.2  # closing speed per metre beyond the follow distance, 1/s
+IN_THE_WAY = 0.1  # clearance below which the opponent is followed, m
+WALL_MARGIN = 0.38  # distance of the car's middle to the wall next to an opponent, m
 
 
 @compiled(forceinline=True)
 def line_index(track, s):  # type: ignore[no-untyped-def]
-    """Index of the last sample of the race line at or before an arc length (any real number)."""
+    """Return the index of the last line sample at or before an arc length (any real number)."""
     return int(wrap_s(track, s) / track.ds) % track.line.shape[0]
 
 
 @compiled(forceinline=True)
 def gap_ahead(track, view):  # type: ignore[no-untyped-def]
-    """How far ahead the opponent is along the track, whatever the laps between, in [-length / 2, length / 2), m."""
+    """Return the distance to the opponent ahead, modulo laps, in [-length / 2, length / 2), m."""
     gap = view[_view.GAP]
     return gap - np.floor(gap / track.length + 0.5) * track.length
 
 
 @compiled(forceinline=True)
 def side_air(view):  # type: ignore[no-untyped-def]
-    """Air between the two cars across the track in m; negative when one would hit the other from behind."""
+    """Return the lateral clearance of both cars, m; negative if one would hit the other's rear."""
     return abs(view[_view.OPP_D] - view[_view.OWN_D]) - 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
 
 
 @compiled(forceinline=True)
 def gives_way(view, gap):  # type: ignore[no-untyped-def]
-    """Whether the opponent is beside the car and nearer to the race line, so that the line is its to take."""
+    """Return whether the car gives way to the opponent.
+
+    It does if the opponent is alongside and nearer to the race line: then the line belongs to the
+    opponent.
+    """
     bodies = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH])
     alongside = -bodies < gap < 1.5 * bodies and side_air(view) > 0.0
     return alongside and abs(view[_view.OPP_D]) < abs(view[_view.OWN_D])
@@ -62,14 +67,14 @@ def gives_way(view, gap):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True)
 def within_walls(track, s, d, keep):  # type: ignore[no-untyped-def]
-    """Distance from the race line nearest to ``d`` that leaves ``keep`` to the walls where the line does, m."""
+    """Return the offset (m) nearest to ``d`` that leaves ``keep`` to walls where the line does."""
     line = track.line[line_index(track, s)]
     return min(max(d, min(keep - line[_frenet.RIGHT], 0.0)), max(line[_frenet.LEFT] - keep, 0.0))
 
 
 @compiled
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Write a path whose distance from the race line falls to 0 as a cubic that starts along the car's course."""
+    """Write a path back to the race line: a cubic that starts along the car's course."""
     s0 = view[_view.OWN_S]
     d0 = view[_view.OWN_D]
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
@@ -101,4 +106,4 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 
 PURE_PURSUIT = Planner(name="pure-pursuit", parameters=PARAMETERS, plan=plan)
-"""The race line, and nothing else."""
+"""Pure pursuit of the race line alone."""

@@ -1,11 +1,13 @@
-"""Residual learning on a potential field [1]_: a network corrects what a driver without a map would do.
+"""Residual learning on a potential field [1]_: a network corrects a planner without a map.
 
-Ten times a second the potential field (:mod:`pcs_racing.planners.field.potential_field`) asks for a steering angle and a
-speed. A network sees the nearest range in each of 54 sectors, what the car measures of itself and this command, and
-adds at most `STEERING` and `SPEED` to it. It was trained by PPO in races of the driver against itself and alone
+Ten times a second the potential field (:mod:`pcs_racing.planners.field.potential_field`) requests a
+steering angle and a speed. The inputs of a network are the nearest range in each of 54 sectors, the
+car's measurements of itself and this command. It adds at most `STEERING` and `SPEED` to the
+command. It was trained by PPO in races of the planner against itself and alone
 (``examples/residual_ppo.py``), rewarded for progress and for gaining on the other car.
 
-What differs: the network is fully connected and sees one scan, where the paper's is convolutional and sees several.
+Differences: the network is fully connected and its input is one scan; the paper's network is
+convolutional, and its input is several scans.
 
 References
 ----------
@@ -25,12 +27,12 @@ from pcs_racing.planners.field.potential_field import NO_LIMIT, POTENTIAL_FIELD,
 from pcs_racing.planners.planner import Parameter
 from pcs_racing.planners.scanning import BEAMS, MAX_RANGE, SCAN_SIZE, scan, steer_for
 
-SECTOR = 5  # beams of a sector; the last beam of 271 is left out
+SECTOR = 5  # beams per sector; the last beam of 271 is left out
 SECTORS = BEAMS // SECTOR
-SEEN = SECTORS + 5  # the sectors from right to left; speed, yaw rate, steering; the field's steering and speed
+SEEN = SECTORS + 5  # inputs: sectors from right to left; speed, yaw rate, steering; field command
 WIDTH = 64
-LAYERS = ((SEEN, WIDTH), (WIDTH, WIDTH), (WIDTH, 2))  # a tanh behind each
-STEERING, SPEED = 0.2, 3.0  # the largest corrections, rad and m/s
+LAYERS = ((SEEN, WIDTH), (WIDTH, WIDTH), (WIDTH, 2))  # a tanh after each
+STEERING, SPEED = 0.2, 3.0  # max corrections, rad and m/s
 SCRATCH = SCAN_SIZE + 2 * WIDTH
 
 PARAMETERS = (
@@ -43,12 +45,15 @@ _FIELD, _SIZES = POTENTIAL_FIELD.default, np.array((SEEN, WIDTH, WIDTH, 2))
 
 @compiled
 def observe(track, view, scratch, seen):  # type: ignore[no-untyped-def]
-    """Scan, write what the network sees, all of order one, into ``seen`` (SEEN,), and return the field's command."""
+    """Scan, write the inputs of the network into ``seen`` (SEEN,), and return the field's command.
+
+    All inputs are of order one.
+    """
     scan(track, view, scratch)
     ranges = scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]
     steering, speed = field_command(_FIELD, view, ranges)
     for k in range(SECTORS):
-        # The root keeps apart what is near without losing what is far.
+        # The root resolves near ranges without losing far ones.
         seen[k] = 2.0 * np.sqrt(ranges[SECTOR * k : SECTOR * (k + 1)].min() / MAX_RANGE) - 1.0
     seen[SECTORS] = view[_view.OWN_V] / 8.0
     seen[SECTORS + 1] = view[_view.OWN_PSI_DOT] / 4.0
@@ -67,7 +72,7 @@ def lay_corrected(view, steering, speed, turn, faster, share, path):  # type: ig
 
 @cache
 def residual_plan(frozen: bytes) -> Any:
-    """Compile the driver with the weights of its network as constants of the code."""
+    """Compile the planner with the weights of its network as constants of the code."""
     constant = np.frombuffer(frozen, np.float64)
 
     @compiled

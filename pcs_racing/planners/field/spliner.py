@@ -1,12 +1,13 @@
-"""The spliner of the ForzaETH race stack [1]_: a spline around the opponent, or a distance kept behind it.
+"""Spliner of the ForzaETH race stack [1]_: a spline around the opponent, or trailing behind it.
 
-An opponent ahead that stands near the race line is passed on the side with more room. The lane is a cubic spline
-through points before and after the opponent, which lie on the race line, and an apex beside it. It moves on with the
-opponent until that is behind. Where the spline would come too near to a wall the car trails: it keeps a distance by a
-PD controller.
+An opponent ahead near the race line is passed on the side with more room. The lane is a cubic
+spline through points on the race line before and after the opponent, and an apex next to it. The
+lane moves on with the opponent until the opponent is behind. If the spline would come too near to a
+wall, the car trails: it keeps a distance by a PD controller.
 
-What differs: the opponent is propagated along the race line with its speed, the distance to the track's bounds is
-measured from the side of the car, and the speed is limited by the bends of the lane.
+Differences: the opponent is propagated along the race line with its speed, the distance to the
+track's bounds is measured from the side of the car, and the speed is limited by the bends of the
+lane.
 
 References
 ----------
@@ -42,12 +43,12 @@ PARAMETERS = (
 TRAILING_GAP = 1
 EVASION, IN_THE_WAY, BOUND, LOOKAHEAD, FIRST_POINT = range(len(_line.TRAILING), len(_line.TRAILING) + 5)
 SECTOR, PREDICTION = len(PARAMETERS) - 2, len(PARAMETERS) - 1
-TOP_SPEED = 8.0  # m/s, that of the profile: the points lie 1 to 1.5 times as far away, by the share of it
+TOP_SPEED = 8.0  # top speed of the profile, m/s; the speed scales point distances by 1 to 1.5
 SECTOR_REACH = 10.0  # m
-KEEPS_UP = 0.9  # share of the car's speed that the opponent is taken to drive at most
-CHECK_STEP = 0.4  # m between points of the spline that are compared with the track's bounds
+KEEPS_UP = 0.9  # max share of the own speed that the opponent is assumed to drive
+CHECK_STEP = 0.4  # spacing of the spline points compared with the track's bounds, m
 
-_SIDE = 0  # memory: the side of the opponent that is passed (-1 right, 1 left), or 0
+_SIDE = 0  # memory: the side of a pass (-1 right, 1 left), or 0
 KNOTS = 7
 _AT, _MOMENT, _FACTOR = (KNOTS * k for k in range(3))  # scratch: the points, the spline's moments, work
 _LANE = 3 * KNOTS
@@ -56,7 +57,10 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 @inner_kernel
 def lay_spline(theta, stretch, scratch):  # type: ignore[no-untyped-def]
-    """Lay the natural cubic spline that is 1 at the apex and 0 at the other points: points and second derivatives."""
+    """Write the natural cubic spline that is 1 at the apex and 0 at the other points.
+
+    The output is its points and second derivatives.
+    """
     for k in range(KNOTS):
         sign = -1.0 if k < 3 else 1.0
         scratch[_AT + k] = 0.0 if k == 3 else sign * stretch * theta[FIRST_POINT + (k if k < 3 else k - 1)]
@@ -76,7 +80,10 @@ def lay_spline(theta, stretch, scratch):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def spline_at(x, scratch):  # type: ignore[no-untyped-def]
-    """The spline of `lay_spline` at a distance (m) from its apex, within [0, 1]: it must not change sides."""
+    """Return the spline of `lay_spline` at a distance (m) from its apex.
+
+    The value is clipped to [0, 1], because a spline must not change sides.
+    """
     if x <= scratch[_AT] or x >= scratch[_AT + KNOTS - 1]:
         return 0.0
     k = 0
@@ -92,7 +99,7 @@ def spline_at(x, scratch):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def fits(track, view, keep, s, apex, gap, scratch):  # type: ignore[no-untyped-def]
-    """Whether what lies ahead of a spline around an apex at ``s + gap`` leaves ``keep`` (m) to the walls."""
+    """Return whether the rest of a spline, apex at ``s + gap``, leaves ``keep`` (m) to walls."""
     x = max(scratch[_AT], -gap)
     while x < scratch[_AT + KNOTS - 1]:
         sample = track.line[line_index(track, s + gap + x)]
@@ -124,13 +131,13 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
         roomier = 1.0 if here[_frenet.LEFT] - opp_d > here[_frenet.RIGHT] + opp_d else -1.0
         side = memory[_SIDE] if passing else roomier
         apex = opp_d + side * theta[EVASION]
-        # The opponent drives on while the car does.
+        # The opponent moves on while the car does.
         closes = 1.0 - min(view[_view.OPP_V] / max(view[_view.OWN_V], 1.0), KEEPS_UP)
         for j in range(_line.LANE_POINTS):
             lane[j] = apex * spline_at(j * _line.lane_step(view) * closes - gap, scratch)
         keep = theta[BOUND] + 0.5 * view[_view.OWN_WIDTH]
         if not (_line.lane_fits(track, view, keep, lane) and fits(track, view, keep, s0, apex, gap, scratch)):
-            # A pass is given up only where there is room to brake.
+            # A pass is aborted only with room to brake.
             closing = max(view[_view.OWN_V] - view[_view.OPP_V], 0.0)
             if now > theta[TRAILING_GAP] + closing * closing / (2.0 * BRAKING) or not passing:
                 side = 0.0

@@ -1,10 +1,11 @@
-"""The Stanley controller [1]_: steer by the heading error and the distance of the front axle from the path.
+"""Stanley controller [1]_: steering by heading error and distance of the front axle from the path.
 
-The steering angle is the heading error of the front axle and the arctangent of the gain times its distance from the
-path over the speed, with the terms of [2]_ for a car whose tyres slip: the steady yaw in a bend, and damping by the yaw
-rate and by the last change of the steering. It follows the race line, and trails a car ahead; it does not overtake.
+The steering angle is the heading error of the front axle and the arctangent of the gain times its
+distance from the path over the speed. It has the terms of [2]_ for a car with slipping tyres: the
+steady yaw in a bend, and damping by the yaw rate and by the last change of the steering. The
+controller follows the race line, and trails a car ahead; it does not overtake.
 
-What differs: the gain for the steady yaw is not tuned, but that of the car's front tyres.
+Differences: the gain for the steady yaw is not tuned; it follows from the car's front tyres.
 
 References
 ----------
@@ -35,17 +36,17 @@ PARAMETERS = (
 )
 K, K_SOFT, YAW_DAMPING, STEER_DAMPING = range(len(_line.TRAILING), len(PARAMETERS))
 
-SIGHT = 10.0  # m within which a car ahead is trailed
-PLAN_PERIOD = 0.1  # s from plan to plan
-PREVIEW = 0.1  # s at which the speed is read off the path
-# Memory: the lane, and the steering angle before.
+SIGHT = 10.0  # max distance of a trailed car, m
+PLAN_PERIOD = 0.1  # time between plans, s
+PREVIEW = 0.1  # time ahead of the speed read off the path, s
+# Memory: the lane, and the previous steering angle.
 _BEFORE = _line.KEPT_LANE
 MEMORY = _line.KEPT_LANE + 1
 
 
 @kernel
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Lay the lane: the race line, or the own place beside another car."""
+    """Write the lane: the race line, or the own position across the track next to another car."""
     cap = _line.follow_line(track, theta, view, gap_ahead(track, view), SIGHT, scratch)
     _line.ease_onto(track, view, _line.speed_scale(view, theta[0]), cap, scratch, path)
     _line.keep_lane(view, scratch, memory)
@@ -59,7 +60,7 @@ def control(track, theta, view, memory, scratch, path, command):  # type: ignore
     lane, slope = _line.kept_lane(track, memory, s)
     sample = track.line[line_index(track, s)]
     kappa = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * lane, 0.25)
-    # Of the front axle: how far the path turns away from the car's heading, and how far it is off the path.
+    # Errors of the front axle: heading, and distance from the path.
     turns = angle_between(sample[_frenet.PSI] + slope, view[_view.OWN_PSI])
     here = track.line[line_index(track, view[_view.OWN_S]), _frenet.PSI]
     axle = (view[_view.WHEELBASE] - view[_view.REAR_AXLE]) * angle_between(view[_view.OWN_PSI], here)
