@@ -17,7 +17,7 @@ from functools import partial
 from inspect import cleandoc, get_annotations
 from pathlib import Path
 from textwrap import wrap
-from typing import Any, TypeVar, get_origin
+from typing import Any, ClassVar, TypeVar, get_origin
 
 from pcs_racing.base.checks import (
     check_choice,
@@ -167,6 +167,8 @@ def setting(default: Any, rule: Rule, meaning: str) -> Any:
 class Settings:
     """Base of declared settings; checks between fields go into ``__post_init__`` after the base's."""
 
+    other_names: ClassVar[Mapping[str, str]] = {}  #: Names of settings elsewhere, for the hint in an error: ours.
+
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         # From Python 3.13 on the docstring is not indented anyway; before, both parts must be.
@@ -246,7 +248,8 @@ def _check_keys(kind: str, settings: Settings, changes: Mapping[Any, Any], where
     known = [field.name for field in fields(settings)]
     for key in changes:
         if key not in known:
-            hint = did_you_mean(key, known)
+            ours = settings.other_names.get(key)
+            hint = f" (did you mean {ours!r}?)" if ours else did_you_mean(key, known)
             raise ConfigError(f"{where}: unknown {kind} setting {key!r}; known are {', '.join(known)}{hint}")
 
 

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from operator import attrgetter
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -52,6 +52,11 @@ class VehicleParams(Settings):
     The last two apply to races, with steering commands at 50 Hz. `simulate` ignores both.
     """
 
+    #: The names of the F1TENTH gym; its two bounds of the steering are one here.
+    other_names: ClassVar[Mapping[str, str]] = {
+        **{"C_Sf": "c_sf", "C_Sr": "c_sr", "I": "inertia", "s_min": "steer_max", "s_max": "steer_max"},
+        **{"sv_min": "steer_rate_max", "sv_max": "steer_rate_max"},
+    }
     mu: float = setting(1.0489, number(0.01, 10.0), "Friction coefficient.")
     c_sf: float = setting(4.718, number(0.01, 1000.0), "Cornering stiffness of the front tyres, 1/rad.")
     c_sr: float = setting(5.4562, number(0.01, 1000.0), "Cornering stiffness of the rear tyres, 1/rad.")

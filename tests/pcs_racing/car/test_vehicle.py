@@ -9,7 +9,7 @@ from refusal import refused
 from pcs_racing import F1TENTH, VehicleParams, simulate
 from pcs_racing.base.compilation import compiled
 from pcs_racing.car.lanes import LANES, LANES_SIZE, load_car, set_target, step_lanes, step_slow_car, store_car
-from pcs_racing.car.vehicle import DELTA, RULES_NOISE, STEER_DELAY, V
+from pcs_racing.car.vehicle import DELTA, RULES_NOISE, STEER_DELAY, V, load_vehicle
 
 
 def constant(steer: float, speed: float, steps: int) -> np.ndarray:
@@ -237,6 +237,17 @@ def test_cars_in_lanes_drive_as_alone(cars):
     slow_steps = _drive(np.full(LANES_SIZE, np.nan), states, rows, TARGETS[:cars], 150)
     np.testing.assert_array_equal(states, expected)
     assert 0 < slow_steps <= 150 * cars
+
+
+def test_the_names_of_the_gym_lead_to_ours():
+    for theirs, ours in {
+        "C_Sf": "c_sf",
+        "C_Sr": "c_sr",
+        "I": "inertia",
+        "s_min": "steer_max",
+        "sv_max": "steer_rate_max",
+    }.items():
+        refused(rf"unknown vehicle setting '{theirs}'.*did you mean '{ours}'", load_vehicle, {theirs: 1.0})
 
 
 def test_bad_input_and_impossible_vehicles_are_refused():
