@@ -14,7 +14,7 @@ from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.base.files import MAX_YAML, read_limited
 from pcs_racing.f1tenth.kernel import MapGrid
 from pcs_racing.track.loading import load_track, with_walls
-from pcs_racing.track.map_files import ROS_KEYS, parse_grid, parse_ros_yaml, parse_yaml
+from pcs_racing.track.map_files import parse_grid, parse_ros_yaml, parse_yaml, turned
 from pcs_racing.track.maps import MAX_BYTES, find_map, find_shipped, list_tracks
 from pcs_racing.track.track import Track
 
@@ -88,18 +88,19 @@ def framed(free: NDArray[np.bool_], resolution: float, origin: tuple[float, floa
 @lru_cache(maxsize=8)
 def _load(file: Path, picture: Path | None, stamp: int) -> GymMap:
     values: dict[Any, Any] = parse_yaml(file, read_limited(file, MAX_YAML, "the file of a map", MapError))
-    # Some files hold additional keys, and some name a picture other than the adjacent picture.
-    kept = {"image": "-"} | {key: values[key] for key in ROS_KEYS if key in values}
-    ros = parse_ros_yaml(file, yaml.safe_dump(kept).encode())
+    # Some files name a picture other than the adjacent picture, or none.
+    ros = parse_ros_yaml(file, yaml.safe_dump({"image": "-"} | values).encode())
     picture = picture or file.parent / ros["image"]
     if not os.path.isfile(picture):
         raise MapError(f"{file}: the picture {picture.name!r:.200} is not beside it; map_ext must be its ending")
     level = (255 - FREE_ABOVE - 0.5) / 255.0
     rule = ros | {"negate": False, "occupied_thresh": level, "free_thresh": level}
-    free = ~parse_grid(picture, read_limited(picture, MAX_BYTES, "the picture of a map", MapError), rule)
-    grid, circuit = framed(free, ros["resolution"], ros["origin"]), None
+    picture_bytes = read_limited(picture, MAX_BYTES, "the picture of a map", MapError)
+    occupied, origin = turned(parse_grid(picture, picture_bytes, rule), ros)
+    free = ~occupied
+    grid, circuit = framed(free, ros["resolution"], origin), None
     # The track of a map has the gym's walls: its lidar is many times as fast.
     with suppress(MapError, ModuleNotFoundError):
-        circuit = with_walls(load_track(file), ~free, ros["resolution"], ros["origin"])
+        circuit = with_walls(load_track(file), occupied, ros["resolution"], origin)
     name = file.stem.removesuffix("_map")
-    return GymMap(name, file, picture, ros["resolution"], ros["origin"], free, grid, circuit)
+    return GymMap(name, file, picture, ros["resolution"], origin, free, grid, circuit)

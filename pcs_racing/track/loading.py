@@ -137,6 +137,8 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
     from pcs_racing.track.building.raceline import minimum_curvature_raceline
 
     occupied, resolution, origin = checked_grid(content.occupied, content.resolution, content.origin, str(files.yaml))
+    if not occupied.any():
+        raise MapError(f"{files.yaml}: the picture has no wall, no cell darker than occupied_thresh")
     center = race = None
     reasons = []
     if content.raceline is None:
@@ -149,10 +151,14 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
             raise MapError(f"{files.raceline} leads through a wall or off the map: it must stay on the track")
         if air < CLEARANCE - TOLERANCE:
             reasons.append(f"its race line comes within {air:.2f} m of a wall ({CLEARANCE} m are needed)")
-    if content.centerline is None:
+    if content.centerline is not None:
+        try:
+            center = check_centerline(content.centerline, str(files.centerline or files.waypoints))
+        except MapError:
+            if files.centerline is not None:  # centre lines of the race stack may cross themselves
+                raise
+    if center is None:
         reasons.append("it has no centre line")
-    else:
-        center = check_centerline(content.centerline, str(files.centerline))
     note = " and ".join(reasons)
     try:
         if center is None:

@@ -12,11 +12,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from pcs_racing.base import files
 from pcs_racing.base.checks import check_number, check_whole, is_number
-from pcs_racing.base.errors import MapError
+from pcs_racing.base.elementary import sine_cosine
+from pcs_racing.base.errors import MapError, say
+from pcs_racing.track.building.causes import at_cell
 
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
@@ -26,6 +28,9 @@ MAX_POINTS = 100_000  # of a line: 10 km with a point every 0.1 m
 PICTURE_FORMATS = ("PNG", "PPM", "BMP")
 CENTERLINE_COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
 RACELINE_COLUMNS = ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax_mps2")
+WAYPOINT_CENTERLINE = ("x_m", "y_m", "d_right", "d_left")
+LINE_CELLS = 20  # min extent of a thin unknown region that is a wall
+SPECK_CELLS = 2  # max size of a dark region that is dropped
 ROS_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
 
 INFO_KEYS = {
@@ -51,14 +56,12 @@ def parse_yaml(file: Path, data: bytes) -> dict[Any, Any]:
 
 
 def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
-    """Parse the yaml file of a ROS map; missing values get the defaults of ``nav2_map_server``."""
+    """Parse the yaml file of a ROS map; missing values are those of ``nav2_map_server``, and other keys are ignored."""
     values = parse_yaml(file, data)
-    unknown = [key for key in values if key not in ROS_KEYS]
     missing = [key for key in ("image", "resolution", "origin") if key not in values]
-    if unknown or missing:
+    if missing:
         raise MapError(
-            f"{file}: {'unknown' if unknown else 'missing'} {', '.join(map(repr, unknown or missing))}; "
-            f"the keys of a ROS map are {', '.join(ROS_KEYS)}"
+            f"{file}: missing {', '.join(map(repr, missing))}; the keys of a ROS map are {', '.join(ROS_KEYS)}"
         )
     image, origin, negate = values["image"], values["origin"], values.get("negate", 0)
     if not isinstance(image, str) or not image:
@@ -66,8 +69,6 @@ def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
     if not isinstance(origin, list) or len(origin) != 3:
         raise MapError(f"{file}: origin must be [x, y, yaw], got {origin!r}")
     x, y, yaw = (_number(file, "origin", value, -1e6, 1e6) for value in origin)
-    if yaw != 0.0:
-        raise MapError(f"{file}: the yaw of origin is {yaw}, only 0 is supported; rotate the picture instead")
     if values.get("mode", "trinary") not in ("trinary", "scale"):
         raise MapError(f"{file}: mode must be trinary or scale, got {values['mode']!r}")
     if negate not in (0, 1):
@@ -83,6 +84,7 @@ def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
         "image": image,
         "resolution": resolution,
         "origin": (x, y),
+        "yaw": yaw,
         "negate": bool(negate),
         "occupied_thresh": occupied,
         "free_thresh": free,
@@ -142,8 +144,9 @@ def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
     """Return the occupancy grid of a picture, row 0 at the bottom; ``ros`` is the result of `parse_ros_yaml`.
 
     A cell is wall if its darkness (255 - grey) / 255 (grey / 255 if negated) is above ``occupied_thresh``, and free if
-    it is below ``free_thresh``. Unknown cells between the thresholds are wall in regions at least three cells across.
-    Narrower regions are the soft edges of a drawn wall; they count as free, or every wall would grow by a cell.
+    it is below ``free_thresh``. Unknown cells between the thresholds are wall in regions at least three cells across,
+    and in narrower lines away from other walls. The narrow regions at a wall are its soft edges; they count as free, or
+    every wall would grow by a cell.
     """
     level = np.arange(256)
     dark = (level if ros["negate"] else 255 - level) / 255.0
@@ -155,7 +158,82 @@ def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
         from scipy import ndimage
 
         occupied |= ndimage.binary_opening(unknown, np.ones((3, 3)))
+        thin, _ = ndimage.label(unknown & ~ndimage.binary_dilation(occupied, np.ones((5, 5))), np.ones((3, 3)))
+        extent = [0, *(max(part.stop - part.start for part in box) for box in ndimage.find_objects(thin))]
+        occupied |= (np.array(extent) >= LINE_CELLS)[thin]
     return occupied
+
+
+def turned(grid: Grid, ros: dict[str, Any]) -> tuple[Grid, tuple[float, float]]:
+    """Return a grid along the axes, turned by the yaw of its origin, and the origin (the lower left corner) of that."""
+    x, y = ros["origin"]
+    quarters = ros["yaw"] / (0.5 * math.pi)
+    if abs(quarters - round(quarters)) < 1e-5:
+        quarters = round(quarters)
+    sine, cosine = sine_cosine(0.5 * math.pi * (quarters % 4))
+    if isinstance(quarters, int):  # without rounding errors
+        sine, cosine = round(sine), round(cosine)
+    height, width = grid.shape
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ [[cosine, sine], [-sine, cosine]]
+    low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
+    origin = (float(x + low[0] * ros["resolution"]), float(y + low[1] * ros["resolution"]))
+    if isinstance(quarters, int):
+        # Row 0 is the bottom: numpy's quarter turns go the other way round.
+        return np.ascontiguousarray(np.rot90(grid, -quarters % 4)), origin
+    columns, rows = (high - low).astype(int)
+    if columns * rows > 2 * MAX_PIXELS:
+        raise MapError(f"a yaw of {ros['yaw']} makes a grid of {columns} x {rows} cells: crop the picture")
+    turned = np.zeros((rows, columns), dtype=np.bool_)
+    # Four points of each cell, so that no thin wall falls between two.
+    for dx, dy in ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)):
+        u = np.arange(columns) + (low[0] + dx)
+        v = np.arange(rows)[:, None] + (low[1] + dy)
+        j, i = np.floor(cosine * u + sine * v).astype(int), np.floor(cosine * v - sine * u).astype(int)
+        inside = (i >= 0) & (j >= 0) & (i < height) & (j < width)
+        turned[inside] |= grid[i[inside], j[inside]]
+    return turned, origin
+
+
+def without_specks(file: Path, grid: Grid, resolution: float, origin: tuple[float, float]) -> Grid:
+    """Return a grid without its specks, single dark cells as mapping leaves them, and say so; larger ones stay."""
+    from scipy import ndimage
+
+    labels, count = ndimage.label(grid, np.ones((3, 3)))
+    cells = np.bincount(labels.ravel(), minlength=count + 1)
+    small = cells <= SPECK_CELLS
+    if not small.any():
+        return grid
+    specks = small[labels]
+    i, j = np.argwhere(specks)[0]
+    say(
+        f"{file}: {np.count_nonzero(small)} specks of up to {SPECK_CELLS} cells are left out, such as the one at "
+        f"{at_cell(i, j, len(grid), resolution, np.array(origin))}"
+    )
+    return grid & ~specks
+
+
+def parse_waypoints(file: Path, data: bytes) -> tuple[Floats | None, Floats]:
+    """Return the centre line and the race line of a ``global_waypoints.json``, as ForzaETH's race stack keeps them.
+
+    The rows are as in the csv files; a centre line that is missing there is None.
+    """
+    content = files.parse_json(file, data)
+    tables: list[Floats | None] = []
+    for key, columns in (("centerline_waypoints", WAYPOINT_CENTERLINE), ("global_traj_wpnts_iqp", RACELINE_COLUMNS)):
+        try:
+            points = content[key]["wpnts"] if key in content or columns is RACELINE_COLUMNS else []
+            rows = [[point[column] for column in columns] for point in points[: MAX_POINTS + 1]]
+        except (KeyError, TypeError):
+            raise MapError(
+                f"{file}: {key} must hold wpnts with {', '.join(columns)}, as the race stack writes"
+            ) from None
+        if not rows and columns is not RACELINE_COLUMNS:
+            tables.append(None)
+            continue
+        if not 10 <= len(rows) <= MAX_POINTS or not all(is_number(value) for row in rows for value in row):
+            raise MapError(f"{file}: {key} must hold 10 to {MAX_POINTS} wpnts of finite numbers, got {len(rows)}")
+        tables.append(np.array(rows, dtype=np.float64))
+    return tables[0], tables[1]
 
 
 def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str) -> Floats:
@@ -215,7 +293,9 @@ def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:
     except MapError:
         raise
     except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
-        raise MapError(f"{file} can't be read as a picture ({error}): it must be a whole {kinds} file") from error
+        # Pillow's own words name the object that it read from, not the file.
+        words = "another format" if isinstance(error, UnidentifiedImageError) else error
+        raise MapError(f"{file} can't be read as a picture ({words}): it must be a whole {kinds} file") from error
     if picture.mode in ("1", "L"):
         return np.asarray(picture.convert("L"))[::-1]
     if picture.mode not in ("P", "LA", "RGB", "RGBA"):

@@ -5,7 +5,8 @@ A folder ``NAME`` holds
 - ``NAME_map.yaml`` and the picture it names: the grid, as ROS map_server keeps it,
 - ``NAME_centerline.csv`` (optional): x, y, width to the right, width to the left, separated by commas,
 - ``NAME_raceline.csv`` (optional): s, x, y, psi, kappa, vx, ax, separated by semicolons,
-- ``NAME_track.yaml`` (optional, ours): origin and calibration of the circuit, see `map_files.INFO_KEYS`.
+- ``NAME_track.yaml`` (optional, ours): origin and calibration of the circuit, see `map_files.INFO_KEYS`,
+- ``global_waypoints.json`` (optional, of ForzaETH's race stack): the lines, where there are no csv files.
 
 If no file has the name of the folder, the only ``*_map.yaml`` in it, or else the only yaml file that names an image,
 gives the name.
@@ -34,13 +35,17 @@ from pcs_racing.track.map_files import (
     parse_grid,
     parse_info,
     parse_ros_yaml,
+    parse_waypoints,
     parse_yaml,
+    turned,
+    without_specks,
 )
 
 Floats = NDArray[np.float64]
 
 MAX_BYTES = 256_000_000  # of a picture
-MAX_LINE = 8_000_000  # of a csv file
+MAX_LINE = 8_000_000  # of a csv or json file
+WAYPOINTS = "global_waypoints.json"
 
 _SHIPPED = shipped_folder(Path(__file__).resolve().parents[1], "maps")
 
@@ -54,6 +59,7 @@ class MapFiles(NamedTuple):
     centerline: Path | None  #: None if this optional file is missing, as for the next two.
     raceline: Path | None
     info: Path | None
+    waypoints: Path | None
 
 
 class MapFolder(NamedTuple):
@@ -98,7 +104,8 @@ def find_map(path: str | os.PathLike[str]) -> MapFiles:
     else:
         raise MapError(f"no map folder at {folder}: it must be a folder that holds a *_map.yaml and its picture")
     name = yaml_file.stem.removesuffix("_map")
-    optional = (folder / f"{name}_{kind}" for kind in ("centerline.csv", "raceline.csv", "track.yaml"))
+    optional = [folder / f"{name}_{kind}" for kind in ("centerline.csv", "raceline.csv", "track.yaml")]
+    optional.append(folder / WAYPOINTS)
     # Whatever is in their place is read, or refused: a pipe or a link to nowhere is not the same as nothing.
     return MapFiles(name, folder, yaml_file, *(file if os.path.lexists(file) else None for file in optional))
 
@@ -114,11 +121,10 @@ def read_map(path: str | os.PathLike[str]) -> MapFolder:
 
 def read_bytes(files: MapFiles) -> dict[str, bytes]:
     """Read the files of a map, its picture included, by their paths within the folder."""
-    texts = [file for file in (files.yaml, files.centerline, files.raceline, files.info) if file is not None]
-    limits = {".csv": MAX_LINE}
-    contents = {
-        _label(files, file): read_inside(files.folder, file, limits.get(file.suffix, MAX_YAML)) for file in texts
-    }
+    every = (files.yaml, files.centerline, files.raceline, files.info, files.waypoints)
+    texts = [file for file in every if file is not None]
+    limits = {".csv": MAX_LINE, ".json": MAX_LINE}
+    contents = {_label(files, file): read_inside(files.folder, file, limits.get(file.suffix, MAX_YAML)) for file in texts}
     picture = _picture(files, parse_ros_yaml(files.yaml, contents[files.yaml.name]))
     return contents | {_label(files, picture): read_inside(files.folder, picture, MAX_BYTES)}
 
@@ -132,12 +138,16 @@ def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
         centerline = parse_csv(files.centerline, contents[files.centerline.name], CENTERLINE_COLUMNS, ",")
     if files.raceline is not None:
         raceline = parse_csv(files.raceline, contents[files.raceline.name], RACELINE_COLUMNS, ";")
+    if files.waypoints is not None and raceline is None:
+        given, raceline = parse_waypoints(files.waypoints, contents[files.waypoints.name])
+        centerline = given if centerline is None else centerline
+    occupied, origin = turned(parse_grid(picture, contents[_label(files, picture)], ros), ros)
     return MapFolder(
         name=files.name,
         folder=files.folder,
-        occupied=parse_grid(picture, contents[_label(files, picture)], ros),
+        occupied=without_specks(picture, occupied, ros["resolution"], origin),
         resolution=ros["resolution"],
-        origin=ros["origin"],
+        origin=origin,
         centerline=centerline,
         raceline=raceline,
         info=parse_info(files.info, contents[files.info.name]) if files.info is not None else {},
@@ -213,8 +223,9 @@ def _dump(values: dict[str, Any]) -> bytes:
 def _map_yaml(folder: Path) -> Path:
     """Return the path of the map's yaml file in a folder."""
     own = folder / f"{folder.resolve().name}_map.yaml"
-    if own.is_file():
-        return own
+    for file in (own, own.with_name(f"{folder.resolve().name}.yaml")):
+        if file.is_file() and (file == own or (folder / WAYPOINTS).is_file()):
+            return file
     everything = sorted(file for pattern in ("*.yaml", "*.yml") for file in folder.glob(pattern) if file.is_file())
     maps = [file for file in everything if file.stem.endswith("_map")]
     if not maps:

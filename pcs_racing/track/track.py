@@ -13,10 +13,15 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import MapError
 from pcs_racing.track import frenet
 from pcs_racing.track.building.build import build_arrays, check_centerline, check_line
+from pcs_racing.track.building.centerline import fill_islands
 from pcs_racing.track.building.clearance import checked_grid
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
+from pcs_racing.track.grid import distance_to_walls
 
 Floats = NDArray[np.float64]
+
+WIDTH_TOLERANCE = 0.4
+"""Max amount by which a centre line may state more room than the picture has, m; real circuits reach 0.19."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +161,8 @@ def build_track(
     label = f"track {name}"
     grid, resolution, corner = checked_grid(occupied, resolution, origin, label)
     center = check_centerline(centerline, f"{label}: the centre line")
-    arrays, drivable = build_arrays(grid, resolution, corner, check_line(raceline_xy, f"{label}: the race line"), label)
+    race = check_line(raceline_xy, f"{label}: the race line")
+    arrays, drivable = build_arrays(grid, resolution, corner, race, center, label)
     _check_centre(arrays, center, f"{label}: the centre line")
     for preset, own in (calibration or {}).items():
         last = max(stretches[-1][1] for stretches in own.start_places.values())
@@ -173,14 +179,26 @@ def build_track(
 
 
 def _check_centre(arrays: TrackArrays, center: Floats, label: str) -> None:
-    """Raise an error unless the points of a centre line lie on the track."""
+    """Raise an error unless the points of a centre line lie on the track and have about the widths that they state."""
     cols, rows = np.floor((center[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell).astype(np.int64).T
     height, width = arrays.distance.shape
     on = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
-    on[on] = arrays.distance[rows[on], cols[on]] > 0.0
-    if not on.all():
-        x, y = center[np.argmin(on), :2]
+    room = np.zeros(len(center))
+    room[on] = arrays.distance[rows[on], cols[on]]
+    stated = center[:, 2:].min(axis=1)
+    if (room < stated - WIDTH_TOLERANCE).any():  # obstacles do not narrow the track that a centre line describes
+        filled = fill_islands(arrays.distance > 0.0, arrays.cell)[0]
+        room[on] = distance_to_walls(filled, arrays.cell)[rows[on], cols[on]]
+    if (room == 0.0).any():
+        x, y = center[np.argmin(room), :2]
         raise MapError(f"{label} leaves the track at ({x:.2f}, {y:.2f}): it must stay between the walls")
+    worst = int(np.argmax(stated - room))
+    if stated[worst] > room[worst] + WIDTH_TOLERANCE:
+        x, y, right, left = center[worst]
+        raise MapError(
+            f"{label} states {right:.2f} m to the right and {left:.2f} m to the left wall at ({x:.2f}, {y:.2f}), but "
+            f"in the picture a wall is {room[worst]:.2f} m away: line, widths and picture must fit together"
+        )
 
 
 def _read_only(values: Floats) -> Floats:

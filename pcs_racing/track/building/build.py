@@ -73,7 +73,7 @@ def check_centerline(centerline: ArrayLike, label: str) -> Floats:
 
 
 def drivable_region(
-    occupied: Grid, resolution: float, origin: Floats, samples: LineSamples, label: str
+    occupied: Grid, resolution: float, origin: Floats, samples: LineSamples, center: Floats, label: str
 ) -> tuple[Grid, int, int]:
     """Return the region that is connected with a line without crossing walls, cropped to its box and a margin.
 
@@ -94,8 +94,12 @@ def drivable_region(
     drivable = np.pad(reached[bottom : top + 1, left : right + 1], MARGIN)
     bottom, left = bottom - MARGIN, left - MARGIN
     # Far more area than length times width: the walls leak into a yard or the infield.
-    across = _free_widths(drivable, *_in_cells(samples, resolution, origin, bottom, left)).sum(axis=1)
-    usual = float(across.mean()) * samples.length / resolution
+    # A race line in a wide track is much shorter than the track: the centre line counts if it gives more.
+    usual = 0.0
+    for line in (samples, sample_closed(center[:, :2], LINE_SPACING)):
+        if not ((line.xy < origin) | (line.xy >= origin + resolution * np.array(occupied.shape[::-1]))).any():
+            across = _free_widths(drivable, *_in_cells(line, resolution, origin, bottom, left)).sum(axis=1)
+            usual = max(usual, float(across.mean()) * line.length / resolution)
     area = int(np.count_nonzero(reached))
     if open_to_border or area > LEAK * usual:
         way = way_out(occupied, rows, cols)
@@ -117,11 +121,11 @@ def drivable_region(
 
 
 def build_arrays(
-    occupied: Grid, resolution: float, origin: Floats, raceline: Floats, label: str
+    occupied: Grid, resolution: float, origin: Floats, raceline: Floats, center: Floats, label: str
 ) -> tuple[TrackArrays, Grid]:
     """Build the arrays of a track for compiled kernels, and its drivable region in the shape of ``arrays.distance``.
 
-    Grid and race line have been checked by `checked_grid` and `check_line`.
+    Grid and lines have been checked by `checked_grid`, `check_line` and `check_centerline`.
     """
     from pcs_racing.track.building.raceline import speed_profile
 
@@ -132,7 +136,7 @@ def build_arrays(
             f"{label}: the race line has a kink at {_at(samples.xy[sharpest])}, its radius there is "
             f"{1.0 / abs(samples.kappa[sharpest]):.2f} m; it must be at least {1.0 / MAX_CURVATURE} m everywhere"
         )
-    drivable, row, col = drivable_region(occupied, resolution, origin, samples, label)
+    drivable, row, col = drivable_region(occupied, resolution, origin, samples, center, label)
     corner = np.array([origin[0] + col * resolution, origin[1] + row * resolution])
     x, y, tangent = _in_cells(samples, resolution, origin, row, col)
     ds = samples.length / len(x)

@@ -8,6 +8,7 @@ import numpy as np
 from pcs_racing.base.checks import is_number
 from pcs_racing.base.elementary import arctangent2, headings, lengths, sine_cosine
 from pcs_racing.base.errors import MapError, require
+from pcs_racing.track.building.causes import no_loop
 from pcs_racing.track.building.clearance import checked_grid
 from pcs_racing.track.building.curves import MAX_LENGTH, curve_length, resample, signed_area, smooth
 from pcs_racing.track.grid import distance_to_walls
@@ -15,8 +16,10 @@ from pcs_racing.track.grid import distance_to_walls
 SPACING = 0.3  # of the result, m
 SMOOTHING = 1.0  # waves of this length are halved, m: far above a cell, below the tightest hairpin
 RIM = 3  # cells of wall around the track, so that the rim itself never counts as the nearer wall
-SPECK = 0.5  # holes of less area are dirt or obstacles on the track, m^2
+SPECK = 0.5  # holes of less area are dirt or obstacles on the track, m^2 ...
+ISLAND = 0.25  # ... as are holes of less than this share of the largest hole's extent
 ROUNDING = 1e-23  # squared turns along that stretch that may be rounding errors, rad^2
+MAX_DETOURS = 10  # rounds of detours: past one obstacle the line may meet another
 START_STRAIGHT = 8.0  # the start line lies where this stretch of line is straightest, m
 
 
@@ -116,29 +119,13 @@ def _ring(
         if min(rows.stop - rows.start, cols.stop - cols.start) * resolution < 1.0:
             continue
         region = np.pad(labels[rows, cols] == k, RIM)
-        # The region is connected by sides, so what surrounds it is connected by corners too.
-        holes, count = ndimage.label(~region, structure=np.ones((3, 3)))
-        sizes = np.bincount(holes.ravel(), minlength=count + 1) * resolution**2
-        sizes[[0, holes[0, 0]]] = 0.0
-        large = np.flatnonzero(sizes >= SPECK)
-        where = (int(rows.start) - RIM, int(cols.start) - RIM)
-        region |= (holes != holes[0, 0]) & ~np.isin(holes, large)
+        region, holes, large = fill_islands(np.pad(labels[rows, cols] == k, RIM), resolution)
         if len(large) == 1:
-            rings.append((float(sizes[large[0]]), region, holes == large[0], *where))
-        elif seed is not None:
-            problem = (
-                f"surrounds {len(large)} islands, so there are several loops" if len(large) else "has no closed loop"
-            )
-            raise MapError(
-                f"the free region at seed point ({seed[0]:g}, {seed[1]:g}) {problem}: the track must be a ring between "
-                f"an inner and an outer wall"
-            )
+            size = float(np.count_nonzero(holes == large[0]))
+            rings.append((size, region, holes == large[0], int(rows.start) - RIM, int(cols.start) - RIM))
     rings.sort(key=lambda ring: -ring[0])
     if not rings:
-        raise MapError(
-            "no closed loop found: no free region lies between one inner and one outer wall (a gap in a wall lets it "
-            "run out); name the track with a seed point if there is one"
-        )
+        raise MapError(no_loop(grid, resolution, corner, seed))
     if len(rings) > 1 and rings[1][0] > 0.1 * rings[0][0]:
         points = []
         for _, region, _, row, col in rings:
@@ -148,6 +135,58 @@ def _ring(
         raise MapError(f"{len(rings)} regions could be the track: choose one by a seed point, as {' or '.join(points)}")
     _, region, hole, row, col = rings[0]
     return region, hole, row, col
+
+
+def fill_islands(region: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a region with its islands (dirt, obstacles) filled, its numbered holes, and the numbers of the large ones.
+
+    The outermost rows and columns of the region are False; they belong to no hole.
+    """
+    from scipy import ndimage
+
+    # The region is connected by sides, so its surroundings are connected by corners too.
+    holes, count = ndimage.label(~region, structure=np.ones((3, 3)))
+    sizes = np.bincount(holes.ravel(), minlength=count + 1) * resolution**2
+    extent = np.array([0, *(max(part.stop - part.start for part in box) for box in ndimage.find_objects(holes))])
+    outside = int(holes[0, 0])
+    sizes[[0, outside]] = extent[[0, outside]] = 0
+    large = np.flatnonzero((sizes >= SPECK) & (extent >= ISLAND * extent.max()))
+    return region | ((holes != outside) & ~np.isin(holes, large)), holes, large
+
+
+def around_islands(line: np.ndarray, grid: np.ndarray, resolution: float, corner: np.ndarray) -> np.ndarray:
+    """Return a closed line, or, where obstacles stand on it, a centre line that passes each on its wider side.
+
+    Each obstacle is joined to the nearest other wall: then the ring between the walls has no island there.
+    """
+    from scipy import ndimage
+
+    height, width = grid.shape
+    for _ in range(MAX_DETOURS):
+        col, row = np.floor((resample(line, resolution) - corner) / resolution).astype(int).T
+        if ((row < 0) | (col < 0) | (row >= height) | (col >= width)).any() or not grid[row, col].any():
+            return line
+        walls, _ = ndimage.label(grid, structure=np.ones((3, 3)))
+        extent = [max(part.stop - part.start for part in box) for box in ndimage.find_objects(walls)]
+        grid = grid.copy()
+        for k in np.setdiff1d(walls[row, col], 0):
+            if extent[k - 1] > ISLAND * max(extent):
+                return line  # a wall, not an obstacle
+            others = np.pad((walls > 0) & (walls != k), 1, constant_values=True)
+            away, nearest = ndimage.distance_transform_edt(~others, return_indices=True)
+            i, j = min(np.argwhere(np.pad(walls == k, 1)), key=lambda cell: away[tuple(cell)])
+            # Cells along the shortest bridge; two for each cell of its length, so that no step leaves a gap.
+            share = np.linspace(0.0, 1.0, 2 * int(away[i, j]) + 2)[:, None]
+            bridge = np.round([i, j] + share * (nearest[:, i, j] - [i, j])).astype(int) - 1
+            bridge = np.clip(bridge, 0, [height - 1, width - 1])
+            grid[bridge[:, 0], bridge[:, 1]] = True
+        free = ~grid[row, col]
+        if not free.any():
+            return line
+        seed = corner + resolution * (np.array([col[free][0], row[free][0]]) + 0.5)
+        direction = "counterclockwise" if signed_area(line) > 0.0 else "clockwise"
+        line = centerline_from_grid(grid, resolution, corner, seed_point=seed, direction=direction)[:, :2]
+    return line
 
 
 def _zero_contour(values: np.ndarray) -> np.ndarray:

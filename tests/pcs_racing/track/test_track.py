@@ -95,6 +95,11 @@ def with_value(array, index, value):
         (centre_line(lambda rows: rows[: len(rows) // 2]), "centre line is open"),
         (centre_line(lambda rows: rows * [0.6, 0.6, 1.0, 1.0]), "centre line leaves"),
         (centre_line(lambda rows: with_value(rows, (4, 2), 0.0)), "0.0 m wide to the right"),
+        (
+            centre_line(lambda rows: np.maximum(rows, [-99.0, -99.0, 5.0, 5.0])),
+            "states 5.00 m .* in the picture a wall",
+        ),
+        (centre_line(lambda rows: rows * [1.0, 0.88, 1.0, 1.0]), "in the picture a wall is 0.[2-7]"),
         (lambda values: {"resolution": np.nan}, "resolution is nan"),
         (lambda values: {"occupied": values["occupied"].astype(np.uint8)}, "grid is uint8"),
         (lambda values: {"origin": (0.0, np.inf)}, "origin holds inf"),
@@ -125,7 +130,7 @@ def test_two_parts_of_a_track_with_a_thin_wall_between_are_told_apart():
     along = np.linspace(2.0, 19.0, 60)[1:-1]
     lower, upper = (np.column_stack([along, np.full(58, y)]) for y in (1.3, 2.5))
     line = np.vstack([lower, np.array([19.0, 1.9]) + bend, upper[::-1], np.array([2.0, 1.9]) - bend])
-    track = build_track("u", occupied, cell, (0.0, 0.0), np.column_stack([line, np.ones((len(line), 2))]), line)
+    track = build_track("u", occupied, cell, (0.0, 0.0), np.column_stack([line, np.full((len(line), 2), 0.3)]), line)
     points = np.column_stack([np.linspace(4.0, 17.0, 400), np.full(400, 2.15)])
     s, d = track.to_frenet(points).T
     assert np.abs(track.to_cartesian(np.column_stack([s, np.zeros(400)]))[:, 1] - 1.3).max() < 0.02

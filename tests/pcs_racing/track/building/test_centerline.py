@@ -78,7 +78,18 @@ def test_dirt_on_the_track_does_no_harm_and_a_gap_in_a_wall_leaves_no_loop(box):
     leaking = grid.copy()
     i, j = cell((0.0, 8.1), resolution, origin)
     leaking[i - 5 : i + 6, j - 2 : j + 3] = False
-    refused("no closed loop", centerline_from_grid, leaking, resolution, origin, error=MapError)
+    for seed in (None, (3.0, 6.6)):
+        gap = r"no closed loop found: the wall has a gap .* near \(-?0\.\d\d, [78]\.\d\d\) m, pixel \(\d+, \d+\); close"
+        refused(gap, centerline_from_grid, leaking, resolution, origin, seed_point=seed, error=MapError)
+
+
+def test_lines_that_cross_are_named_with_their_crossing():
+    t = np.linspace(0.0, 2.0 * np.pi, 600, endpoint=False)
+    line = np.column_stack([9.0 * np.sin(t), 4.5 * np.sin(2.0 * t)])
+    x, y = np.meshgrid(np.arange(-11.0, 11.0, 0.05) + 0.025, np.arange(-7.0, 7.0, 0.05) + 0.025)
+    free = (cKDTree(line).query(np.column_stack([x.ravel(), y.ravel()]))[0] < 1.0).reshape(x.shape)
+    crossing = r"2 islands, .* branches near \(-?0\.[01]\d, -?0\.[01]\d\) m, pixel \(2[12]\d, 1[34]\d\)"
+    refused(crossing, centerline_from_grid, ~free, 0.05, (-11.0, -7.0), error=MapError)
 
 
 def test_impossible_wishes_and_maps_without_a_loop_are_refused(box):

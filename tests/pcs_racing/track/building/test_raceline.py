@@ -67,6 +67,27 @@ def test_the_line_of_a_circular_track_is_a_circle_and_a_narrow_place_is_named(mo
     refused(narrow, minimum_curvature_raceline, line, grid, 0.05, origin, error=MapError)
 
 
+@pytest.mark.parametrize(("width", "size"), [(3.0, 8.0), (6.0, 10.0), (12.0, 16.0)])
+def test_a_second_search_from_the_result_finds_no_faster_line(width, size):
+    t = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    line = size * np.column_stack([1.5 * np.cos(t), np.sin(t)])
+    grid, origin = walls_to_grid(line, width, 0.1)
+    race = minimum_curvature_raceline(line, grid, 0.1, origin)
+    again = minimum_curvature_raceline(race, grid, 0.1, origin)
+    assert lap(again) == pytest.approx(lap(race), rel=0.002)
+
+
+def test_an_obstacle_on_the_centre_line_is_passed_on_its_wider_side(box):
+    line, grid, resolution, origin = box
+    grid = grid.copy()
+    i, j = np.floor((np.array([0.0, -7.1]) - origin) / resolution).astype(int)[::-1]
+    grid[i - 4 : i + 5, j - 6 : j + 7] = True  # to its outside there is less room
+    race = minimum_curvature_raceline(line, grid, resolution, origin)
+    assert_sound(race, grid, resolution, origin)
+    x, y = race[race[:, 1] < 0.0].T
+    assert y[np.argmin(np.abs(x))] > -7.1
+
+
 def test_impossible_values_are_refused(box):
     for change, error, words in [
         ({"clearance": -0.1}, InputError, "clearance is -0.1"),
