@@ -1,4 +1,4 @@
-"""Cache on disk for results of slow computations on maps.
+"""Cache on disk for results of slow computations on maps, by the content of the map and of the code that made them.
 
 The folder is ``$PCS_RACING_CACHE``, else ``~/.cache/pcs_racing``; it may be deleted at any time. A file that
 is damaged or stands under the name of another counts as missing, and one that can't be written is left out.
@@ -8,14 +8,15 @@ import contextlib
 import hashlib
 import io
 import os
+import re
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.code_cache import SIMULATOR, sources_digest
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import read_limited, unpack_arrays, write_atomically
 
@@ -24,8 +25,9 @@ TRACK, CALIBRATION = "track", "calibration"  # kinds of results
 MAX_BYTES = 256_000_000
 _SEAL = 32  # bytes at the end of a file
 
-# Floors whose code decides what is cached: a change in any of their files makes all of it out of date.
-_FLOORS = {TRACK: ("base", "track"), CALIBRATION: SIMULATOR}
+# Modules whose code, with all that they import, decides the content: a change of theirs makes it out of date.
+_ALGORITHMS = {TRACK: "pcs_racing.track.loading", CALIBRATION: "pcs_racing.race.calibration"}
+_IMPORT = re.compile(r"^ *from (pcs_racing[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 
 
 def cache_folder() -> Path | None:
@@ -41,12 +43,33 @@ def cache_folder() -> Path | None:
 
 def cache_key(parts: Mapping[str, bytes], kind: str) -> str:
     """Return a hash of named inputs and of the code that processes them."""
-    package = Path(__file__).parents[1]
-    digest = hashlib.sha256(b"".join(sources_digest(package / floor) for floor in _FLOORS[kind]))
+    digest = hashlib.sha256(algorithm_digest(_ALGORITHMS[kind]))
     for name in sorted(parts):
         digest.update(f"{name}\0{len(parts[name])}\0".encode())
         digest.update(parts[name])
     return digest.hexdigest()
+
+
+@cache
+def algorithm_digest(module: str) -> bytes:
+    """Return a digest of the source of a module, and of the modules of this package that it imports, and so on."""
+    digest = hashlib.sha256()
+    for name, content in sorted(_sources(module, {}).items()):
+        digest.update(f"{name} {len(content)}\n".encode() + content)
+    return digest.digest()
+
+
+def _sources(module: str, found: dict[str, bytes]) -> dict[str, bytes]:
+    """Add the sources of a module and of those that it imports; a name that is no module adds nothing."""
+    path = Path(__file__).parents[2].joinpath(*module.split("."))
+    for file in (path.with_suffix(".py"), path / "__init__.py"):
+        # The package's own file imports nothing: it lists the names that it hands out.
+        if module not in found and module != "pcs_racing" and file.is_file():
+            found[module] = file.read_bytes()
+            for origin, names in _IMPORT.findall(found[module].decode()):
+                for name in (origin, *(f"{origin}.{name}" for name in re.findall(r"\w+", names))):
+                    _sources(name, found)
+    return found
 
 
 def load_cached(kind: str, key: str) -> dict[str, NDArray[Any]] | None:

@@ -9,8 +9,9 @@ from refusal import refused
 
 from pcs_racing import MapError, UnknownNameError, load_track
 from pcs_racing.track import loading
+from pcs_racing.track.cache import _sources
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT
-from pcs_racing.track.maps import MapFolder, write_map
+from pcs_racing.track.maps import MapFolder, read_map, write_map
 from pcs_racing.track.track import Calibration, build_track
 
 
@@ -99,9 +100,23 @@ def test_cached_arrays_that_do_not_fit_each_other_are_made_anew(folder, cache, m
 def test_what_other_code_has_cached_is_made_anew(folder, cache, monkeypatch):
     load_track(folder)
     loading._loaded.clear()
-    monkeypatch.setattr("pcs_racing.track.cache.sources_digest", lambda floor: f"another {floor.name}".encode())
+    monkeypatch.setattr("pcs_racing.track.cache.algorithm_digest", lambda module: f"another {module}".encode())
     load_track(folder)
     assert len(list(cache.iterdir())) == 2
+
+
+def test_the_digest_of_an_algorithm_is_that_of_the_modules_that_it_imports():
+    track, race = (set(_sources(module, {})) for module in ("pcs_racing.track.loading", "pcs_racing.race.calibration"))
+    assert {"pcs_racing.track.building.raceline", "pcs_racing.track.frenet", "pcs_racing.base.elementary"} <= track
+    assert {"pcs_racing.planners.lattice", "pcs_racing.race.kernel", "pcs_racing.car.vehicle"} <= race
+    elsewhere = {
+        "pcs_racing.planners.mppi",
+        "pcs_racing.race.replay",
+        "pcs_racing.track.mapping.circuits",
+        "pcs_racing",
+    }
+    assert not elsewhere & (track | race)
+    assert "pcs_racing.race.kernel" not in track
 
 
 def test_a_full_disk_leaves_no_half_a_cache_and_is_no_error(folder, cache, monkeypatch):
@@ -173,6 +188,21 @@ def test_a_race_line_without_air_to_the_walls_is_replaced(folder, oval, caplog):
     rows[:, 1:3] *= 0.8
     np.savetxt(file, rows, delimiter=";")
     refused(r"Oval_raceline\.csv leads", load_track, folder, error=MapError)
+
+
+def test_an_obstacle_stays_on_the_track_and_the_line_goes_past_it(folder, oval):
+    content = read_map(folder)
+    occupied = content.occupied.copy()
+    at = content.centerline[20, :2]
+    i, j = np.floor((at - content.origin) / content.resolution).astype(int)[::-1]
+    occupied[i - 4 : i + 5, j - 4 : j + 5] = True
+    track = load_track(
+        write_map(content._replace(folder=folder.parent / "Box", name="Box", occupied=occupied, raceline=None))
+    )
+    assert track.wall_distance(at) == 0.0 < oval.wall_distance(at)
+    assert track.wall_distance(track.line[:, :2]).min() > 0.29
+    write_map(content._replace(folder=folder.parent / "No", name="No", occupied=np.zeros_like(occupied)))
+    refused("the picture has no wall", load_track, folder.parent / "No", error=MapError)
 
 
 def test_names_that_stand_for_nothing_and_missing_mapping_tools_are_told(tmp_path, monkeypatch, folder):
