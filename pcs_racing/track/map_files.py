@@ -201,6 +201,7 @@ def without_specks(file: Path, grid: Grid, resolution: float, origin: tuple[floa
     labels, count = ndimage.label(grid, np.ones((3, 3)))
     cells = np.bincount(labels.ravel(), minlength=count + 1)
     small = cells <= SPECK_CELLS
+    small[0] = False  # the free cells
     if not small.any():
         return grid
     specks = small[labels]
@@ -218,22 +219,18 @@ def parse_waypoints(file: Path, data: bytes) -> tuple[Floats | None, Floats]:
     The rows are as in the csv files; a centre line that is missing there is None.
     """
     content = files.parse_json(file, data)
-    tables: list[Floats | None] = []
-    for key, columns in (("centerline_waypoints", WAYPOINT_CENTERLINE), ("global_traj_wpnts_iqp", RACELINE_COLUMNS)):
+
+    def table(key: str, columns: tuple[str, ...]) -> Floats:
         try:
-            points = content[key]["wpnts"] if key in content or columns is RACELINE_COLUMNS else []
-            rows = [[point[column] for column in columns] for point in points[: MAX_POINTS + 1]]
+            rows = [[point[column] for column in columns] for point in content[key]["wpnts"][: MAX_POINTS + 1]]
         except (KeyError, TypeError):
-            raise MapError(
-                f"{file}: {key} must hold wpnts with {', '.join(columns)}, as the race stack writes"
-            ) from None
-        if not rows and columns is not RACELINE_COLUMNS:
-            tables.append(None)
-            continue
+            rows = []
         if not 10 <= len(rows) <= MAX_POINTS or not all(is_number(value) for row in rows for value in row):
-            raise MapError(f"{file}: {key} must hold 10 to {MAX_POINTS} wpnts of finite numbers, got {len(rows)}")
-        tables.append(np.array(rows, dtype=np.float64))
-    return tables[0], tables[1]
+            raise MapError(f"{file}: {key} must hold 10 to {MAX_POINTS} wpnts of finite {', '.join(columns)}")
+        return np.array(rows, dtype=np.float64)
+
+    race = table("global_traj_wpnts_iqp", RACELINE_COLUMNS)
+    return (table("centerline_waypoints", WAYPOINT_CENTERLINE) if "centerline_waypoints" in content else None), race
 
 
 def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str) -> Floats:

@@ -8,10 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import MapError
+from pcs_racing.track.building.causes import find_gap
 from pcs_racing.track.building.curves import MAX_LENGTH, LineSamples, clean_closed, first_crossing, sample_closed
 from pcs_racing.track.building.walls import corner_lists, seen_lists, simplify, trace_outlines
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, LINE_COLUMNS, PSI, RIGHT, SIN, SPEED, TrackArrays, X, Y
-from pcs_racing.track.grid import cast, distance_to_walls, lookup_grid, way_out
+from pcs_racing.track.grid import cast, distance_to_walls, lookup_grid
 
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
@@ -102,21 +103,9 @@ def drivable_region(
             usual = max(usual, float(across.mean()) * line.length / resolution)
     area = int(np.count_nonzero(reached))
     if open_to_border or area > LEAK * usual:
-        way = way_out(occupied, rows, cols)
-        room = distance_to_walls(np.pad(~occupied, 1), 1.0)[1:-1, 1:-1]
-        # Along the way out the gap is where the walls are nearest; the border itself is none.
-        free = np.where((way % (np.array(occupied.shape) - 1) == 0).any(axis=1), np.inf, room[way[:, 0], way[:, 1]])
-        i, j = way[int(np.argmin(free))]
-        gap = np.array([origin[0] + (j + 0.5) * resolution, origin[1] + (i + 0.5) * resolution])
-        raise MapError(
-            f"{label}: the walls have a gap, probably near {_at(gap)}: from the race line one gets "
-            + (
-                "to the border of the picture"
-                if open_to_border
-                else f"to {area * resolution**2:.0f} m^2, {area / usual:.1f} times the track"
-            )
-            + "; close the walls in the picture"
-        )
+        gap = find_gap(occupied, reached, resolution, origin, 1.0 if open_to_border else 0.9)
+        extent = "the border of the picture" if open_to_border else f"{area / usual:.1f} times the area of the track"
+        raise MapError(f"{label} reaches {extent}: {gap or 'the walls have a gap; close it in the picture'}")
     return drivable, bottom, left
 
 

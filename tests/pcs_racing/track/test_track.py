@@ -83,8 +83,8 @@ def with_value(array, index, value):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (gap_to_the_border, r"gap, .* border"),
-        (gap_to_the_infield, r"gap, .*times the track"),
+        (gap_to_the_border, r"border of the picture: the wall has a gap"),
+        (gap_to_the_infield, r"times the area of the track: the wall has a gap .* \(0\.\d\d, [0-4]\.\d\d\) m"),
         (race_line(lambda xy: np.column_stack([xy[:, 0], xy[:, 1] * np.sign(xy[:, 0]) * 0.2])), "crosses itself"),
         (race_line(lambda xy: xy[: len(xy) // 2]), "race line is open"),
         (race_line(lambda xy: xy * 0.65), "through a wall"),
