@@ -23,7 +23,7 @@ from pcs_racing.race.config import CONTEST, DT, PAPER, PRESETS, RaceConfig
 from pcs_racing.race.contacts import END
 from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
-from pcs_racing.race.start_places import fit_places, places_of
+from pcs_racing.race.start_places import crashes_of_pairs, fit_places, places_of
 from pcs_racing.race.state import empty_state
 from pcs_racing.track.cache import CALIBRATION, cache_folder, cache_key, load_cached, store
 from pcs_racing.track.frenet import SPEED, X, Y
@@ -33,6 +33,9 @@ SCALES = tuple(np.round(np.arange(0.60, 1.801, 0.05), 2).tolist())
 FRICTION_SCALE = 1.43  # where the bends of the race line ask for all that the tyres' friction gives: mu g = 10.3 m/s^2
 HAZARD_WITHOUT_NOISE, WIDTH_WITHOUT_NOISE = 0.10, 0.30
 HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.50, 0.40
+CRASH_AIM = 0.08  # max share of races of two cars that crash without noise ...
+ALLOWED_OF_PAIRS = 0.07  # ... and of the races that are counted, whose share errs by 0.01
+PAIR_STEP, PAIR_STEPS = 0.05, 6  # by which the speed scales fall where more do, and how often
 SPACING_STEP, SPACING_STEPS = 0.1, 4  # m; other distances across the track are tried in such steps up and down
 NARROWEST = {"side-by-side": 0.5, "staggered": 0.0, "rolling": 0.0}  # m between the cars' centres
 SCAN_CARS, SCAN_SECONDS = 160, 40.0
@@ -127,8 +130,9 @@ def calibrate(track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: 
     """Find the speed range of a circuit for a race configuration, and the places to start from.
 
     Pace 1 is the scale at which a car alone crashes in 50 % of 40 s, and pace 0 lies 0.40 below. Without steering noise
-    (preset ``paper``) the hazard is nearly a step: there pace 1 is the scale of 10 %, and pace 0 lies 0.30 below. No
-    pace asks for more than the friction of the tyres: the vehicle model would give it, a road would not.
+    (preset ``paper``) the hazard is nearly a step: there pace 1 is the scale of 10 %, and pace 0 lies 0.30 below; both
+    are lowered in steps of 0.05 until pairs of cars rarely crash, and a line says where that can't be met. No pace asks
+    for more than the friction of the tyres: the vehicle model would give it, a road would not.
 
     Start places are those from which pairs of drivers get away (`pcs_racing.race.start_places`). Where none is left
     with the configuration's distance across the track, the nearest distance that works is taken. A circuit that is too
@@ -144,9 +148,26 @@ def calibrate(track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: 
             "widen the track or lower steering_noise"
         )
     high = min(_crossing(scales, hazard, allowed), FRICTION_SCALE)
-    low = high - (WIDTH_WITH_NOISE if noisy else WIDTH_WITHOUT_NOISE)
-    speed_range = (round(float(low), 2), round(float(high), 2))
-    fit = fit_places(track, config, _scan_settings(config, speed_range), _spacings(config))
+    width = WIDTH_WITH_NOISE if noisy else WIDTH_WITHOUT_NOISE
+
+    def settings_at(step: int) -> KernelSettings:
+        top = round(float(high - step * PAIR_STEP), 2)
+        return _scan_settings(config, (round(float(high - step * PAIR_STEP - width), 2), top))
+
+    fit = fit_places(track, config, settings_at(0), _spacings(config))
+    step, crashes = 0, 0.0 if noisy else crashes_of_pairs(track, config, settings_at(0), *fit[:2])
+    # Without noise, speeds that are safe for a car alone may not be safe in pairs: then the range falls.
+    while crashes > ALLOWED_OF_PAIRS and step < PAIR_STEPS:
+        step += 1
+        crashes = crashes_of_pairs(track, config, settings_at(step), *fit[:2])
+    if step > 0:
+        fit = fit_places(track, config, settings_at(step), _spacings(config))
+    if crashes > CRASH_AIM:
+        say(
+            f"track {track.name!r}: two cars crash in {crashes:.0%} of the races of {config.name!r}, in more than the "
+            f"aim of {CRASH_AIM:.0%}, even with speeds lowered by {step * PAIR_STEP:g} of the speed profile"
+        )
+    speed_range = (settings_at(step).speed_low, settings_at(step).speed_high)
     return CalibrationReport(
         track.name,
         config.name,
@@ -188,7 +209,7 @@ def starts_for(track: Track, config: RaceConfig) -> Calibration:
             settings = _scan_settings(preset_of(config), calibration.speed_range)
             return Calibration(calibration.speed_range, *fit_places(track, config, settings, [config.start_spacing]))
 
-        _known[memo] = _cached(track, config, f"places for a {config.start} start", find)
+        _known[memo] = _cached(track, config, f"places for a {config.start} start", find, calibration.speed_range)
     return _known[memo]
 
 
@@ -207,11 +228,17 @@ def _spacings(config: RaceConfig) -> list[float]:
     return [spacing for spacing in spacings if spacing >= NARROWEST[config.start] or spacing == config.start_spacing]
 
 
-def _cached(track: Track, config: RaceConfig, what: str, find: Callable[[], Calibration]) -> Calibration:
-    """Take a calibration from the cache on disk, or make it, say so, and put it there."""
+def _cached(
+    track: Track,
+    config: RaceConfig,
+    what: str,
+    find: Callable[[], Calibration],
+    speed_range: tuple[float, float] | None = None,
+) -> Calibration:
+    """Take a calibration (for a given range of speeds) from the cache on disk, or make it, say so, and put it there."""
     preset = preset_of(config)
-    rules = json.dumps([preset.name, preset.steering_noise, preset.noise_time, *start_layout(config)])
-    parts = {"track": track.content_hash.encode(), "own": repr(track.calibration).encode(), "rules": rules.encode()}
+    rules = json.dumps([preset.name, preset.steering_noise, preset.noise_time, *start_layout(config), speed_range])
+    parts = {"track": track.content_hash.encode(), "rules": rules.encode()}
     key = cache_key(parts, CALIBRATION)
     found = load_cached(CALIBRATION, key)
     if found is not None:

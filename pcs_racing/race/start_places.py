@@ -41,6 +41,7 @@ EQUALS = [k for k, (ego, rival) in enumerate(PACES) if abs(ego - rival) < 0.15]
 ALLOWED = (0.01, 0.02, 0.03)
 ENOUGH, ENOUGH_OF_A_SIDE = 40, 12  # min numbers of places
 BALANCE_PLACES, BALANCE_PAIRS = 30, 8  # max places and pairs of paces for the gain of a side
+CRASH_PAIRS = 500  # pairs of policies whose crashes are counted, in two races each
 FEWEST = 8  # min number of places for a spacing
 NEIGHBOURS = 1  # places before and after a place that are averaged with it
 BLOCK = 1.0  # m: length of the stretches that alternate between training and test
@@ -76,13 +77,48 @@ def _race_from(
     # Every pair starts from both sides alternately, so that a strong policy does not count as a
     # gain of the side.
     starts = Starts(np.repeat(places, 2 * len(pairs)), np.tile(np.arange(2), len(places) * len(pairs)))
+    theta = np.tile(np.repeat(pairs, 2, axis=0), (len(places), 1, 1))
+    state = _race(track, config, settings, spacing, starts, theta, first_key, threads)
+    return state, np.where(starts.side == 0, state.lead, -state.lead)
+
+
+def _race(
+    track: Track,
+    config: RaceConfig,
+    settings: KernelSettings,
+    spacing: float,
+    starts: Starts,
+    theta: Floats,
+    first_key: int,
+    threads: int | None = None,
+) -> RaceState:
+    """Drive one race from each start with the parameters of its two policies, shape (races, 2, P)."""
     cars = (F1TENTH, F1TENTH)
     state = place_on_grid(track, config, spacing, settings.speed_low, cars, starts, LATTICE.memory_total)
     state.seed[:] = np.arange(first_key, first_key + len(starts), dtype=np.uint64)
-    theta = np.ascontiguousarray(np.tile(np.repeat(pairs, 2, axis=0), (len(places), 1, 1)))
     settings = settings._replace(ittc_horizon=0.0)
-    drive(track, settings, (LATTICE, LATTICE), cars, state, theta, settings.end_tick, threads=threads)
-    return state, np.where(starts.side == 0, state.lead, -state.lead)
+    drive(
+        track,
+        settings,
+        (LATTICE, LATTICE),
+        cars,
+        state,
+        np.ascontiguousarray(theta),
+        settings.end_tick,
+        threads=threads,
+    )
+    return state
+
+
+def crashes_of_pairs(track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, fit: Places) -> float:
+    """Return the share of whole races that crash, of pairs of drawn paces from both sides of places everywhere."""
+    places = np.concatenate([places_of(stretches) for stretches in fit.values()])
+    places = places[np.linspace(0, len(places) - 1, CRASH_PAIRS).astype(np.intp)]
+    paces = np.random.default_rng(2).uniform(size=(CRASH_PAIRS, 2))
+    theta = np.array([[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces])
+    starts = Starts(np.repeat(places, 2), np.tile(np.arange(2), CRASH_PAIRS))
+    state = _race(track, config, settings, spacing, starts, np.repeat(theta, 2, axis=0), 0)
+    return float(state.crashed.mean())
 
 
 def drive_away(

@@ -1,6 +1,7 @@
 """The hazard of driving alone grows with speed, and the speed range follows from it."""
 
 from dataclasses import replace
+from itertools import repeat
 
 import numpy as np
 import pytest
@@ -17,6 +18,8 @@ from pcs_racing.race.calibration import (
     starts_for,
 )
 from pcs_racing.race.config import CONTEST, PAPER, PRESETS
+from pcs_racing.race.driving import kernel_settings
+from pcs_racing.race.start_places import crashes_of_pairs
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Calibration
@@ -57,6 +60,45 @@ def test_the_scan_ends_where_the_hazard_is_too_large_and_a_rough_circuit_is_refu
     assert part[-1] > 0.01 >= part[:-1].max()
     rough = replace(CONTEST, steering_noise=0.2)
     refused(r"Pipkin.*0\.60.*steering_noise", calibrate, load_track("Pipkin"), rough, cars=12)
+
+
+def test_without_noise_the_range_falls_until_pairs_crash_as_rarely_as_the_aim_says(monkeypatch, capsys):
+    track = load_track("Pipkin")
+    known = track.calibration["paper"]
+    fits = []
+
+    def fit(track, config, settings, spacings):
+        fits.append(settings.speed_high)
+        return known.start_spacing, known.start_places, known.left_share
+
+    monkeypatch.setattr("pcs_racing.race.calibration.fit_places", fit)
+    for shares, lowered in ((iter([0.07]), 0.0), (iter([0.2, 0.1, 0.04]), 0.1), (repeat(0.3), 0.3)):
+        monkeypatch.setattr(
+            "pcs_racing.race.calibration.crashes_of_pairs", lambda *arguments, shares=shares: next(shares)
+        )
+        fits.clear()
+        low, high = calibrate(track, PAPER, cars=12).calibration.speed_range
+        # Start places belong to the range that is kept.
+        assert fits[-1] == high == pytest.approx(fits[0] - lowered)
+        assert high - low == pytest.approx(0.30)
+        said = (
+            "two cars crash in 30% of the races of 'paper', in more than the aim of 8%, even with speeds lowered by 0.3"
+        )
+        assert (said in capsys.readouterr().err) == (lowered == 0.3)
+    monkeypatch.setattr("pcs_racing.race.calibration.crashes_of_pairs", None)  # contest aims at a car alone
+    assert calibrate(track, CONTEST, cars=12).calibration.speed_range[1] <= FRICTION_SCALE
+
+
+def test_pairs_of_a_slow_range_crash_less():
+    track = load_track("Tarnfjord")
+    known = track.calibration["paper"]
+    settings = kernel_settings(PAPER, (1.1, 1.4))
+    start = known.start_spacing, known.start_places
+    fast, slow = (
+        crashes_of_pairs(track, PAPER, settings._replace(speed_low=low, speed_high=low + 0.3), *start)
+        for low in (1.4, 0.8)
+    )
+    assert slow < 0.05 < fast
 
 
 def test_circuits_ship_with_all_presets_and_as_noisy_ones_share_their_speeds():
