@@ -155,11 +155,11 @@ def calibrate(track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: 
         return _scan_settings(config, (round(float(high - step * PAIR_STEP - width), 2), top))
 
     fit = fit_places(track, config, settings_at(0), _spacings(config))
-    step, crashes = 0, 0.0 if noisy else crashes_of_pairs(track, config, settings_at(0), *fit[:2])
+    step, crashes = 0, 0.0 if noisy else crashes_of_pairs(track, config, settings_at(0), *fit)
     # Without noise, speeds that are safe for a car alone may not be safe in pairs: then the range falls.
     while crashes > ALLOWED_OF_PAIRS and step < PAIR_STEPS:
         step += 1
-        crashes = crashes_of_pairs(track, config, settings_at(step), *fit[:2])
+        crashes = crashes_of_pairs(track, config, settings_at(step), *fit)
     if step > 0:
         fit = fit_places(track, config, settings_at(step), _spacings(config))
     if crashes > CRASH_AIM:

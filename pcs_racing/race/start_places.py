@@ -110,10 +110,17 @@ def _race(
     return state
 
 
-def crashes_of_pairs(track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, fit: Places) -> float:
+def crashes_of_pairs(
+    track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, fit: Places, left_share: float
+) -> float:
     """Return the share of whole races that crash, of pairs of drawn paces from both sides of places everywhere."""
-    places = np.concatenate([places_of(stretches) for stretches in fit.values()])
-    places = places[np.linspace(0, len(places) - 1, CRASH_PAIRS).astype(np.intp)]
+    # As start lines are drawn: so many from the places that favour the left.
+    left = round(CRASH_PAIRS * left_share) if len(fit) == 2 else CRASH_PAIRS
+    some = []
+    for stretches, count in zip(fit.values(), (left, CRASH_PAIRS - left), strict=False):
+        every = places_of(stretches)
+        some.append(every[np.linspace(0, len(every) - 1, count).astype(np.intp)])
+    places = np.concatenate(some)
     paces = np.random.default_rng(2).uniform(size=(CRASH_PAIRS, 2))
     theta = np.array([[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces])
     starts = Starts(np.repeat(places, 2), np.tile(np.arange(2), CRASH_PAIRS))

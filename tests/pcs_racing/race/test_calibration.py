@@ -93,7 +93,7 @@ def test_pairs_of_a_slow_range_crash_less():
     track = load_track("Tarnfjord")
     known = track.calibration["paper"]
     settings = kernel_settings(PAPER, (1.1, 1.4))
-    start = known.start_spacing, known.start_places
+    start = known.start_spacing, known.start_places, known.left_share
     fast, slow = (
         crashes_of_pairs(track, PAPER, settings._replace(speed_low=low, speed_high=low + 0.3), *start)
         for low in (1.4, 0.8)
