@@ -52,7 +52,7 @@ class Run:
 
     def __init__(self, path: Path, number: int = 0, seed: tuple[int, ...] = (0,)) -> None:
         self.path = Path(check_path("a Python file", path))
-        self.template = _template(path)
+        self.template, self.file = _template(path), str(path.resolve())
         self.name = f"{self.template}#{number}" if number else self.template
         self.now = 0.0  #: Race time, s.
         self.driver: Any = None
@@ -75,7 +75,7 @@ class Run:
         spec = spec_from_file_location(self.name, self.path, submodule_search_locations=self._folders)
         if not self.path.is_file() or spec is None or not isinstance(spec.loader, SourceFileLoader):
             raise InputError(f"there is no Python file {self.path}")
-        loader = spec.loader = _Loader(self.name, str(self.path.resolve()))
+        loader = spec.loader = _Loader(self.name, self.file)
         module = sys.modules[self.name] = module_from_spec(spec)
         _runs[self.name] = self
         try:
@@ -158,7 +158,8 @@ class Run:
             sys.modules["torch"].manual_seed(self._seed)
         # Registrations by the first run stay.
         if self.name != self.template and head.startswith("pcs_racing"):
-            shown = [one for one in fromlist or getattr(module, "__all__", ()) if one.startswith("register_")]
+            offered: Any = fromlist or getattr(module, "__all__", ())
+            shown = [one for one in offered if one.startswith("register_")]
             return _over(module, **dict.fromkeys(shown, lambda *given, **named: None)) if shown else module
         return module
 
@@ -294,4 +295,4 @@ def files_run() -> list[str]:
 
     Another process needs them to unpickle objects of their classes.
     """
-    return [str(run.path.resolve()) for run in _runs.values() if run.name == run.template]
+    return [run.file for run in _runs.values() if run.name == run.template]
