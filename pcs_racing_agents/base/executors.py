@@ -9,7 +9,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import connection, get_context, parent_process
@@ -202,7 +202,8 @@ def _prepare(files: Sequence[str]) -> None:
 
 def _run_files(files: Sequence[str]) -> None:
     for file in files:
-        run_file(file)
+        with suppress(InputError):  # of a file that is gone or fails here, the task that needs it reports the error
+            run_file(file)
 
 
 def _end_with(sentinel: int) -> None:

@@ -240,7 +240,7 @@ def test_findings_and_cautions_are_told_in_words():
     assert list(reporting._findings(replace(toy, rows=toy.rows[:1], best="cfr-argmax"))) == [
         "cfr-argmax and still can't be told apart: in all of 1 row (+0.125) the 95 % interval contains 0.",
         "ours scores more in 1 of 1 row than still (+0.250).",
-        "What looking at the race brings: cfr-argmax and cfr-argmax, the best open-loop agent in training can't be "
+        "What looking at the race brings: cfr-argmax and cfr-argmax, the best baseline in training can't be "
         "told apart: in all of 1 row (+0.125) the 95 % interval contains 0.",
     ]
     words = ["ours scores more in 1 and", "cfr-argmax and still can't", "What looking at the race brings: ours and cfr"]
