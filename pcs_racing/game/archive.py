@@ -42,7 +42,10 @@ class Explored(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PolicyArchive:
-    """Policies of one planner and their coordinates in Policy Characteristic Space (paper, Sec. IV)."""
+    """Policies of one planner and their coordinates in Policy Characteristic Space.
+
+    Section IV of the paper describes the space.
+    """
 
     name: str
     planner: str  #: Name of the planner of all policies.
@@ -232,7 +235,10 @@ class PolicyArchive:
         return Explored(self.explored_parameters, self.explored_coordinates, self.explored_own_crash)
 
     def select(self, by: str = "middle") -> int:
-        """Return the index of the policy with the max of a characteristic, or of the middle policy."""
+        """Return the index of the policy with the max of a characteristic.
+
+        With ``"middle"`` it is the policy in the middle of the archive.
+        """
         if by == "middle":
             return int(self.nearest(np.median(self.normalised, axis=0)))
         return int(np.argmax(self.coordinates[:, self._axis(by)]))
@@ -249,8 +255,8 @@ class PolicyArchive:
     def to_dataframe(self) -> "pandas.DataFrame":
         """Return a table with a row for each policy: parameters, coordinates, and other known data.
 
-        Standard errors are in columns like ``"restraint_error"``. Needs pandas: ``pip install
-        "pcs-racing[tables]"``.
+        Standard errors are in columns like ``"restraint_error"``.
+        Needs pandas: ``pip install "pcs-racing[tables]"``.
         """
         try:
             import pandas

@@ -128,7 +128,7 @@ _registered = {
 
 
 def register_characteristic(characteristic: Characteristic) -> None:
-    """Register a characteristic under its name; registering an equal one again does nothing."""
+    """Register a characteristic under its name; repeating an equal registration does nothing."""
     if _registered.setdefault(characteristic.name, characteristic) != characteristic:
         raise InputError(f"a characteristic named {characteristic.name!r} exists already; choose another name")
 

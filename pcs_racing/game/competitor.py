@@ -50,7 +50,7 @@ class Predictor(Protocol):
         episode_start: NDArray[np.bool_] | None = None,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
-        """Return moves for observations, shape (n, D), and the state for the next call (or None)."""
+        """Return moves for observations, shape (n, D), and the state for the next call, or None."""
 
 
 @runtime_checkable
@@ -76,7 +76,7 @@ class Chooser(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RandomMoves:
-    """Moves drawn uniformly from the allowed ones, by the game's own generator."""
+    """A competitor with moves drawn uniformly from the allowed moves, by the game's generator."""
 
     name: str = "random-moves"
 
@@ -188,7 +188,7 @@ def ask_moves(
     overwritten: the state that a predictor returned for its next call in each game, None at a
     game's beginning; without them each call is a predictor's first. Functions and
     :class:`RandomMoves` draw from the ``generators`` of the games. A predictor that is not
-    ``deterministic`` draws its move, by a generator of its own, instead of taking the best one.
+    ``deterministic`` draws its move, by a generator of its own, instead of taking the best move.
     """
     names = game.competitor_moves
     moves = np.zeros(state.games, np.int64)

@@ -1,4 +1,7 @@
-"""Registry of other packages' competitors; a separate file, since a game takes a second to import."""
+"""Registry of other packages' competitors.
+
+It is a file of its own, since the rest of a game takes a second to import.
+"""
 
 from functools import lru_cache
 from importlib.metadata import entry_points

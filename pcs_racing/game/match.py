@@ -118,7 +118,7 @@ class MatchGame:
         """Return matches before their first race, each drawn from its own key, for any batch size.
 
         Arguments that are not given are drawn. ``policies``, shape (B, 2) or (2,), are the first
-        policies of cars whose players do not choose; -1 draws one uniformly from the archive.
+        policies of cars whose players do not choose; -1 draws a policy uniformly from the archive.
         ``lines``, shape (B, R) or (B, 1), are arc lengths of the start line of each race, or of all
         races of a match, m. ``sides``, shape (B,), are the cars (0 or 1) that start the first race
         on the left or in front. ``opponents`` are policies of car 1 from outside the archive, as in
@@ -248,7 +248,10 @@ class MatchGame:
         return encode_match(state.own, state.measured, state.leads, state.scores, state.driven, state.race, front)
 
     def observation(self, state: MatchState) -> NDArray[np.float32]:
-        """Return the players' observations, (B, 2, D), in the order of :attr:`observation_elements`."""
+        """Return each player's observation, shape (B, 2, D).
+
+        The numbers are in the order of :attr:`observation_elements`.
+        """
         match = self.memory(state)
         if not self.race_moves:
             return match

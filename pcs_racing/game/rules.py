@@ -3,10 +3,10 @@
 1. **Start.** Two cars are on the grid of a start line; a motion planner drives each of them with a
    policy of an archive. Both drive one step (8 s; no step in some rules) while the players only
    watch: :meth:`RaceGame.reset`.
-2. **Moves.** Then each player moves: more or less of one characteristic, to the nearest policy of
-   the archive there (:attr:`RaceGame.table`), or stay. Both moves are made at the same time, and a
-   step is driven with the new policies: :meth:`RaceGame.step`. The observations of the players are
-   in :mod:`pcs_racing.game.observation`.
+2. **Moves.** Then each player moves to the nearest policy with more or less of one characteristic
+   (:attr:`RaceGame.table`), or stays. Both moves are made at the same time, and a step is driven
+   with the new policies: :meth:`RaceGame.step`. The observations of the players are in
+   :mod:`pcs_racing.game.observation`.
 3. **End.** The game is over after the last move (4) or a crash: :meth:`RaceGame.done`.
 4. **Fault.** A car that runs into a wall is at fault; after a contact of two cars,
    :mod:`pcs_racing.car.collision` finds the car at fault: :meth:`RaceGame.fault`.
@@ -185,10 +185,10 @@ class RaceGame:
         seed : int
             Root of the keys, if there are no ``seeds``.
         policies : array of int, shape (B, 2) or (2,), optional
-            Policies of the cars at the start of each game; -1 draws one, uniformly from the
+            Policies of the cars at the start of each game; -1 draws a policy uniformly from the
             archive.
         starts : Starts, optional
-            Start positions of the cars; by default drawn out of ``config.race.start_lines`` lines
+            Start positions of the cars; by default drawn from ``config.race.start_lines`` lines
             and both sides.
         opponents : Policy or sequence of B (Policy or None), optional
             Policies of car 1 from outside the archive, all of ``opponent_planner``; the moves of
@@ -345,7 +345,7 @@ class RaceGame:
     def _duplicates(self) -> NDArray[np.bool_]:
         if not self.config.stay:
             return duplicate_moves(self.table)
-        # "stay" comes last, and is the allowed one among moves that change nothing.
+        # "stay" comes last, and stays allowed among the moves that change nothing.
         return np.roll(duplicate_moves(np.roll(self.table, 1, axis=1)), -1, axis=1)
 
     # End, fault, winner, reward
@@ -379,7 +379,10 @@ class RaceGame:
     # Observations
 
     def observation(self, state: GameState) -> NDArray[np.float32]:
-        """Return the players' observations, (B, 2, D), in the order of :attr:`observation_elements`."""
+        """Return each player's observation, shape (B, 2, D).
+
+        The numbers are in the order of :attr:`observation_elements`.
+        """
         return encode_observation(state.own, state.estimates, state.leads, state.step)
 
     # A step of driving
@@ -428,7 +431,7 @@ class RaceGame:
                 getattr(races, name)[rows] = driven
 
     def measure(self, before: RaceState, after: RaceState) -> Floats:
-        """Return the cars' measured normalised coordinates between moments a step apart, (B, 2, G)."""
+        """Return the cars' measured coordinates (normalised) over one step, shape (B, 2, G)."""
         segment = Segment.between(before, after, self.config.step_seconds)
         so_far = Segment.so_far(after, self.config.step_seconds)
         points = self.archive.normalise(measure(segment, self.characteristics, so_far))

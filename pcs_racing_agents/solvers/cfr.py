@@ -23,7 +23,7 @@ class Variant(NamedTuple):
     """A variant of discounted CFR.
 
     Source: Brown and Sandholm 2019, "Solving imperfect-information games via discounted regret
-    minimization". After iteration t cumulative regrets are multiplied with t^e / (t^e + 1), where e
+    minimization". After iteration t cumulative regrets are multiplied by t^e / (t^e + 1), where e
     is ``alpha`` for positive regrets and ``beta`` for the others. The strategies of iteration t
     have the weight t^gamma in the average.
     """
@@ -176,7 +176,7 @@ def _copy_out(tree: GameTree, layout: Layout, flat: Floats, at: object, moves: b
 
 
 def _copy_in(tree: GameTree, layout: Layout, flat: Floats, at: object, pairs: list[tuple[Floats, Floats]]) -> None:
-    """Write arrays by level and player into an array of the kernels, inverse of :func:`_copy_out`."""
+    """Write arrays by level and player into a kernel array: the inverse of :func:`_copy_out`."""
     for k in range(tree.depth):
         for player in (0, 1):
             order = _order(tree, layout, k, player)

@@ -18,7 +18,7 @@ BLOCK = 256
 
 
 class Layout(NamedTuple):
-    """A tree as arrays for the kernels; the first axis of an array of shape (2, m) is the player."""
+    """A tree as arrays for the kernels; the first axis of a (2, m) array is the player."""
 
     moves: Integers  #: shape (2, m): Moves (``moves``) and infosets (``rows``) of each level.
     rows: Integers
@@ -205,7 +205,7 @@ def _push_reach(layout, state, player):  # type: ignore[no-untyped-def]
 
 @kernel
 def _add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
-    """Write the values of all nodes, from the last level up, and add each move's regrets of a player."""
+    """Write the values of all nodes, from the last level up, and add a player's regrets."""
     other = 1 - player
     sign = 1.0 if player == 0 else -1.0
     for k in range(layout.nodes.size - 1, -1, -1):
@@ -242,7 +242,7 @@ def _add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
             reach = state.reach[other, at : at + n]
             chance = layout.chance[at : at + n]
             for j in range(n):
-                # Regrets are counterfactual: weighted with all probabilities but the player's own
+                # Regrets are counterfactual: weighted by all probabilities but the player's own
                 # moves.
                 weight[j] = reach[j] * chance[j]
             if single:
@@ -265,7 +265,7 @@ def _add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
 
 @kernel
 def _add_strategy(layout, state, player, weight):  # type: ignore[no-untyped-def]
-    """Sum the current strategies, weighted with the probability of the player's own moves."""
+    """Sum the current strategies, weighted by the probability of the player's own moves."""
     for k in range(layout.nodes.size):
         moves, rows, nodes = layout.moves[player, k], layout.rows[player, k], layout.nodes[k]
         sigma = state.sigma[layout.sigma_at[player, k] :]

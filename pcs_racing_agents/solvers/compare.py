@@ -30,7 +30,7 @@ class MethodRow(NamedTuple):
     method: str
     value: float  #: Payoff of the profile to car 0.
     exploitability: float  #: Half of the sum of both players' gains by best responses.
-    #: Results of :func:`agreement`; ``on_path`` weights histories with their frequency under the
+    #: Results of :func:`agreement`; ``on_path`` weights histories by their probability under the
     #: exact solution.
     agreement: float
     on_path: float
@@ -56,11 +56,11 @@ def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str
 
 
 def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: bool = False) -> float:
-    """Return the share of decisions in which a profile's likeliest move is optimal.
+    """Return the share of decisions where a profile's likeliest move is optimal.
 
     A move is optimal if it is a best response to the exact solution. Decisions with equal values of
     all moves do not count; 1 if there are no others. With ``on_path`` joint histories are weighted
-    with their frequency under the exact solution, else equally.
+    by their probability under the exact solution, else equally.
     """
     game = tree.averaged
     # Equality depends on the unit of the payoffs; a game without differences has none.

@@ -1,4 +1,4 @@
-"""Evaluation of behaviour profiles: values, reach, action values, best responses and exploitability.
+"""Evaluation of behaviour profiles: values, reach, action values, best responses, exploitability.
 
 Plain array code for every tree, whatever the players observe. It shares no code with the solvers,
 so it can judge them.
@@ -112,15 +112,15 @@ def play_value(tree: GameTree, profile: Profile) -> float:
 
 
 def q_values(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
-    """Return Q-values: expected payoffs of moves to their player if both follow the profile afterwards.
+    """Return Q-values: expected payoffs of moves to their player, with the profile afterwards.
 
     Returns
     -------
     list of (ndarray, ndarray)
-        Shapes (rows, A_k) and (rows, B_k): expected over the nodes of an infoset, weighted with the
-        frequency at which chance and the other player lead there (equally if they never do), and
-        over the other player's move. For the value against a fixed opponent with best play
-        afterwards, see :func:`best_response`.
+        Shapes (rows, A_k) and (rows, B_k): expected over the nodes of an infoset, weighted by the
+        probability that chance and the other player lead there (equally if they never do), and over
+        the other player's move. For the value against a fixed opponent with best play afterwards,
+        see :func:`best_response`.
     """
     tree = tree.averaged
     profile = check_profile(tree, profile)
@@ -146,9 +146,9 @@ def advantages(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
 def best_response(tree: GameTree, profile: Profile, player: int) -> BestResponse:
     """Compute a player's best response to the other player's strategy of a profile.
 
-    From the last level up, each infoset takes the move with the max expected value. The weights of
-    its nodes are the frequencies at which chance and the other player lead there; with perfect
-    recall they do not depend on the player's own moves. Among equal moves the first one is taken.
+    From the last level up, each infoset takes the move with the max expected value. Its nodes are
+    weighted by the probability that chance and the other player lead there; with perfect recall the
+    weights do not depend on the player's own moves. Among equal moves the first one is taken.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def _children(values: Floats, first: Floats, second: Floats) -> Floats:
 
 
 def _over_infosets(tree: GameTree, level: int, player: int, at_nodes: Floats, other_reach: Floats) -> Floats:
-    """Return the mean per infoset of numbers per node, weighted with chance and the other's reach."""
+    """Return means of node values over each infoset, weighted by chance and the other's reach."""
     rows: Integers = tree.infosets[level][player]
     count = tree.rows(level, player)
     if count == len(rows):

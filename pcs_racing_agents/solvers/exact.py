@@ -1,6 +1,7 @@
-"""Exact solutions: backward induction for observed past moves, else the sequence-form linear program.
+"""Exact solutions: backward induction or the sequence-form linear program.
 
-In backward induction every node is a zero-sum matrix game over the values of its children.
+Backward induction needs observed past moves: every node is a zero-sum matrix game over the values
+of its children.
 """
 
 from typing import Any, NamedTuple
@@ -66,7 +67,7 @@ class SequenceSolution(NamedTuple):
 
 
 class _Sequences(NamedTuple):
-    """Sequences of a player (an infoset and a move there; number 0 is empty), for plans over them."""
+    """Sequences of a player: an infoset and a move there; number 0 is the empty sequence."""
 
     begin: list[int]  #: Number of the first sequence of each level.
     parents: list[Integers]  #: shape (rows,): Sequence that leads to each infoset.
@@ -75,12 +76,13 @@ class _Sequences(NamedTuple):
 
 
 def solve_sequence_form(tree: GameTree) -> SequenceSolution:
-    """Solve any tree by linear programming (Koller, Megiddo and von Stengel 1996), with scipy's HiGHS.
+    """Solve any tree by linear programming (Koller, Megiddo and von Stengel 1996).
 
-    The size of the program grows with the infosets, not with plans for all of them. The solution is
-    exact to about 1e-9 of the max payoff; :func:`~pcs_racing_agents.solvers.exploitability`
-    measures its error. The method is slow on large trees; for observed past moves
-    :func:`~pcs_racing_agents.solvers.solve_exact` is a thousand times faster.
+    The solver is scipy's HiGHS. The size of the program grows with the infosets, not with plans for
+    all of them. The solution is exact to about 1e-9 of the max payoff;
+    :func:`~pcs_racing_agents.solvers.exploitability` measures its error. The method is slow on
+    large trees; for observed past moves :func:`~pcs_racing_agents.solvers.solve_exact` is a
+    thousand times faster.
     """
     from scipy.sparse import coo_array
 

@@ -102,11 +102,12 @@ class GameTree:
         return replace(self, infosets=tuple(infosets))
 
     def with_observations(self, observations: Sequence[tuple[ArrayLike, ArrayLike]]) -> "GameTree":
-        """Return the tree whose players observe these numbers and their own moves, with perfect recall.
+        """Return the tree with players that observe these numbers and have perfect recall.
 
-        ``observations``: for each level, the observations of car 0 and car 1 at every node: shape
-        (roots * N_k,) or (roots * N_k, d). Nodes with equal numbers look the same: round measured
-        numbers to the precision of the player's sensors.
+        They remember all observations and their own moves. ``observations``: for each level, the
+        observations of car 0 and car 1 at every node: shape (roots * N_k,) or (roots * N_k, d).
+        Nodes with equal numbers look the same: round measured numbers to the precision of the
+        player's sensors.
         """
         self._check_levels(observations, "observations")
         infosets: list[tuple[Integers, Integers]] = []
@@ -199,7 +200,7 @@ class GameTree:
             raise InputError(f"{name} must be {self.depth} pairs, one for each level: of car 0 and of car 1")
 
     def _past(self, level: int, player: int, before: Integers) -> Integers:
-        """Return, per node of a level, a number for the player's infoset and own move one level up."""
+        """Return a number per node for the player's infoset and own move one level up."""
         a, b = self.moves[level - 1]
         child = np.arange(self.nodes(level))
         own = (child // b) % a if player == 0 else child % b

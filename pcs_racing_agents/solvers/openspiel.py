@@ -40,7 +40,7 @@ def efg_policy(tree: GameTree, profile: Profile) -> dict[str, list[tuple[int, fl
 
 
 def efg_profile(tree: GameTree, policy: Mapping[str, Sequence[tuple[int, float]]]) -> Profile:
-    """Return a tabular policy of :func:`efg_game`, such as ``policy.policy_table()``, as a profile."""
+    """Return a tabular policy of :func:`efg_game` (as ``policy.policy_table()``) as a profile."""
     game = tree.averaged
     keys = _efg_keys(game)
     profile = []

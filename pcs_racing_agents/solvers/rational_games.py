@@ -1,4 +1,4 @@
-"""Exact solver of one zero-sum matrix game in rational numbers, for rare games with rounding failures.
+"""Exact solver of a zero-sum matrix game in rational numbers, for rare games with rounding errors.
 
 Every float is a fraction with a power of two as denominator, so a game of floats can be scaled to
 whole numbers. The simplex method then runs on a tableau of whole numbers with one common

@@ -1,13 +1,13 @@
 """Alpha-RACER [1]_: both cars' driving parameters, five each, maximise a potential of their game.
 
 The parameters of a car are a factor of its speed, a look-ahead (how soon it reaches its target
-position across the track), the distance at which it passes the other car, the distance at which a
-pass begins, and how much it moves in front of a car behind. Ten times a second both cars get a few
-samples of them, and every pair of samples is simulated. The payoff of a pair to a car is its
-progress minus the other car's progress and the costs of collisions, of walls and of leaving the
-race line. In a potential game, one function of both choices, the potential, changes as much as the
-payoff of the car that changes its choice. The maximum of the potential is an equilibrium. So the
-car drives its part of the pair with the max potential.
+position across the track), the passing distance to the other car, the distance where a pass begins,
+and how much it moves in front of a car behind. Ten times a second both cars get a few samples of
+them, and every pair of samples is simulated. The payoff of a pair to a car is its progress minus
+the other car's progress and the costs of collisions, of walls and of leaving the race line. In a
+potential game, one function of both choices, the potential, changes as much as the payoff of the
+car that changes its choice. The equilibria are at the maximum of the potential. So the car drives
+its part of the pair with the max potential.
 
 Differences: the potential is not learned offline by a network. It is the potential of the potential
 game nearest to the sampled game, in closed form by a least-squares projection [2]_. Cars are
@@ -87,8 +87,8 @@ SCRATCH = _LANE + _line.LANE_SIZE
 def _draw(theta, clear, passes, samples):  # type: ignore[no-untyped-def]
     """Write the five parameters of all samples of a car.
 
-    ``clear`` is the min distance at which it passes, m. A car that is passed does not make way: it
-    goes on, faster or slower, and may block.
+    ``clear`` is the min passing distance, m. A car that is passed does not make way: it goes on,
+    faster or slower, and may block.
     """
     for k in range(SAMPLES):
         own, point = samples[k * NUMBERS :], _POINTS[k]

@@ -7,7 +7,7 @@ it farther ahead. Across the track the plan is the minimum of a quadratic cost: 
 distance from the race line, and missing clearance to the other car and the walls. The opponent is
 assumed to plan in the same way, with its own share of the profile. The own plan is computed last.
 
-The sensitivity term of [1]_ adds the push on the opponent by its constraint: a step at which the
+The sensitivity term of [1]_ adds the push on the opponent by its constraint: a step where the
 opponent has to give way pulls the own plan in front of it, with the multiplier of that constraint.
 So a car defends.
 
@@ -54,7 +54,7 @@ SIGHT = 25.0  # max distance of a considered opponent, m
 IMPOSSIBLE = 1e3
 
 
-# Memory: the last plan as a lane, and the side on which it passes the opponent.
+# Memory: the last plan as a lane, and its passing side.
 _PASSED = _line.KEPT_LANE
 MEMORY = _line.KEPT_LANE + 1
 # Scratch: plans of both cars (arc length from the own car on, distance from the line, multiplier);
@@ -163,7 +163,7 @@ def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):  # 
 
 @inner_kernel
 def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, other, scratch):  # type: ignore[no-untyped-def]
-    """Replace a plan by the best response to the other plan; return the side on which it passes."""
+    """Replace a plan by the best response to the other plan; return its passing side."""
     s0 = view[_view.OWN_S]
     trial = scratch[_TRIAL : _TRIAL + _PLAN]
     reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.3

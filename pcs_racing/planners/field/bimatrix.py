@@ -46,7 +46,7 @@ MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2
 GRIP = 1.3 * _line.GRIP  # m/s^2 across the track
 COLLISION, IMPOSSIBLE, KEPT = 20.0, 1e3, 0.3  # m: costs, and the bonus of the last choice
 SIGHT = 12.0  # max distance of the opponent in the game, m
-AIR_LATER = 2  # steps in which clearance to the opponent may still be missing
+AIR_LATER = 2  # first steps without full clearance to the opponent
 
 _CHOSEN = _line.KEPT_LANE  # memory: the lane, and the last chosen position, counted from 1
 MEMORY = _line.KEPT_LANE + 1

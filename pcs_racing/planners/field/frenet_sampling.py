@@ -4,7 +4,7 @@ Ten times a second a set of trajectories is made. Across the track each is the q
 time from the present state to a distance from the race line, along the track the quartic to a
 speed. Its cost adds the integral of the squared jerk, the time and the deviation of the end state,
 across and along. The trajectories are tried in the order of their costs. The car drives the first
-one that keeps off the walls and the predicted opponent, and within the limits of acceleration. The
+feasible trajectory: off the walls and the predicted opponent, within the limits of acceleration. The
 next set starts from the state on that trajectory.
 
 Differences: the end speeds are shares of the track's profile there, and the speed of trailing;
@@ -52,7 +52,7 @@ SHARES = (1.0, 0.85, 0.65, 0.4)  # the last share is used if there is no car to 
 SETS = OFFSETS * DURATIONS * SPEEDS
 CHECKS = 10  # checked points of a trajectory
 SIGHT = 20.0  # max distance of a predicted opponent, m
-SOON = 0.5  # time in which clearance to the opponent may still be missing, s
+SOON = 0.5  # initial time without full clearance to the opponent, s
 MOST_ACCELERATION, MOST_BRAKING = 10.0, 7.0  # m/s^2 along the track
 
 # Memory: flag of a plan, its race time, duration, quintic and quartic (powers of time 0 to 5).
@@ -111,7 +111,7 @@ def _bend(c, t):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _present(track, view, memory):  # type: ignore[no-untyped-def]
-    """Return the lateral state at which the plan continues: distance, first, second derivative."""
+    """Return the lateral start state of the plan: distance, first and second derivative."""
     t = view[_view.TIME] - memory[_BEGUN]
     if memory[_VALID] > 0.0 and t < 0.5:
         c = memory[_QUINTIC:]
@@ -157,7 +157,7 @@ def _possible(track, theta, view, duration, number, seen, scratch):  # type: ign
         kappa = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * d, 0.25)
         if abs(kappa * v * v + _bend(c, t)) > grip:
             return False
-        # Clearance may still be missing up to `SOON`.
+        # Up to `SOON` clearance may still be missing.
         soon = t < SOON
         near = abs(scratch[_OPP + number * CHECKS + k - 1] - s) < reach - (theta[BUMPER_AIR] if soon else 0.0)
         if seen and near and abs(view[_view.OPP_D] - d) < side - (theta[OPPONENT_AIR] if soon else 0.0):
@@ -167,7 +167,7 @@ def _possible(track, theta, view, duration, number, seen, scratch):  # type: ign
 
 @kernel
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Sample the trajectories, and drive the cheapest feasible one."""
+    """Sample the trajectories, and drive the cheapest feasible trajectory."""
     s0, v0 = view[_view.OWN_S], max(view[_view.OWN_V], 1.0)
     scale = _line.speed_scale(view, theta[0])
     gap = gap_ahead(track, view)

@@ -1,7 +1,7 @@
 """Lidar planners with a network, convolutional [1]_ or recurrent [2]_, and their folders.
 
-A third one (:mod:`pcs_racing.planners.field.residual`) corrects a planner without a map; these two
-imitate a planner with a map. The inputs of a network, ten times a second, are the ranges of its
+A third network (:mod:`pcs_racing.planners.field.residual`) corrects a planner without a map; these
+two imitate a planner with a map. The inputs of a network, ten times a second, are the ranges of its
 beams and the own car's speed, yaw rate, steering angle and speed scale (from the pace). The outputs
 are the slope and the bend of the path ahead, relative to the car's heading, and the speeds nearby
 and farther on. The network was trained to imitate the predictive spliner, which has a map and knows

@@ -2,8 +2,8 @@
 
 Free space pulls and near obstacles push. Each beam in front pulls the car along its direction with
 a power of its range. Within a reach, each beam pushes it away with the inverse square of its range,
-minus the inverse square of the reach. The car steers for the direction of the sum, at a speed from
-which it can brake within the free distance of that side.
+minus the inverse square of the reach. The car steers for the direction of the sum, at a speed that
+allows it to brake within the free distance of that side.
 
 Differences: free space pulls instead of the goal of [1]_, and a bend's lateral acceleration limits
 the speed.

@@ -65,7 +65,7 @@ def observe(track, view, scratch, seen):  # type: ignore[no-untyped-def]
 
 @compiled
 def lay_corrected(view, steering, speed, turn, faster, share, path):  # type: ignore[no-untyped-def]
-    """Write the path of a command and its corrections ``turn`` and ``faster``, both from -1 to 1."""
+    """Write the path of a command with corrections ``turn`` and ``faster``, both from -1 to 1."""
     speed = share * max(speed + SPEED * faster, SLOWEST)
     steer_for(view, steering + STEERING * turn, speed, NO_LIMIT, path)
 
