@@ -27,7 +27,7 @@ def lead(own0, own1, length=2.0):
 
 
 class Rules:
-    duration: float = setting(40.0, number(0.1, 3600.0), "Length, s.")
+    duration: Annotated[float, Interval(ge=0.1, le=3600.0), "Length, s."] = 40.0
 '''
 
 

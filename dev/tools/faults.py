@@ -117,7 +117,8 @@ def _inner(node: ast.AST) -> list[ast.AST]:
         defaults = [] if isinstance(node, ast.ClassDef) else [*node.args.defaults, *node.args.kw_defaults]
         return [*filter(None, defaults), *node.body]
     if isinstance(node, ast.AnnAssign):
-        return [node.value] if node.value else []
+        declared = "Annotated" in ast.unparse(node.annotation)  # options of configurations
+        return [node.value] if node.value and not declared else []
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
         return []  # documentation
     # Names that a module offers are tested by importing them, and change no result.
@@ -129,8 +130,6 @@ def _inner(node: ast.AST) -> list[ast.AST]:
         return []
     if isinstance(node, ast.keyword) and node.arg in ("strict", *_STYLE):
         return []  # strict of zip: a check, not a result
-    if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "setting":
-        return []
     return [child for child in ast.iter_child_nodes(node) if not isinstance(child, _LEFT_ALONE)]
 
 

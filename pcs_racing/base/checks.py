@@ -141,18 +141,15 @@ def check_wholes(
     minimum: int,
     maximum: int,
     count: tuple[int, int] | None = None,
-    *,
-    different: bool = False,
     error: Error = InputError,
 ) -> tuple[int, ...]:
     """Return a list of whole numbers within a range as a tuple; ``count`` is how many there may be, from and to."""
     low, high = count or (0, math.inf)
     listed = isinstance(values, list | tuple)
     listed = listed and all(is_whole(value) and minimum <= value <= maximum for value in values)
-    if not listed or not low <= len(values) <= high or (different and len(set(values)) < len(values)):
+    if not listed or not low <= len(values) <= high:
         many = "" if count is None else f"{low} to {high} " if low else f"at most {high} "
-        kind = "different " if different else ""
-        raise error(f"{name} is {values!r}; it must be a list of {many}{kind}whole numbers{within(minimum, maximum)}")
+        raise error(f"{name} is {values!r}; it must be a list of {many}whole numbers{within(minimum, maximum)}")
     return tuple(int(value) for value in values)
 
 

@@ -1,84 +1,99 @@
-"""Declared settings: a frozen dataclass whose fields state type, default, range and meaning in one place::
+"""Declared configurations: frozen dataclasses whose annotations state type, range and meaning in one place::
 
     @dataclass(frozen=True)
     class Soup(Settings):
-        salt: float = setting(0.5, number(0.0, 1.0), "Salt, g.")
+        salt: Annotated[float, Interval(ge=0.0, le=1.0), "Salt, g."] = 0.5
 
-Everything else follows from the declaration: the checks when settings are made, the attributes in the docstring,
-loading from YAML (:func:`load_settings`), the plain form for manifests (:func:`plain_settings`) and the words of a
-command line (:func:`setting_words`). A setting whose default is None may be None.
+The notes behind a type are those of ``annotated_types``, which pydantic checks, and a text, the meaning. Everything
+else follows: the checks when settings are made, the attributes in the docstring, loading from YAML
+(:func:`load_settings`), the plain form for manifests (:func:`plain_settings`), the words of a command line
+(:func:`option_words`) and the JSON schema of a file (``dev/tools/write_schemas.py``). An option whose default is None
+may be None. Defaults are not checked, so pydantic is only imported for other values (it would double the time of
+``import pcs_racing``).
 """
 
-import dataclasses
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, Field, dataclass, fields, replace
-from functools import partial
+from functools import cached_property, lru_cache, reduce
 from inspect import cleandoc, get_annotations
+from operator import or_
 from pathlib import Path
 from textwrap import wrap
-from typing import Any, ClassVar, TypeVar, get_origin
-
-from pcs_racing.base.checks import (
-    check_choice,
-    check_flag,
-    check_names,
-    check_number,
-    check_text,
-    check_whole,
-    check_wholes,
-    did_you_mean,
-    is_number,
-    is_whole,
-    within,
+from types import NoneType, SimpleNamespace, UnionType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    Self,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
 )
+
+import numpy as np
+from annotated_types import Interval, Len, MinLen, MultipleOf, Predicate
+
+from pcs_racing.base.checks import check_choice, did_you_mean, is_number, within
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
 from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited
 
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
+
 S = TypeVar("S", bound="Settings")
+_NOUNS = {int: "a whole number", float: "a number", bool: "true or false", str: "a non-empty text"}
+_PLAIN = (bool, int, float, str, NoneType, tuple, dict)
+_PLURALS = {int: "whole numbers", float: "numbers", str: "names"}
 
 
 @dataclass(frozen=True)
-class Rule:
-    """What a setting may be."""
+class Checked:
+    """A note for values in forms of their own: a function of name and value returns the stored value, or refuses."""
 
-    #: ``check(name, value)`` returns the value as it is kept, or raises a :class:`ConfigError` that names it.
-    check: Callable[[str, Any], Any]
-    words: str = ""  #: The range, for docstrings and help texts: ``from 0 to 1``; empty where the type says all.
-    read: Callable[[str], Any] = str  #: Turns a word of a command line into a value.
-    several: bool = False  #: Whether the value is a list.
+    function: Callable[[str, Any], Any]
+    words: str = ""  #: The range, for docstrings and help texts.
 
 
-ANYTHING = Rule(lambda name, value: value)
-"""What is checked where it is used, by one who knows more of it."""
+class OneOf:
+    """A note for texts that are one of several names."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self.names = tuple(names)
+
+    def __get_pydantic_core_schema__(self, _source: Any, _handler: Any) -> Any:
+        from pydantic_core.core_schema import literal_schema
+
+        return literal_schema(list(self.names))
 
 
-def whole(minimum: int, maximum: int) -> Rule:
-    """A whole number from ``minimum`` to ``maximum``."""
-    words = within(minimum, maximum).strip()
-    return Rule(partial(check_whole, minimum=minimum, maximum=maximum, error=ConfigError), words, int)
+def _different(values: tuple[Any, ...]) -> bool:
+    return len(set(values)) == len(values)
 
 
-def number(minimum: float, maximum: float) -> Rule:
-    """A finite number from ``minimum`` to ``maximum``."""
-    words = within(minimum, maximum).strip()
-    return Rule(partial(check_number, minimum=minimum, maximum=maximum, error=ConfigError), words, float)
+ANYTHING = Checked(lambda _, value: value)
+"""No check; the consumer checks the value."""
+
+DIFFERENT = Predicate(_different)
+"""All values of a list differ."""
+
+Text = Annotated[str, MinLen(1)]
+"""A text that is not empty, such as a name or a path."""
+
+Names = Annotated[tuple[Text, ...], DIFFERENT]
+"""A list of different names."""
+
+Layers = Annotated[tuple[Annotated[int, Interval(ge=1, le=4096)], ...], Len(0, 8)]
+"""Units of each hidden layer of a network."""
 
 
-def tenths(minimum: float, maximum: float) -> Rule:
-    """A multiple of 0.1 from ``minimum`` to ``maximum``."""
-
-    def check(name: str, value: Any) -> float:
-        checked = check_number(name, value, minimum, maximum, error=ConfigError)
-        if abs(checked * 10.0 - round(checked * 10.0)) > 1e-9:
-            raise ConfigError(f"{name} is {value!r}; it must be a multiple of 0.1")
-        return checked
-
-    return Rule(check, f"{within(minimum, maximum).strip()}, a multiple of 0.1", float)
-
-
-def number_range(what: str, minimum: float, maximum: float, is_kind: Callable[[Any], bool] = is_number) -> Rule:
-    """Two numbers within limits, the second one not below the first; a single number stands for both."""
+def number_range(minimum: float, maximum: float, what: str = "", is_kind: Callable[[Any], bool] = is_number) -> Checked:
+    """Two numbers within limits, the second one not below the first; a single number is both."""
 
     def check(name: str, value: Any) -> tuple[Any, Any]:
         pair = [value, value] if is_kind(value) else value
@@ -89,83 +104,107 @@ def number_range(what: str, minimum: float, maximum: float, is_kind: Callable[[A
         kind = float if is_kind is is_number else int
         return kind(pair[0]), kind(pair[1])
 
-    return Rule(check, f"[low, high] from {minimum:g} to {maximum:g}")
+    return Checked(check, f"[low, high] from {minimum:g} to {maximum:g}")
 
 
-def flag() -> Rule:
-    """True or false."""
-    return Rule(partial(check_flag, error=ConfigError))
+@dataclass(frozen=True)
+class Option:
+    """A declared field."""
 
+    kind: Any  #: Type without its notes and without None.
+    notes: tuple[Any, ...]  #: Notes behind the type, its meaning among them.
+    default: Any  #: ``dataclasses.MISSING`` if there is none.
+    type: Any  #: As it was declared.
 
-def text() -> Rule:
-    """A text that is not empty, such as a name or a path."""
-    return Rule(partial(check_text, error=ConfigError))
+    @cached_property
+    def adapter(self) -> "TypeAdapter[Any]":
+        """The check of pydantic."""
+        from pydantic import TypeAdapter
 
+        kind: Any = Annotated[(self.kind, *self.notes)]
+        config: Any = {"strict": True, "allow_inf_nan": False, "arbitrary_types_allowed": True}
+        return TypeAdapter(kind, config=config)
 
-def choice(known: Iterable[str]) -> Rule:
-    """One of several names."""
-    known = tuple(known)
-    return Rule(partial(check_choice, choices=known, error=ConfigError), f"one of {', '.join(known)}")
+    def checked(self, name: str, value: Any) -> Any:
+        """Return a value as settings store it."""
+        for note in self.notes:
+            if isinstance(note, Checked):
+                try:
+                    return note.function(name, value)
+                except (ConfigError, UnknownNameError):
+                    raise
+                except InputError as error:
+                    raise ConfigError(str(error)) from None
+        limits = [note for note in self.notes if not isinstance(note, str)]
+        within_them = (isinstance(note, Interval) and note.ge <= value <= note.le for note in limits)
+        # A number within its limits, the usual case, needs no pydantic.
+        if type(value) is self.kind and limits and all(within_them):
+            return value
+        plain = _plain(value)
+        from pydantic import ValidationError
 
-
-def names(minimum: int = 1) -> Rule:
-    """A list of at least ``minimum`` different names."""
-    return Rule(partial(check_names, minimum=minimum, error=ConfigError), several=True)
-
-
-def wholes(minimum: int, maximum: int, *, shortest: int = 0, longest: int = 1000, different: bool = False) -> Rule:
-    """A list of ``shortest`` to ``longest`` whole numbers from ``minimum`` to ``maximum``."""
-    count = shortest, longest
-    check = partial(check_wholes, minimum=minimum, maximum=maximum, count=count, different=different, error=ConfigError)
-    return Rule(check, f"{shortest} to {longest} numbers{within(minimum, maximum)}", int, True)
-
-
-def weights(minimum: int, maximum: int) -> Rule:
-    """A mapping of names to whole numbers from ``minimum`` to ``maximum``."""
-
-    def check(name: str, value: Any) -> dict[str, int]:
-        if not isinstance(value, Mapping) or not value:
-            raise ConfigError(f"{name} is {value!r}; it must be a mapping of names to whole numbers")
-        for key, weight in value.items():
-            if not isinstance(key, str) or not key or not is_whole(weight) or not minimum <= weight <= maximum:
-                raise ConfigError(
-                    f"{name} holds {key!r}: {weight!r}; give names with whole numbers{within(minimum, maximum)}"
-                )
-        return {key: int(weight) for key, weight in value.items()}
-
-    return Rule(check, f"weights{within(minimum, maximum)}")
-
-
-def checked(function: Callable[[Any], Any], words: str = "") -> Rule:
-    """What a function makes of a value; an :class:`InputError` of it becomes a :class:`ConfigError`."""
-
-    def check(_: str, value: Any) -> Any:
         try:
-            return function(value)
-        except (ConfigError, UnknownNameError):
-            raise
-        except InputError as error:
-            raise ConfigError(str(error)) from None
+            # Any other object with a __float__ would do for a number.
+            self.adapter.validate_python(plain if isinstance(plain, _PLAIN) else None)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            held = isinstance(value, Mapping) and first["loc"]
+            wrong = f"holds {first['loc'][0]!r}: {first['input']!r}" if held else f"is {value!r}"
+            hint = did_you_mean(value, _choices(self.kind, self.notes))
+            raise ConfigError(f"{name} {wrong}; it must be {''.join(_wanted(self.kind, self.notes))}{hint}") from None
+        # As it is, since a whole number that pydantic made a fraction would change the hashes of manifests.
+        return plain
 
-    return Rule(check, words)
+
+def _plain(value: Any) -> Any:
+    """Return a value with numbers of Python, tuples and dicts in place of numbers of numpy, lists and mappings."""
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, list | tuple):
+        return tuple(map(_plain, value))
+    return {key: _plain(one) for key, one in value.items()} if isinstance(value, Mapping) else value
 
 
-def setting(default: Any, rule: Rule, meaning: str) -> Any:
-    """Declare a setting: a dataclass field with its rule and its meaning, one sentence with the unit.
+def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Return a type without notes and without None, and its notes."""
+    kind, *notes = get_args(kind) if get_origin(kind) is Annotated else (kind,)
+    if get_origin(kind) in (Union, UnionType) and NoneType in get_args(kind):
+        kind, inner = _parts(reduce(or_, (one for one in get_args(kind) if one is not NoneType)))
+        notes = [*inner, *notes]
+    return kind, tuple(notes)
 
-    The default must obey the rule, or be None where the setting may be None; ``dataclasses.MISSING`` stands for no
-    default.
-    """
-    metadata = {"rule": rule, "meaning": meaning}
-    # Each object gets a mapping of its own, and frozen settings stay hashable.
-    if isinstance(default, dict):
-        return dataclasses.field(default_factory=lambda: dict(default), hash=False, metadata=metadata)
-    return dataclasses.field(default=default, metadata=metadata)
+
+def _choices(kind: Any, notes: Iterable[Any]) -> tuple[str, ...]:
+    known = get_args(kind) if get_origin(kind) is Literal else ()
+    return next((note.names for note in notes if isinstance(note, OneOf)), known)
+
+
+def _wanted(kind: Any, notes: Iterable[Any], largest: float = np.inf) -> tuple[str, str]:
+    """Return a noun for the values of a type, and their limits, without a maximum above ``largest``."""
+    if known := _choices(kind, notes):
+        return "one of", f" {', '.join(known)}"
+    by_type = {type(note): note for note in notes}
+    if Checked in by_type:
+        return "", f" {by_type[Checked].words}"
+    limits = ""
+    if limit := by_type.get(Interval):
+        limits = within(limit.ge, limit.le if limit.le <= largest else None)
+    if MultipleOf in by_type:
+        limits += f", a multiple of {by_type[MultipleOf].multiple_of:g}"
+    form = {tuple: "a list of", Mapping: "a mapping of names to"}.get(get_origin(kind))
+    if form is None:
+        return _NOUNS.get(kind, ""), limits
+    few = f" {by_type[Len].min_length} to {by_type[Len].max_length}" if Len in by_type else ""
+    inner, different = (
+        _parts(get_args(kind)[form != "a list of"]),
+        " different" if DIFFERENT in by_type.values() else "",
+    )
+    return f"{form}{few}{different} {_PLURALS.get(inner[0], 'values')}", _wanted(*inner, largest)[1]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Base of declared settings; checks between fields go into ``__post_init__`` after the base's."""
+    """Base of declared configurations; checks between fields go into ``__post_init__`` after the base's."""
 
     other_names: ClassVar[Mapping[str, str]] = {}  #: Names of settings elsewhere, for the hint in an error: ours.
 
@@ -176,14 +215,38 @@ class Settings:
         cls.__doc__ = "\n".join([own, "", "Attributes", "----------", *listed_settings(cls, defaults=True), ""])
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is None and field.default is None:
-                continue
-            kept = field.metadata["rule"].check(field.name, value)
-            # A rule may bring a value into another form, such as a list into a tuple; the settings are frozen by now.
-            if kept is not value:
-                object.__setattr__(self, field.name, kept)
+        for name, option in _options(type(self)).items():
+            value = getattr(self, name)
+            # By their texts, since 1, 1.0 and True are equal.
+            same = isinstance(value, _PLAIN) and repr(value) == repr(option.default)
+            if not same and value is not option.default:
+                # A check may bring a value into another form, such as a list into a tuple.
+                object.__setattr__(self, name, option.checked(name, value))
+
+    @classmethod
+    def known(cls, **values: Any) -> Self:
+        """Make settings out of values that need no check."""
+        made = object.__new__(cls)
+        vars(made).update({name: option.default for name, option in _options(cls).items()} | values)
+        return made
+
+
+def options_of(cls: type[Settings]) -> dict[str, Option]:
+    """Return the options of a class, which need not have become a dataclass yet."""
+    found = {}
+    # Derived classes last: their declarations take the place of inherited ones.
+    for base in reversed(cls.__mro__):
+        made = base.__dict__.get("__dataclass_fields__", {})
+        for name, kind in get_annotations(base).items():
+            parts, default = _parts(kind), made.get(name, base.__dict__.get(name, MISSING))
+            if isinstance(default, Field):
+                default = default.default if default.default_factory is MISSING else default.default_factory()
+            if get_origin(kind) is Annotated:
+                found[name] = Option(*parts, default, kind)
+    return found
+
+
+_options: Callable[[type[Settings]], dict[str, Option]] = lru_cache(maxsize=None)(options_of)  # type: ignore[assignment]
 
 
 def load_settings(
@@ -206,7 +269,8 @@ def load_settings(
         source = None
     if source is None or isinstance(source, type(default)):
         _check_keys(kind, default, changes, "the arguments")
-        return replace(default if source is None else source, **changes)
+        made = default if source is None else source
+        return replace(made, **changes) if changes else made
     if not isinstance(source, str | os.PathLike):
         raise ConfigError(f"{kind} settings are {source!r:.80}; use a name, a mapping or the path of a YAML file")
     place = known.get(source, Path(source)) if isinstance(source, str) else Path(source)
@@ -254,11 +318,11 @@ def _check_keys(kind: str, settings: Settings, changes: Mapping[Any, Any], where
 
 
 def listed_settings(cls: type[Settings], *without: str, defaults: bool = False) -> list[str]:
-    """Return lines of a docstring, two or more for each setting of a class: its name and type, and its meaning."""
+    """Return lines of a docstring, two or more for each option of a class: its name and type, and its meaning."""
     lines: list[str] = []
-    for name, (kind, field) in _declared(cls).items():
+    for name, option in options_of(cls).items():
         if name not in without:
-            lines += listed_argument(name, kind, setting_words(field, defaults))
+            lines += listed_argument(name, type_name(option.type), option_words(option, defaults))
     return lines
 
 
@@ -269,28 +333,17 @@ def listed_argument(name: str, kind: str, meaning: str) -> list[str]:
     return [first, *wrap(meaning, 108, initial_indent=indent, subsequent_indent=indent)]
 
 
-def _declared(cls: type) -> dict[str, tuple[str, "Field[Any]"]]:
-    """Types and declarations of the settings of a class, which need not have become a dataclass yet."""
-    declared = {}
-    # Derived classes last: what they declare anew takes the place of what they inherit.
-    for base in reversed(cls.__mro__):
-        made = base.__dict__.get("__dataclass_fields__", {})
-        for name, kind in get_annotations(base).items():
-            field = made.get(name, base.__dict__.get(name))
-            if isinstance(field, Field) and "rule" in field.metadata:
-                declared[name] = type_name(kind), field
-    return declared
-
-
 def type_name(kind: Any) -> str:
     """Return a type as a docstring writes it."""
+    kind = get_type_hints(SimpleNamespace(__annotations__={"kind": kind}))["kind"]  # without notes
     plain = kind.__name__ if isinstance(kind, type) and get_origin(kind) is None else str(kind)
-    return plain.replace("collections.abc.", "").replace("typing.", "")
+    return re.sub(r"collections\.abc\.|typing\.", "", re.sub(r"typing\.Optional\[(.+)\]$", r"\1 | None", plain))
 
 
-def setting_words(field: "Field[Any]", with_default: bool = True) -> str:
-    """Return the meaning, the range and the default of a setting as a sentence."""
-    rule, meaning = field.metadata["rule"], field.metadata["meaning"].rstrip(".")
-    default = field.default if field.default_factory is MISSING else field.default_factory()
-    said = f" (default: {default!r})" if with_default and default is not None and default is not MISSING else ""
-    return f"{meaning}{f'; {rule.words}' if rule.words else ''}{said}."
+def option_words(option: Option, with_default: bool = True) -> str:
+    """Return the meaning, the range and the default of an option as a sentence."""
+    meaning = next(note for note in option.notes if isinstance(note, str)).rstrip(".")
+    noun, limits = _wanted(option.kind, option.notes, 1e9)
+    words = f"{noun}{limits}" if noun == "one of" else limits.strip(" ,")
+    shown = with_default and option.default is not None and option.default is not MISSING
+    return f"{meaning}{f'; {words}' if words else ''}{f' (default: {option.default!r})' if shown else ''}."

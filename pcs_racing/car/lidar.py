@@ -1,17 +1,18 @@
 """2D lidar that measures ranges to walls and to the opponent."""
 
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Rule, Settings, number, setting, whole
+from pcs_racing.base.settings import Checked, Settings
 from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_into
 from pcs_racing.track.frenet import locate
 from pcs_racing.track.track import Track
@@ -47,19 +48,23 @@ def _track(name: str, value: Any) -> Track:
     return value
 
 
-BEAMS, FIELD_OF_VIEW, MAX_RANGE = whole(1, MOST_BEAMS), number(1e-6, 2.0 * np.pi), number(1e-3, 1e6)
-"""Rules for the settings of a lidar."""
+FIELD_OF_VIEW, MAX_RANGE = Interval(ge=1e-6, le=2.0 * np.pi), Interval(ge=1e-3, le=1e6)
+"""Limits for the options of a lidar."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lidar(Settings):
     """Scanning lidar at the pose of a car, on one track."""
 
-    track: Track = setting(MISSING, Rule(_track), "The circuit.")
-    beams: int = setting(1080, BEAMS, "Number of beams; a single beam points straight ahead.")
-    fov: float = setting(4.7, FIELD_OF_VIEW, "Angle from the first beam to the last, rad.")
-    max_range: float = setting(30.0, MAX_RANGE, "Maximum range, m.")
-    noise: float = setting(0.0, number(0.0, 1e6), "Standard deviation of the noise that `scan` adds to ranges, m.")
+    track: Annotated[Track, Checked(_track), "The circuit."]
+    beams: Annotated[int, Interval(ge=1, le=MOST_BEAMS), "Number of beams; a single beam points straight ahead."] = 1080
+    fov: Annotated[float, FIELD_OF_VIEW, "Angle from the first beam to the last, rad."] = 4.7
+    max_range: Annotated[float, MAX_RANGE, "Maximum range, m."] = 30.0
+    noise: Annotated[
+        float,
+        Interval(ge=0.0, le=1e6),
+        "Standard deviation of the noise that `scan` adds to ranges, m.",
+    ] = 0.0
 
     @cached_property
     def angles(self) -> NDArray[np.float64]:

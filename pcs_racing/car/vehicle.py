@@ -15,16 +15,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from operator import attrgetter
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Settings, checked, load_settings, number, setting
+from pcs_racing.base.settings import Checked, Settings, load_settings
 
 # Columns of a vehicle state; X and Y share their numbers with a line of the track.
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
@@ -38,10 +39,10 @@ COMMAND_PERIOD = 0.02  # s between two steering commands of a race
 MOST_DELAYED = 25  # commands
 
 
-def _steer_delay(value: Any) -> float:
-    delay = check_number("steer_delay", value, 0.0, MOST_DELAYED * COMMAND_PERIOD)
+def _steer_delay(name: str, value: Any) -> float:
+    delay = check_number(name, value, 0.0, MOST_DELAYED * COMMAND_PERIOD)
     if abs(delay / COMMAND_PERIOD - round(delay / COMMAND_PERIOD)) > 1e-9:
-        raise InputError(f"steer_delay is {delay!r} s; it must be a multiple of {COMMAND_PERIOD:g} s")
+        raise InputError(f"{name} is {delay!r} s; it must be a multiple of {COMMAND_PERIOD:g} s")
     return delay
 
 
@@ -57,34 +58,48 @@ class VehicleParams(Settings):
         **{"C_Sf": "c_sf", "C_Sr": "c_sr", "I": "inertia", "s_min": "steer_max", "s_max": "steer_max"},
         **{"sv_min": "steer_rate_max", "sv_max": "steer_rate_max"},
     }
-    mu: float = setting(1.0489, number(0.01, 10.0), "Friction coefficient.")
-    c_sf: float = setting(4.718, number(0.01, 1000.0), "Cornering stiffness of the front tyres, 1/rad.")
-    c_sr: float = setting(5.4562, number(0.01, 1000.0), "Cornering stiffness of the rear tyres, 1/rad.")
-    lf: float = setting(0.15875, number(0.001, 10.0), "Distance from the centre of gravity to the front axle, m.")
-    lr: float = setting(0.17145, number(0.001, 10.0), "Distance from the centre of gravity to the rear axle, m.")
-    h: float = setting(0.074, number(0.0001, 10.0), "Height of the centre of gravity, m.")
-    m: float = setting(3.74, number(0.001, 1e5), "Mass, kg.")
-    inertia: float = setting(0.04712, number(1e-6, 1e6), "Yaw inertia, kg m^2.")
-    steer_max: float = setting(0.4189, number(0.001, 1.5), "Largest steering angle either way, rad.")
-    steer_rate_max: float = setting(3.2, number(0.001, 1000.0), "Largest steering rate either way, rad/s.")
-    v_switch: float = setting(
-        7.319,
-        number(0.01, 1000.0),
+    mu: Annotated[float, Interval(ge=0.01, le=10.0), "Friction coefficient."] = 1.0489
+    c_sf: Annotated[float, Interval(ge=0.01, le=1000.0), "Cornering stiffness of the front tyres, 1/rad."] = 4.718
+    c_sr: Annotated[float, Interval(ge=0.01, le=1000.0), "Cornering stiffness of the rear tyres, 1/rad."] = 5.4562
+    lf: Annotated[
+        float,
+        Interval(ge=0.001, le=10.0),
+        "Distance from the centre of gravity to the front axle, m.",
+    ] = 0.15875
+    lr: Annotated[
+        float,
+        Interval(ge=0.001, le=10.0),
+        "Distance from the centre of gravity to the rear axle, m.",
+    ] = 0.17145
+    h: Annotated[float, Interval(ge=0.0001, le=10.0), "Height of the centre of gravity, m."] = 0.074
+    m: Annotated[float, Interval(ge=0.001, le=1e5), "Mass, kg."] = 3.74
+    inertia: Annotated[float, Interval(ge=1e-6, le=1e6), "Yaw inertia, kg m^2."] = 0.04712
+    steer_max: Annotated[float, Interval(ge=0.001, le=1.5), "Largest steering angle either way, rad."] = 0.4189
+    steer_rate_max: Annotated[float, Interval(ge=0.001, le=1000.0), "Largest steering rate either way, rad/s."] = 3.2
+    v_switch: Annotated[
+        float,
+        Interval(ge=0.01, le=1000.0),
         "Speed above which the engine's power, not its force, limits the acceleration, m/s.",
-    )
-    a_max: float = setting(9.51, number(0.01, 1000.0), "Largest acceleration and braking, m/s^2.")
-    v_min: float = setting(-5.0, number(-1000.0, 0.0), "Lowest speed, m/s.")
-    v_max: float = setting(20.0, number(0.01, 1000.0), "Highest speed, m/s.")
-    width: float = setting(0.31, number(0.001, 100.0), "Width of the car's rectangle, centred on its pose, m.")
-    length: float = setting(0.58, number(0.001, 100.0), "Length of that rectangle, m.")
-    steer_delay: float = setting(
-        0.0, checked(_steer_delay, "from 0 to 0.5, a multiple of 0.02"), "Time by which steering commands are late, s."
-    )
-    steer_noise: float | None = setting(
-        None,
-        number(0.0, 0.4),
+    ] = 7.319
+    a_max: Annotated[float, Interval(ge=0.01, le=1000.0), "Largest acceleration and braking, m/s^2."] = 9.51
+    v_min: Annotated[float, Interval(ge=-1000.0, le=0.0), "Lowest speed, m/s."] = -5.0
+    v_max: Annotated[float, Interval(ge=0.01, le=1000.0), "Highest speed, m/s."] = 20.0
+    width: Annotated[
+        float,
+        Interval(ge=0.001, le=100.0),
+        "Width of the car's rectangle, centred on its pose, m.",
+    ] = 0.31
+    length: Annotated[float, Interval(ge=0.001, le=100.0), "Length of that rectangle, m."] = 0.58
+    steer_delay: Annotated[
+        float,
+        Checked(_steer_delay, "from 0 to 0.5, a multiple of 0.02"),
+        "Time by which steering commands are late, s.",
+    ] = 0.0
+    steer_noise: Annotated[
+        float | None,
+        Interval(ge=0.0, le=0.4),
         "Standard deviation of the disturbance of every steering command, rad; None takes that of the race's rules.",
-    )
+    ] = None
 
     @property
     def wheelbase(self) -> float:

@@ -1,16 +1,16 @@
 """Control-level environments: one car alone or against others, or an agent in each car."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.settings import setting, whole
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions, drive_elements, rivals_of
 from pcs_racing.envs.over_batch import Declared
@@ -157,7 +157,7 @@ class DriveVectorEnv(BatchVectorEnv):
 class HeadToHeadOptions(DriveOptions):
     """Arguments of the environments with an agent in several cars."""
 
-    cars: int = setting(2, whole(1, MOST_CARS), "Cars in a race.")
+    cars: Annotated[int, Interval(ge=1, le=MOST_CARS), "Cars in a race."] = 2
 
 
 class _SeveralAgents:

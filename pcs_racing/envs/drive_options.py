@@ -4,14 +4,15 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import ANYTHING, Rule, checked, choice, flag, number, setting, whole
+from pcs_racing.base.settings import ANYTHING, Checked, OneOf
 from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_RANGE, MOST_BEAMS, Lidar
 from pcs_racing.car.lidar_kernel import Beams
 from pcs_racing.car.vehicle import F1TENTH
@@ -27,7 +28,7 @@ SEE_OPPONENT = ("never", "in sight", "always")
 """When the opponent is observed; each at the index that the kernel knows it by."""
 
 
-def _source(kind: type) -> Rule:
+def _source(kind: type) -> Checked:
     """A name, a path or a value of a class."""
 
     def check(name: str, value: Any) -> Any:
@@ -35,32 +36,32 @@ def _source(kind: type) -> Rule:
             raise ConfigError(f"{name} is {value!r}; it must be a name, a path or a {kind.__name__}")
         return value
 
-    return Rule(check)
+    return Checked(check)
 
 
-def _time_step(value: Any) -> float:
-    step = check_number("time_step", value, DT, 1.0)
+def _time_step(name: str, value: Any) -> float:
+    step = check_number(name, value, DT, 1.0)
     if abs(step / DT - round(step / DT)) > 1e-9:
-        raise InputError(f"time_step is {step!r} s; it must be a multiple of {DT:g} s")
+        raise InputError(f"{name} is {step!r} s; it must be a multiple of {DT:g} s")
     return step
 
 
-def _look_ahead(value: Any) -> tuple[float, ...]:
+def _look_ahead(name: str, value: Any) -> tuple[float, ...]:
     listed = isinstance(value, Sequence) and not isinstance(value, str)
     if not listed or len(value) > 100:
-        raise InputError(f"look_ahead is {value!r}; it must list at most 100 distances in m")
-    return tuple(check_number("look_ahead", distance, 0.0, 1000.0) for distance in value)
+        raise InputError(f"{name} is {value!r}; it must list at most 100 distances in m")
+    return tuple(check_number(name, distance, 0.0, 1000.0) for distance in value)
 
 
-def _opponents(value: Any) -> tuple[Any, ...]:
+def _opponents(name: str, value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple) or len(value) >= MOST_CARS:
-        raise InputError(f"opponents is {value!r:.80}; it must list at most {MOST_CARS - 1} opponents")
+        raise InputError(f"{name} is {value!r:.80}; it must list at most {MOST_CARS - 1} opponents")
     return tuple(value)
 
 
 def rivals_of(opponent: Any, opponents: Any) -> tuple[Any, ...]:
     """Return what drives each car that no agent drives: nothing for a lone car."""
-    given = (opponent,) if opponents is None else _opponents(opponents)
+    given = (opponent,) if opponents is None else _opponents("opponents", opponents)
     return () if len(given) == 1 and given[0] is None else given
 
 
@@ -68,74 +69,85 @@ def rivals_of(opponent: Any, opponents: Any) -> tuple[Any, ...]:
 class DriveOptions(EpisodeOptions):
     """Arguments of the control-level environments."""
 
-    opponent: Any = setting(
-        "lattice",
+    opponent: Annotated[
+        Any,
         ANYTHING,
         '"lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a driver; a model that was trained here, or '
         'its file "model.zip" (:func:`pcs_racing.envs.models.model_policy`). Or an agent of the game of moves '
-        '(:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an object, such as "cfr-argmax": it changes its policy '
-        "of the archive every 8 s. Of a list, in which entries may be (weight, opponent), one is drawn for each "
-        "episode; all must drive with the same planner. With None there is none: the agent is alone on the track, and "
-        "the elements of the second car are 0. With two agents or more it takes the last one's place.",
-    )
-    opponents: tuple[Any, ...] | None = setting(
-        None,
-        checked(_opponents, "at most 7"),
+        '(:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an object, such as "cfr-argmax": it changes its '
+        "policy of the archive every 8 s. Of a list, in which entries may be (weight, opponent), one is drawn for "
+        "each episode; all must drive with the same planner. With None there is none: the agent is alone on the "
+        "track, and the elements of the second car are 0. With two agents or more it takes the last one's place.",
+    ] = "lattice"
+    opponents: Annotated[
+        tuple[Any, ...] | None,
+        Checked(_opponents, "at most 7"),
         "One driver for each other car, in place of `opponent`; they may have different planners. `opponent` in the "
         "infos is -1 if there are several.",
-    )
-    race: str | Path | RaceConfig = setting(
-        "paper", _source(RaceConfig), 'Rules of the race: "paper", "contest", a YAML file or a configuration.'
-    )
-    duration: float | None = setting(
-        None, ANYTHING, "Length of a race, s, a multiple of 0.1; by default that of the rules."
-    )
-    laps: int | None = setting(
-        None, whole(1, 1000), "Laps from the start line after which the first car ends a race; none by default."
-    )
-    time_step: float = setting(0.1, checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s.")
-    min_speed: float = setting(
-        0.0,
-        number(F1TENTH.v_min, 0.0),
+    ] = None
+    race: Annotated[
+        str | Path | RaceConfig,
+        _source(RaceConfig),
+        'Rules of the race: "paper", "contest", a YAML file or a configuration.',
+    ] = "paper"
+    duration: Annotated[
+        float | None,
+        ANYTHING,
+        "Length of a race, s, a multiple of 0.1; by default that of the rules.",
+    ] = None
+    laps: Annotated[
+        int | None,
+        Interval(ge=1, le=1000),
+        "Laps from the start line after which the first car ends a race; none by default.",
+    ] = None
+    time_step: Annotated[float, Checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s."] = 0.1
+    min_speed: Annotated[
+        float,
+        Interval(ge=F1TENTH.v_min, le=0.0),
         "Target speed that the action -1 asks for, m/s; below 0 a car can reverse, for instance away from a wall.",
-    )
-    top_speed: float = setting(8.0, number(0.1, F1TENTH.v_max), "Target speed that the action 1 asks for, m/s.")
-    normalized: bool = setting(
-        True, flag(), "Whether actions are in [-1, 1]; else they are a steering angle in rad and a speed in m/s."
-    )
-    beams: int = setting(0, whole(0, MOST_BEAMS), "Beams of the lidar; 0 for none.")
-    fov: float = setting(4.7, FIELD_OF_VIEW, "Angle from the first beam to the last, rad.")
-    max_range: float = setting(30.0, MAX_RANGE, "Longest range that is reported, m.")
-    lidar_noise: float = setting(
-        0.0,
-        number(0.0, 10.0),
+    ] = 0.0
+    top_speed: Annotated[
+        float,
+        Interval(ge=0.1, le=F1TENTH.v_max),
+        "Target speed that the action 1 asks for, m/s.",
+    ] = 8.0
+    normalized: Annotated[
+        bool,
+        "Whether actions are in [-1, 1]; else they are a steering angle in rad and a speed in m/s.",
+    ] = True
+    beams: Annotated[int, Interval(ge=0, le=MOST_BEAMS), "Beams of the lidar; 0 for none."] = 0
+    fov: Annotated[float, FIELD_OF_VIEW, "Angle from the first beam to the last, rad."] = 4.7
+    max_range: Annotated[float, MAX_RANGE, "Longest range that is reported, m."] = 30.0
+    lidar_noise: Annotated[
+        float,
+        Interval(ge=0.0, le=10.0),
         "Standard deviation of the ranges, m; a function of the race's key, the time and the beam.",
-    )
-    look_ahead: tuple[float, ...] = setting(
-        (0.0, 1.0, 2.0, 4.0, 6.0, 9.0),
-        checked(_look_ahead, "at most 100 distances from 0 to 1000"),
+    ] = 0.0
+    look_ahead: Annotated[
+        tuple[float, ...],
+        Checked(_look_ahead, "at most 100 distances from 0 to 1000"),
         "Distances at which curvature, speed and widths of the race line are observed, m; () for none.",
-    )
-    own_state: bool = setting(True, flag(), "Whether the numbers about the own car are observed.")
-    own_pose: bool = setting(False, flag(), "Whether x, y (m) and heading (rad) of the own car on the map follow them.")
-    see_opponent: str = setting(
-        "always",
-        choice(SEE_OPPONENT),
-        'When the opponent is observed. "in sight": its elements are 0 while a wall stands between the centres of the '
-        'two cars, or they are further apart than `max_range`; "never": there are none',
-    )
-    time_left: bool = setting(
-        False, flag(), "Whether an element before the beams tells the share of the race that is left."
-    )
-    normalize: bool = setting(False, flag(), "Whether observations are scaled to [-1, 1].")
-    progress_reward: float = setting(1.0, number(-1e6, 1e6), "Reward for a metre of progress.")
-    rivalry: float = setting(0.0, number(-1e6, 1e6), "Share of the opponent's progress that is taken off.")
-    crash_penalty: float = setting(10.0, number(0.0, 1e6), "Penalty of a crash by own fault.")
-    win_reward: float = setting(0.0, number(0.0, 1e6), "Reward of a win, and penalty of a defeat.")
-    start_lines: int = setting(100, ANYTHING, "Number of start lines to draw from.")
-    archive: str | Path | PolicyArchive = setting(
-        "default", _source(PolicyArchive), "Archive of opponents that move between policies."
-    )
+    ] = (0.0, 1.0, 2.0, 4.0, 6.0, 9.0)
+    own_state: Annotated[bool, "Whether the numbers about the own car are observed."] = True
+    own_pose: Annotated[bool, "Whether x, y (m) and heading (rad) of the own car on the map follow them."] = False
+    see_opponent: Annotated[
+        str,
+        OneOf(SEE_OPPONENT),
+        'When the opponent is observed. "in sight": its elements are 0 while a wall stands between the centres of the'
+        ' two cars, or they are further apart than `max_range`; "never": there are none',
+    ] = "always"
+    time_left: Annotated[bool, "Whether an element before the beams tells the share of the race that is left."] = False
+    normalize: Annotated[bool, "Whether observations are scaled to [-1, 1]."] = False
+    progress_reward: Annotated[float, Interval(ge=-1e6, le=1e6), "Reward for a metre of progress."] = 1.0
+    rivalry: Annotated[float, Interval(ge=-1e6, le=1e6), "Share of the opponent's progress that is taken off."] = 0.0
+    crash_penalty: Annotated[float, Interval(ge=0.0, le=1e6), "Penalty of a crash by own fault."] = 10.0
+    win_reward: Annotated[float, Interval(ge=0.0, le=1e6), "Reward of a win, and penalty of a defeat."] = 0.0
+    start_lines: Annotated[int, ANYTHING, "Number of start lines to draw from."] = 100
+    archive: Annotated[
+        str | Path | PolicyArchive,
+        _source(PolicyArchive),
+        "Archive of opponents that move between policies.",
+    ] = "default"
 
     def __post_init__(self) -> None:
         super().__post_init__()

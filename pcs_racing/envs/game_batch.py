@@ -5,14 +5,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import ANYTHING, flag, setting
+from pcs_racing.base.settings import ANYTHING
 from pcs_racing.envs.batch import (
     FREE,
     BatchStep,
@@ -59,28 +59,33 @@ class DrivenStep(NamedTuple):
 class GameOptions(EpisodeOptions):
     """Arguments of the strategy-level environments."""
 
-    archive: PolicyArchive | str | Path = setting("default", ANYTHING, "The policies: an archive, its name or folder.")
-    opponent: Any = setting(
-        "random-moves",
+    archive: Annotated[
+        PolicyArchive | str | Path,
+        ANYTHING,
+        "The policies: an archive, its name or folder.",
+    ] = "default"
+    opponent: Annotated[
+        Any,
         ANYTHING,
         'By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each episode and kept); '
         '"always-<move>", for instance "always-aggressiveness +"; a driver such as "lane-switcher:3", which makes no '
-        'moves; or any agent of :mod:`pcs_racing_agents`, such as "cfr-argmax". As an object: an agent, a driver or a '
-        "policy; a model of Stable-Baselines3 or any object with its ``predict(observation, state, episode_start, "
+        'moves; or any agent of :mod:`pcs_racing_agents`, such as "cfr-argmax". As an object: an agent, a driver or a'
+        " policy; a model of Stable-Baselines3 or any object with its ``predict(observation, state, episode_start, "
         "deterministic)``; an object with ``decide(game, state, car)``; or a function ``f(observation, generator) -> "
         "move``. Of a list, in which entries may be (weight, opponent), one is drawn for each episode. The opponent "
         "observes what car 1 observes, and may also stay, whatever moves the rules offer. With None a second agent "
         "drives car 1, where the environment has one.",
-    )
-    race: GameConfig | RaceConfig | str | Path = setting(
-        "paper", ANYTHING, 'Rules: "paper", "contest", a YAML file or a configuration.'
-    )
-    deterministic_opponent: bool = setting(
-        True,
-        flag(),
+    ] = "random-moves"
+    race: Annotated[
+        GameConfig | RaceConfig | str | Path,
+        ANYTHING,
+        'Rules: "paper", "contest", a YAML file or a configuration.',
+    ] = "paper"
+    deterministic_opponent: Annotated[
+        bool,
         "Whether models take their best move; if not, they draw with a generator of their own, which no seed of this "
         "environment reaches.",
-    )
+    ] = True
 
 
 KEPT = 64  # number of cached games on tracks without an episode

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.settings import ANYTHING, flag, setting, whole
+from pcs_racing.base.settings import ANYTHING
 from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_within
 from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.infos import Result, codes, of_players
@@ -27,16 +28,16 @@ UNUSED = ("utility", "fault_penalty", "discount")
 class MatchOptions(GameOptions):
     """Arguments of the environments of matches."""
 
-    opponent: Any = setting(
-        "never-switch",
+    opponent: Annotated[
+        Any,
         ANYTHING,
-        "As for :class:`pcs_racing.envs.duel.DuelEnv`; one is drawn for each match. One that makes moves starts every "
-        "race of the match with the same policy of the archive, and makes its moves in the races. An object with "
-        "``choose(observation) -> policies`` chooses before each race, as the player does, and keeps its policy in the "
-        "race. With None a second agent drives car 1, where the environment has one.",
-    )
-    races: int = setting(3, whole(1, 100), "Races of a match.")
-    race_moves: bool = setting(False, flag(), "Whether the player also makes the moves of the races.")
+        "As for :class:`pcs_racing.envs.duel.DuelEnv`; one is drawn for each match. One that makes moves starts every"
+        " race of the match with the same policy of the archive, and makes its moves in the races. An object with "
+        "``choose(observation) -> policies`` chooses before each race, as the player does, and keeps its policy in "
+        "the race. With None a second agent drives car 1, where the environment has one.",
+    ] = "never-switch"
+    races: Annotated[int, Interval(ge=1, le=100), "Races of a match."] = 3
+    race_moves: Annotated[bool, "Whether the player also makes the moves of the races."] = False
 
 
 class MatchBatch(GameBatch):

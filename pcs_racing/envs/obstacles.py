@@ -3,13 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import is_whole
-from pcs_racing.base.settings import Settings, choice, load_settings, number, number_range, setting
+from pcs_racing.base.settings import OneOf, Settings, load_settings, number_range
 from pcs_racing.envs.batch import read_numbers
 from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.obstacles import BOX
@@ -25,21 +26,27 @@ BEFORE_START, AFTER_START = 3.0, 8.0  # free distances before and after the star
 class Obstacles(Settings):
     """Obstacles on the track during an episode, with uniform random place, heading and sides."""
 
-    count: tuple[int, int] = setting(
-        (1, 3),
-        number_range(" of obstacles", 0, MOST, is_whole),
+    count: Annotated[
+        tuple[int, int],
+        number_range(0, MOST, " of obstacles", is_whole),
         "How many there are: a number, or the smallest and the largest.",
-    )
-    size: tuple[float, float] = setting(
-        (0.2, 0.4), number_range(" of obstacles", 0.05, 2.0), "Length of a side, or the shortest and the longest, m."
-    )
-    shape: str = setting(
-        "box", choice(SHAPES), "What they are: boxes, circles (their diameter is drawn as a side is), or either."
-    )
-    passage: float = setting(
-        1.0, number(0.4, 10.0), "Width that stays free between an obstacle and the wall on one of its sides, m."
-    )
-    apart: float = setting(5.0, number(0.0, 1000.0), "Distance between two of them along the race line, m.")
+    ] = (1, 3)
+    size: Annotated[
+        tuple[float, float],
+        number_range(0.05, 2.0, " of obstacles"),
+        "Length of a side, or the shortest and the longest, m.",
+    ] = (0.2, 0.4)
+    shape: Annotated[
+        str,
+        OneOf(SHAPES),
+        "What they are: boxes, circles (their diameter is drawn as a side is), or either.",
+    ] = "box"
+    passage: Annotated[
+        float,
+        Interval(ge=0.4, le=10.0),
+        "Width that stays free between an obstacle and the wall on one of its sides, m.",
+    ] = 1.0
+    apart: Annotated[float, Interval(ge=0.0, le=1000.0), "Distance between two of them along the race line, m."] = 5.0
 
     def draw(self, track: Track, starts: Sequence[float], generator: np.random.Generator) -> NDArray[np.float64]:
         """Draw the obstacles of an episode, shape (K, 5); obstacles without room are left out.

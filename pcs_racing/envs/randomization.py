@@ -3,13 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import ANYTHING, Settings, checked, load_settings, number_range, setting
+from pcs_racing.base.settings import ANYTHING, Checked, Settings, load_settings, number_range
 from pcs_racing.car.vehicle import COMMAND_PERIOD, F1TENTH, MOST_DELAYED, VehicleParams, load_vehicle, load_vehicles
 from pcs_racing.envs.batch import FREE, Generators, Rows, check_part
 from pcs_racing.envs.circuits import Circuits
@@ -24,23 +24,27 @@ from pcs_racing.track.track import Track
 class Randomization(Settings):
     """Ranges of the uniform draws of each episode, for all cars; None keeps the value."""
 
-    friction: tuple[float, float] | None = setting(None, number_range("", 0.05, 5.0), "Friction coefficient.")
-    mass: tuple[float, float] | None = setting(
-        None, number_range("", 0.1, 1000.0), "Mass, kg; the yaw inertia changes in the same proportion."
-    )
-    steering_delay: tuple[float, float] | None = setting(
-        None,
-        number_range("", 0.0, MOST_DELAYED * COMMAND_PERIOD),
+    friction: Annotated[tuple[float, float] | None, number_range(0.05, 5.0), "Friction coefficient."] = None
+    mass: Annotated[
+        tuple[float, float] | None,
+        number_range(0.1, 1000.0),
+        "Mass, kg; the yaw inertia changes in the same proportion.",
+    ] = None
+    steering_delay: Annotated[
+        tuple[float, float] | None,
+        number_range(0.0, MOST_DELAYED * COMMAND_PERIOD),
         "Time by which steering commands are late, s; of its multiples of 0.02 s each is as likely.",
-    )
-    steering_noise: tuple[float, float] | None = setting(
-        None,
-        number_range("", 0.0, 0.4),
+    ] = None
+    steering_noise: Annotated[
+        tuple[float, float] | None,
+        number_range(0.0, 0.4),
         "Standard deviation of the disturbance of every steering command, in place of that of the rules, rad.",
-    )
-    lidar_noise: tuple[float, float] | None = setting(
-        None, number_range("", 0.0, 10.0), "Standard deviation of the lidar's ranges, m; only where there is a lidar."
-    )
+    ] = None
+    lidar_noise: Annotated[
+        tuple[float, float] | None,
+        number_range(0.0, 10.0),
+        "Standard deviation of the lidar's ranges, m; only where there is a lidar.",
+    ] = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -104,7 +108,7 @@ def load_randomization(source: Randomization | Mapping[str, Any] | str | Path | 
     return load_settings("randomization", Randomization(), source)
 
 
-def _vehicles(value: Any) -> Any:
+def _vehicles(_: str, value: Any) -> Any:
     return tuple(map(load_vehicle, value)) if isinstance(value, list | tuple) else load_vehicle(value)
 
 
@@ -112,33 +116,33 @@ def _vehicles(value: Any) -> Any:
 class EpisodeOptions(Settings):
     """Arguments of all environments: domain randomization of the episodes."""
 
-    track: Any = setting(
-        "Tarnfjord",
+    track: Annotated[
+        Any,
         ANYTHING,
         'Name of a shipped circuit, a map folder, or a track. Of a list one is drawn for each episode; with "random" '
         "each episode is driven on a newly generated circuit, or as "
         ":class:`pcs_racing.race.random_circuits.RandomCircuits` says. All races of a match are on the same circuit.",
-    )
-    vehicle: Any = setting(
-        F1TENTH,
-        checked(_vehicles),
-        "Parameters of all cars, or a list with those of each one: a dict or a YAML file names those that differ from "
-        'F1TENTH\'s (:class:`pcs_racing.VehicleParams`), such as ``{"mu": 0.8}``.',
-    )
-    randomize: Randomization | None = setting(
-        None,
-        checked(load_randomization),
-        "Ranges from which each episode draws friction, mass, steering delay, steering noise and, where there is one, "
-        "noise of the lidar (:class:`pcs_racing.envs.randomization.Randomization`): a dict or a YAML file, such as "
+    ] = "Tarnfjord"
+    vehicle: Annotated[
+        Any,
+        Checked(_vehicles),
+        "Parameters of all cars, or a list with those of each one: a dict or a YAML file names those that differ from"
+        ' F1TENTH\'s (:class:`pcs_racing.VehicleParams`), such as ``{"mu": 0.8}``.',
+    ] = F1TENTH
+    randomize: Annotated[
+        Randomization | None,
+        Checked(lambda _, value: load_randomization(value)),
+        "Ranges from which each episode draws friction, mass, steering delay, steering noise and, where there is one,"
+        " noise of the lidar (:class:`pcs_racing.envs.randomization.Randomization`): a dict or a YAML file, such as "
         '``{"friction": [0.7, 1.1]}``.',
-    )
-    obstacles: Obstacles | None = setting(
-        None,
-        checked(load_obstacles),
+    ] = None
+    obstacles: Annotated[
+        Obstacles | None,
+        Checked(lambda _, value: load_obstacles(value)),
         "Boxes and circles that stand on the track, drawn for each episode: how many, or their settings "
         "(:class:`pcs_racing.envs.obstacles.Obstacles`) as a dict or a YAML file. The lidar sees them, a car that "
         "touches one has crashed as into a wall, and the lattice planner avoids most.",
-    )
+    ] = None
 
 
 class EpisodeRandomization:

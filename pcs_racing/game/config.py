@@ -2,15 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval, MultipleOf
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Settings, checked, choice, flag, load_settings, number, setting, tenths, whole
+from pcs_racing.base.settings import Checked, OneOf, Settings, load_settings
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import EPSILON, check_epsilon
 from pcs_racing.race.config import PAPER, RaceConfig, check_steps, load_race_config
@@ -23,32 +24,31 @@ UTILITIES = {
 """Utilities of the outcome of a game for a car; the other car gets the negative."""
 
 
-def _race(value: Any) -> RaceConfig:
+def _race(name: str, value: Any) -> RaceConfig:
     """Return rules of a race from rules, a preset's name or a YAML file."""
     if not isinstance(value, str | Path | RaceConfig):
-        raise InputError(f"race is {value!r}; it must be a preset's name, a YAML file or a RaceConfig")
+        raise InputError(f"{name} is {value!r}; it must be a preset's name, a YAML file or a RaceConfig")
     return load_race_config(value)
 
 
-def _epsilon(value: Any) -> float | tuple[float, ...]:
+def _epsilon(_: str, value: Any) -> float | tuple[float, ...]:
     """Return the step sizes of the moves: a number if there is a single one."""
     steps = check_epsilon(value)
     return steps[0] if len(steps) == 1 else steps
 
 
-EPSILON_RULE = checked(_epsilon, "above 0 up to 10")
-"""What settings that state how far moves go may say: a number, or several different ones."""
+STEP_SIZES = Checked(_epsilon, "above 0 up to 10")
+"""Length of moves: a number, or several different ones."""
 
 
-def check_lengths(value: Any) -> tuple[float, ...]:
-    """Return the lengths of the first steps of a game, s."""
-    return check_steps("first_steps", value, 0)
+FIRST_STEPS = Checked(partial(check_steps, minimum=0))
+"""Lengths of the first steps of a game, s."""
 
 
-def _axes(value: Any) -> tuple[str, ...]:
+def _axes(name: str, value: Any) -> tuple[str, ...]:
     """Return the names of characteristics."""
     if isinstance(value, str) or not isinstance(value, Sequence):
-        raise InputError(f"characteristics is {value!r}; it must be a list of names")
+        raise InputError(f"{name} is {value!r}; it must be a list of names")
     get_characteristics(value)
     return tuple(value)
 
@@ -57,49 +57,62 @@ def _axes(value: Any) -> tuple[str, ...]:
 class GameConfig(Settings):
     """Rules of the game (Section V of the paper, with the choices that it leaves open as options)."""
 
-    race: RaceConfig = setting(
-        PAPER,
-        checked(_race),
+    race: Annotated[
+        RaceConfig,
+        Checked(_race),
         "Rules of the race, a preset's name or a YAML file; its duration is replaced by the sum of all steps.",
-    )
-    moves: int = setting(
-        None,
-        whole(1, 100),
-        "Moves of each player; one step without moves precedes the first. With moves, step_seconds and first_steps all "
-        "None the steps are those of the race; if one of them is given, 4 moves, 8 s and () stand for the others.",
-    )
-    step_seconds: float = setting(None, tenths(0.1, 600.0), "Simulated time per move, s.")
-    first_steps: tuple[float, ...] = setting(
-        None,
-        checked(check_lengths),
+    ] = PAPER
+    moves: Annotated[
+        int,
+        Interval(ge=1, le=100),
+        "Moves of each player; one step without moves precedes the first. With moves, step_seconds and first_steps "
+        "all None the steps are those of the race; if one of them is given, 4 moves, 8 s and () stand for the others.",
+    ] = None  # type: ignore[assignment]
+    step_seconds: Annotated[
+        float,
+        Interval(ge=0.1, le=600.0),
+        MultipleOf(0.1),
+        "Simulated time per move, s.",
+    ] = None  # type: ignore[assignment]
+    first_steps: Annotated[
+        tuple[float, ...],
+        FIRST_STEPS,
         "Lengths of the first steps, s, where they are not step_seconds: with [0, 2], players move before the start, "
         "2 s after it, and then every step_seconds.",
-    )
-    epsilon: float | tuple[float, ...] = setting(
-        EPSILON,
-        EPSILON_RULE,
+    ] = None  # type: ignore[assignment]
+    epsilon: Annotated[
+        float | tuple[float, ...],
+        STEP_SIZES,
         "Length of a move, in units of the archive's range; each of several values has its own moves.",
-    )
-    stay: bool | None = setting(
-        None, flag(), "Whether there is a move that keeps the policy; None takes the race's stay_move."
-    )
-    utility: str | None = setting(
-        None,
-        choice(tuple(UTILITIES)),
+    ] = EPSILON
+    stay: Annotated[
+        bool | None,
+        "Whether there is a move that keeps the policy; None takes the race's stay_move.",
+    ] = None
+    utility: Annotated[
+        str | None,
+        OneOf(UTILITIES),
         'Utility of an outcome; None takes the paper\'s "lead", or "win" if the crash rule names a loser.',
-    )
-    fault_penalty: float = setting(
-        0.0, number(0.0, 1e6), "Utility that is transferred from the car at fault for a crash to the other car."
-    )
-    discount: float = setting(
-        1.0, number(1e-6, 1.0), "Factor per move made: below 1 an early end of the game counts more."
-    )
-    characteristics: tuple[str, ...] | None = setting(
-        None, checked(_axes), "Axes of the game, out of the archive's; None takes all of them."
-    )
-    mask_duplicates: bool = setting(
-        True, flag(), "Whether the action mask rules out a move that leads where an earlier one, or no move, leads."
-    )
+    ] = None
+    fault_penalty: Annotated[
+        float,
+        Interval(ge=0.0, le=1e6),
+        "Utility that is transferred from the car at fault for a crash to the other car.",
+    ] = 0.0
+    discount: Annotated[
+        float,
+        Interval(ge=1e-6, le=1.0),
+        "Factor per move made: below 1 an early end of the game counts more.",
+    ] = 1.0
+    characteristics: Annotated[
+        tuple[str, ...] | None,
+        Checked(_axes),
+        "Axes of the game, out of the archive's; None takes all of them.",
+    ] = None
+    mask_duplicates: Annotated[
+        bool,
+        "Whether the action mask rules out a move that leads where an earlier one, or no move, leads.",
+    ] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()

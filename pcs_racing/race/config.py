@@ -2,22 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+from annotated_types import Interval, MultipleOf
 
 from pcs_racing.base.checks import check_path, is_number
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import (
-    Settings,
-    checked,
-    choice,
-    flag,
-    load_settings,
-    number,
-    setting,
-    tenths,
-    text,
-    whole,
-)
+from pcs_racing.base.settings import Checked, Settings, Text, load_settings
 
 # When the parts of a race take their turn, in steps of the simulation:
 DT = 0.01  # s, one simulation step
@@ -26,15 +17,15 @@ CONTROL_EVERY = 2  # 50 Hz, as are progress and collisions
 ITTC_EVERY = 5  # 20 Hz
 
 
-def _speed_range(value: Any) -> tuple[float, float]:
+def _speed_range(name: str, value: Any) -> tuple[float, float]:
     """Return two speed scales as a tuple."""
     pair = isinstance(value, list | tuple) and len(value) == 2 and all(map(is_number, value))
     if not pair or not 0.1 <= value[0] < value[1] <= 3.0:
-        raise InputError(f"speed_range is {value!r}; it must be [low, high] with 0.1 <= low < high <= 3")
+        raise InputError(f"{name} is {value!r}; it must be [low, high] with 0.1 <= low < high <= 3")
     return value[0], value[1]
 
 
-def check_steps(name: str, value: Any, minimum: int) -> tuple[float, ...]:
+def check_steps(name: str, value: Any, minimum: int = 2) -> tuple[float, ...]:
     """Return lengths of a game's steps: whole tenths of a second, in which plans are made; the first one may be 0."""
     lengths = value if isinstance(value, list | tuple) else [None]
     whole_tenths = [is_number(one) and abs(10.0 * one - round(10.0 * one)) < 1e-9 for one in lengths]
@@ -53,74 +44,77 @@ CONTACTS = ("end", "stop", "restart")
 class RaceConfig(Settings):
     """How cars race; :data:`PAPER`, :data:`CONTEST` and :data:`ROBORACER` are the presets."""
 
-    name: str = setting("paper", text(), "Name of the rules in archives, trees, networks and results.")
-    duration: float = setting(40.0, tenths(0.1, 3600.0), "Length of a race, s.")
-    start: Literal["side-by-side", "staggered", "rolling"] = setting(
-        "side-by-side",
-        choice(("side-by-side", "staggered", "rolling")),
+    name: Annotated[Text, "Name of the rules in archives, trees, networks and results."] = "paper"
+    duration: Annotated[float, Interval(ge=0.1, le=3600.0), MultipleOf(0.1), "Length of a race, s."] = 40.0
+    start: Annotated[
+        Literal["side-by-side", "staggered", "rolling"],
         "Both cars on one line; one start_gap behind the other; or the same at the speed of the race line.",
-    )
-    start_gap: float = setting(
-        0.0, number(0.0, 50.0), "Distance between the cars along the track for staggered and rolling starts, m."
-    )
-    start_spacing: float = setting(
-        0.9,
-        number(0.0, 10.0),
-        "Distance between their centres across the track, m; on a circuit where that is impossible, a preset takes the "
-        "nearest possible distance.",
-    )
-    start_speed: float = setting(4.0, number(0.0, 15.0), "Speed at the start, m/s; not for rolling starts.")
-    start_lines: int = setting(
-        50, whole(1, 1000), "Start lines, spread evenly over the places of the circuit from which two cars get away."
-    )
-    steering_noise: float = setting(
-        0.0,
-        number(0.0, 0.4),
+    ] = "side-by-side"
+    start_gap: Annotated[
+        float,
+        Interval(ge=0.0, le=50.0),
+        "Distance between the cars along the track for staggered and rolling starts, m.",
+    ] = 0.0
+    start_spacing: Annotated[
+        float,
+        Interval(ge=0.0, le=10.0),
+        "Distance between their centres across the track, m; on a circuit where that is impossible, a preset takes "
+        "the nearest possible distance.",
+    ] = 0.9
+    start_speed: Annotated[float, Interval(ge=0.0, le=15.0), "Speed at the start, m/s; not for rolling starts."] = 4.0
+    start_lines: Annotated[
+        int,
+        Interval(ge=1, le=1000),
+        "Start lines, spread evenly over the places of the circuit from which two cars get away.",
+    ] = 50
+    steering_noise: Annotated[
+        float,
+        Interval(ge=0.0, le=0.4),
         "Standard deviation of the AR(1) disturbance added to every steering command, rad; 0 for none.",
-    )
-    noise_time: float = setting(0.28, number(0.01, 60.0), "Correlation time of that disturbance, s.")
-    speed_range: tuple[float, float] | None = setting(
-        None,
-        checked(_speed_range, "0.1 <= low < high <= 3"),
+    ] = 0.0
+    noise_time: Annotated[float, Interval(ge=0.01, le=60.0), "Correlation time of that disturbance, s."] = 0.28
+    speed_range: Annotated[
+        tuple[float, float] | None,
+        Checked(_speed_range, "0.1 <= low < high <= 3"),
         "Speed scales of pace 0 and pace 1; None takes the circuit's calibrated range for this preset.",
-    )
-    crash_rule: Literal["nobody", "fault-loses"] = setting(
-        "nobody",
-        choice(("nobody", "fault-loses")),
+    ] = None
+    crash_rule: Annotated[
+        Literal["nobody", "fault-loses"],
         "Reward after a crash: none for either car (the paper), or only for the car that was not at fault.",
-    )
-    aggressiveness: Literal["lead", "pace", "speed"] = setting(
-        "lead",
-        choice(("lead", "pace", "speed")),
-        "First axis of an archive: mean lead in m (the paper); lead per time driven scaled to the full duration, which "
-        "does not charge a crash twice; or speed in parts of the speed profile, which does not depend on the opponent.",
-    )
-    ittc_horizon: float = setting(
-        10.0, number(0.1, 1000.0), "Cap of the time to collision, s; without a cap the mean is infinite."
-    )
-    contact: Literal["end", "stop", "restart"] = setting(
-        "end",
-        choice(CONTACTS),
+    ] = "nobody"
+    aggressiveness: Annotated[
+        Literal["lead", "pace", "speed"],
+        "First axis of an archive: mean lead in m (the paper); lead per time driven scaled to the full duration, "
+        "which does not charge a crash twice; or speed in parts of the speed profile, which does not depend on the "
+        "opponent.",
+    ] = "lead"
+    ittc_horizon: Annotated[
+        float,
+        Interval(ge=0.1, le=1000.0),
+        "Cap of the time to collision, s; without a cap the mean is infinite.",
+    ] = 10.0
+    contact: Annotated[
+        Literal["end", "stop", "restart"],
         "What a contact does: it ends the race; the car at fault, or in a wall, stands still where it was; or it is "
         "put back on the race line at rest, 2 m behind the other car, or where it was if it hit a wall.",
-    )
-    most_faults: int = setting(
-        0,
-        whole(0, 100),
+    ] = "end"
+    most_faults: Annotated[
+        int,
+        Interval(ge=0, le=100),
         "Faults with which a car is out and has lost, where contacts do not end the race; 0 for no limit.",
-    )
-    heats: int = setting(
-        1,
-        whole(1, 99),
+    ] = 0
+    heats: Annotated[
+        int,
+        Interval(ge=1, le=99),
         "Races from both sides in turn that count as one in the scores of a tournament: best of so many.",
-    )
-    stay_move: bool = setting(False, flag(), "Whether the game offers a move that keeps the policy.")
-    steps: tuple[float, ...] = setting(
-        (8.0,) * 5,
-        checked(lambda value: check_steps("steps", value, 2)),
+    ] = 1
+    stay_move: Annotated[bool, "Whether the game offers a move that keeps the policy."] = False
+    steps: Annotated[
+        tuple[float, ...],
+        Checked(check_steps),
         "Lengths of the steps of the game, s, with a move of both players between two of them; after a first step of "
         "0 s players move before the start.",
-    )
+    ] = (8.0,) * 5
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -138,7 +132,7 @@ class RaceConfig(Settings):
 PAPER = RaceConfig()
 """The race of the paper: deterministic, side by side, a crash pays nobody."""
 
-CONTEST = RaceConfig(
+CONTEST = RaceConfig.known(
     name="contest",
     start="staggered",
     start_gap=1.4,
@@ -151,7 +145,7 @@ CONTEST = RaceConfig(
 )
 """The race in which adapting pays: staggered, disturbed, the car at fault loses."""
 
-ROBORACER = RaceConfig(
+ROBORACER = RaceConfig.known(
     name="roboracer",
     start_spacing=0.62,
     start_speed=0.0,

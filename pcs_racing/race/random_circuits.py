@@ -3,11 +3,13 @@
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
+from annotated_types import Interval
 
 from pcs_racing.base.errors import ConfigError, MapError
-from pcs_racing.base.settings import Settings, choice, number, setting, whole
+from pcs_racing.base.settings import OneOf, Settings
 from pcs_racing.race.config import PRESETS, RaceConfig
 from pcs_racing.race.start_places import PLACE_EVERY, stretches_of
 from pcs_racing.track.frenet import KAPPA
@@ -29,14 +31,20 @@ THREADS = 2  # threads that build tracks
 class RandomCircuits(Settings):
     """Tracks generated from numbers; the same number always gives the same track."""
 
-    episodes: int = setting(1, whole(1, 1_000_000), "Episodes of an environment before it gets another circuit.")
-    count: int = setting(10_000, whole(1, 2**31), "How many different circuits there are.")
-    style: str | None = setting(
-        None, choice(tuple(STYLES)), "Style of the generator (`pcs-racing track generate`); None mixes all of them."
-    )
-    width: float = setting(2.2, number(1.6, 10.0), "Width of the track, m.")
-    shortest: float = setting(60.0, number(16.0, 1000.0), "Shortest length of the centre line, m.")
-    longest: float = setting(120.0, number(16.0, 1000.0), "Longest length of the centre line, m.")
+    episodes: Annotated[
+        int,
+        Interval(ge=1, le=1_000_000),
+        "Episodes of an environment before it gets another circuit.",
+    ] = 1
+    count: Annotated[int, Interval(ge=1, le=2**31), "How many different circuits there are."] = 10_000
+    style: Annotated[
+        str | None,
+        OneOf(STYLES),
+        "Style of the generator (`pcs-racing track generate`); None mixes all of them.",
+    ] = None
+    width: Annotated[float, Interval(ge=1.6, le=10.0), "Width of the track, m."] = 2.2
+    shortest: Annotated[float, Interval(ge=16.0, le=1000.0), "Shortest length of the centre line, m."] = 60.0
+    longest: Annotated[float, Interval(ge=16.0, le=1000.0), "Longest length of the centre line, m."] = 120.0
 
     def __post_init__(self) -> None:
         super().__post_init__()

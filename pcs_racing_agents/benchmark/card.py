@@ -2,14 +2,15 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
-from functools import partial
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
+
+from annotated_types import Interval
 
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.files import parse_json, read_limited, write_atomically
-from pcs_racing.base.settings import Settings, checked, number, setting
+from pcs_racing.base.settings import Checked, Settings
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.base.tables import Column, markdown, table_rows, with_interval
 from pcs_racing_agents.benchmark.card_values import NAME, SHA256, CardScore, Gain, ReplyLoss
@@ -23,13 +24,13 @@ CIRCUITS = ("all", "seen", "unseen")
 S = TypeVar("S", bound=Settings)
 
 
-def _scores(value: Any) -> tuple[CardScore, ...]:
+def _scores(_: str, value: Any) -> tuple[CardScore, ...]:
     if not isinstance(value, list | tuple) or not 1 <= len(value) <= MOST_SCORES:
         raise ConfigError(f"scores are {value!r:.40}; they must be a list of 1 to {MOST_SCORES}")
     return tuple(_made(CardScore, one) for one in value)
 
 
-def _gains(value: Any) -> dict[str, Gain]:
+def _gains(_: str, value: Any) -> dict[str, Gain]:
     if not isinstance(value, Mapping) or not set(value) <= set(CIRCUITS):
         raise ConfigError(f"gains are {value!r:.80}; they must be a mapping of some of {', '.join(CIRCUITS)}")
     return {circuits: _made(Gain, gain) for circuits, gain in value.items()}
@@ -49,21 +50,23 @@ def _made(kind: type[S], value: Any) -> S:
 class Card(Settings):
     """The result of an agent in the benchmark."""
 
-    protocol: str = setting(MISSING, NAME, "Name of the protocol, with its version.")
-    protocol_sha256: str = setting(
-        MISSING, SHA256, "Hash of the protocol and of everything that its results depend on."
-    )
-    agent: str = setting(MISSING, NAME, "Name of the agent.")
-    agent_sha256: str = setting(MISSING, SHA256, "Hash of the agent.")
-    scores: tuple[CardScore, ...] = setting(
-        MISSING, checked(_scores), "Over everything, by kind of opponent, and cell by cell."
-    )
-    gains: dict[str, Gain] = setting(MISSING, checked(_gains), "Adaptivity gain on some circuits.")
-    rating: float | None = setting(None, number(-1e4, 1e4), "Rating among the zoo.")
-    cost_us: float | None = setting(None, number(0.0, 1e9), "Time of a decision, us.")
-    best_reply: ReplyLoss | None = setting(
-        None, checked(partial(_made, ReplyLoss)), "Loss to a learned best reply, if it was measured."
-    )
+    protocol: Annotated[str, NAME, "Name of the protocol, with its version."]
+    protocol_sha256: Annotated[str, SHA256, "Hash of the protocol and of everything that its results depend on."]
+    agent: Annotated[str, NAME, "Name of the agent."]
+    agent_sha256: Annotated[str, SHA256, "Hash of the agent."]
+    scores: Annotated[
+        tuple[CardScore, ...],
+        Checked(_scores),
+        "Over everything, by kind of opponent, and cell by cell.",
+    ]
+    gains: Annotated[dict[str, Gain], Checked(_gains), "Adaptivity gain on some circuits."]
+    rating: Annotated[float | None, Interval(ge=-1e4, le=1e4), "Rating among the zoo."] = None
+    cost_us: Annotated[float | None, Interval(ge=0.0, le=1e9), "Time of a decision, us."] = None
+    best_reply: Annotated[
+        ReplyLoss | None,
+        Checked(lambda _, value: _made(ReplyLoss, value)),
+        "Loss to a learned best reply, if it was measured.",
+    ] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,31 +1,34 @@
 """What a score card may say: declared values, since cards are what strangers send in."""
 
 import re
-from dataclasses import MISSING, dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
 
+from annotated_types import Interval
+
+from pcs_racing.base.checks import check_text
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import Settings, checked, number, setting, text, whole
+from pcs_racing.base.settings import Checked, Settings
 
 LONGEST_NAME = 200  # characters
 
 
-def _name(value: Any) -> str:
-    name: str = text().check("a name", value)
+def _name(_: str, value: Any) -> str:
+    name = check_text("a name", value, ConfigError)
     if len(name) > LONGEST_NAME or not name.isprintable():
         raise ConfigError(f"a name is {name[:40]!r}...; it must have at most {LONGEST_NAME} printable characters")
     return name
 
 
-def _sha256(value: Any) -> str:
+def _sha256(_: str, value: Any) -> str:
     if not isinstance(value, str) or re.fullmatch("[0-9a-f]{64}", value) is None:
         raise ConfigError(f"a hash is {value!r:.80}; it must have 64 hexadecimal digits")
     return value
 
 
-SHA256 = checked(_sha256)
-NAME, COUNT = checked(_name, f"at most {LONGEST_NAME} printable characters"), whole(1, 10**9)
-SHARE, DIFFERENCE = number(0.0, 1.0), number(-1.0, 1.0)
+SHA256 = Checked(_sha256)
+NAME, COUNT = Checked(_name, f"at most {LONGEST_NAME} printable characters"), Interval(ge=1, le=10**9)
+SHARE, DIFFERENCE = Interval(ge=0.0, le=1.0), Interval(ge=-1.0, le=1.0)
 
 
 @dataclass(frozen=True)
@@ -55,14 +58,14 @@ class CardScore(_Estimate):
     """
 
     value = "score"
-    part: str = setting(MISSING, NAME, 'Opponents: "all", a kind of them, or one.')
-    circuits: str = setting(MISSING, NAME, 'Circuits: "seen", "unseen", "all", or one.')
-    races: int = setting(MISSING, COUNT, "Number of races.")
-    score: float = setting(MISSING, SHARE, "Mean score: 1 for a win, 0.5 for a tie, else 0.")
-    low: float = setting(MISSING, SHARE, "Lower limit of its 95 % interval.")
-    high: float = setting(MISSING, SHARE, "Upper limit.")
-    own_crash: float = setting(MISSING, SHARE, "Share of the races that ended in a crash by the agent's own fault.")
-    other_crash: float = setting(MISSING, SHARE, "Share that ended in another crash.")
+    part: Annotated[str, NAME, 'Opponents: "all", a kind of them, or one.']
+    circuits: Annotated[str, NAME, 'Circuits: "seen", "unseen", "all", or one.']
+    races: Annotated[int, COUNT, "Number of races."]
+    score: Annotated[float, SHARE, "Mean score: 1 for a win, 0.5 for a tie, else 0."]
+    low: Annotated[float, SHARE, "Lower limit of its 95 % interval."]
+    high: Annotated[float, SHARE, "Upper limit."]
+    own_crash: Annotated[float, SHARE, "Share of the races that ended in a crash by the agent's own fault."]
+    other_crash: Annotated[float, SHARE, "Share that ended in another crash."]
 
 
 @dataclass(frozen=True)
@@ -70,10 +73,10 @@ class Gain(_Estimate):
     """The adaptivity gain on some circuits."""
 
     value = "gain"
-    over: str = setting(MISSING, NAME, "The baseline that it is a gain over.")
-    gain: float = setting(MISSING, DIFFERENCE, "Difference of the scores.")
-    low: float = setting(MISSING, DIFFERENCE, "Lower limit of its 95 % interval.")
-    high: float = setting(MISSING, DIFFERENCE, "Upper limit.")
+    over: Annotated[str, NAME, "The baseline that it is a gain over."]
+    gain: Annotated[float, DIFFERENCE, "Difference of the scores."]
+    low: Annotated[float, DIFFERENCE, "Lower limit of its 95 % interval."]
+    high: Annotated[float, DIFFERENCE, "Upper limit."]
 
 
 @dataclass(frozen=True)
@@ -81,9 +84,9 @@ class ReplyLoss(_Estimate):
     """What an agent loses to a learned best reply."""
 
     value = "loss"
-    loss: float = setting(MISSING, DIFFERENCE, "Races lost per race.")
-    low: float = setting(MISSING, DIFFERENCE, "Lower limit of its 95 % interval.")
-    high: float = setting(MISSING, DIFFERENCE, "Upper limit.")
-    starts: int = setting(MISSING, COUNT, "Starts of the learner on each circuit.")
-    rounds: int = setting(MISSING, COUNT, "Rounds of the learner.")
-    races: int = setting(MISSING, COUNT, "Races in which the loss was measured.")
+    loss: Annotated[float, DIFFERENCE, "Races lost per race."]
+    low: Annotated[float, DIFFERENCE, "Lower limit of its 95 % interval."]
+    high: Annotated[float, DIFFERENCE, "Upper limit."]
+    starts: Annotated[int, COUNT, "Starts of the learner on each circuit."]
+    rounds: Annotated[int, COUNT, "Rounds of the learner."]
+    races: Annotated[int, COUNT, "Races in which the loss was measured."]

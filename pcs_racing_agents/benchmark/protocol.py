@@ -8,10 +8,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import zip_longest
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
+
+from annotated_types import Interval, MinLen
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.settings import Settings, names, setting, text, whole
+from pcs_racing.base.settings import Names, Settings, Text
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import load_race_config
@@ -37,24 +39,35 @@ KINDS = {
 class ProtocolConfig(Settings):
     """A protocol: opponents by kind, circuits, number of races."""
 
-    name: str = setting("bench-v2", text(), "Name, with the version.")
-    archive: str = setting("contest", text(), "Archive of the agents.")
-    race: str = setting("contest", text(), "Rules of the race.")
-    seen: tuple[str, ...] = setting(("Pipkin", "Quillburg"), names(), "Circuits that may be trained on.")
-    unseen: tuple[str, ...] = setting(("Larkmoor", "Saltmere"), names(), "Circuits that may not be trained on.")
-    keeps: tuple[str, ...] = setting(("never-switch",), names(), "Opponents that keep one policy.")
-    switches: tuple[str, ...] = setting(("random-moves",), names(), "Opponents that change it at random.")
-    planners: tuple[str, ...] = setting(
-        ("lane-switcher", "pure-pursuit", "gap-follower"), names(), "Drivers of other families; not to be trained on."
+    name: Annotated[Text, "Name, with the version."] = "bench-v2"
+    archive: Annotated[Text, "Archive of the agents."] = "contest"
+    race: Annotated[Text, "Rules of the race."] = "contest"
+    seen: Annotated[Names, MinLen(1), "Circuits that may be trained on."] = ("Pipkin", "Quillburg")
+    unseen: Annotated[Names, MinLen(1), "Circuits that may not be trained on."] = ("Larkmoor", "Saltmere")
+    keeps: Annotated[Names, MinLen(1), "Opponents that keep one policy."] = ("never-switch",)
+    switches: Annotated[Names, MinLen(1), "Opponents that change it at random."] = ("random-moves",)
+    planners: Annotated[
+        Names,
+        MinLen(1),
+        "Drivers of other families; not to be trained on.",
+    ] = (
+        "lane-switcher",
+        "pure-pursuit",
+        "gap-follower",
     )
-    agents: tuple[str, ...] = setting(("cfr-argmax", "response"), names(), "Agents; not to be trained on.")
-    blind: tuple[str, ...] = setting(
-        ("best-fixed", "best-schedule"), names(), "Baselines (open-loop, lead-conditioned) of the gain."
+    agents: Annotated[Names, MinLen(1), "Agents; not to be trained on."] = ("cfr-argmax", "response")
+    blind: Annotated[
+        Names,
+        MinLen(1),
+        "Baselines (open-loop, lead-conditioned) of the gain.",
+    ] = (
+        "best-fixed",
+        "best-schedule",
     )
-    egos: int = setting(10, whole(2, 1000), "Start policies of the agent in each cell.")
-    variants: int = setting(10, whole(2, 1000), "Variants of the opponent in each cell.")
-    seed: int = setting(71, whole(0, 2**62), "Seed of the starts, policies and noise.")
-    hashes: tuple[str, ...] = setting((), names(0), "Hashes of what the results depend on; () checks none.")
+    egos: Annotated[int, Interval(ge=2, le=1000), "Start policies of the agent in each cell."] = 10
+    variants: Annotated[int, Interval(ge=2, le=1000), "Variants of the opponent in each cell."] = 10
+    seed: Annotated[int, Interval(ge=0, le=2**62), "Seed of the starts, policies and noise."] = 71
+    hashes: Annotated[Names, "Hashes of what the results depend on; () checks none."] = ()
 
 
 class Cell(NamedTuple):

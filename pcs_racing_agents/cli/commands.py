@@ -18,14 +18,14 @@ import argparse
 import re
 from argparse import ArgumentParser, BooleanOptionalAction, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import partial
 from inspect import Parameter, getdoc, signature
 from types import ModuleType, NoneType, UnionType
 from typing import Annotated, Any, NoReturn, get_args, get_origin, get_type_hints
 
 from pcs_racing.base.errors import choices
-from pcs_racing.base.settings import Settings, setting_words
+from pcs_racing.base.settings import Settings, option_words, options_of
 
 Parsers = argparse._SubParsersAction  # what ``add_subparsers`` returns; it has no public name
 
@@ -47,15 +47,16 @@ class SettingOptions:
 
     def add(self, parser: ArgumentParser) -> None:
         """Add an option for each of them."""
-        declared = {field.name: field for field in fields(self.cls)}
+        options = options_of(self.cls)
         for name in self.names:
-            rule = declared[name].metadata["rule"]
+            several = get_origin(options[name].kind) is tuple  # of numbers or names with a note
+            kind = get_args(get_args(options[name].kind)[0])[0] if several else options[name].kind
             parser.add_argument(
                 f"--{name.replace('_', '-')}",
-                type=rule.read,
-                nargs="+" if rule.several else None,
-                metavar={int: "N", float: "X"}.get(rule.read, name.upper()),
-                help=setting_words(declared[name]).replace("%", "%%"),
+                type=kind,
+                nargs="+" if several else None,
+                metavar={int: "N", float: "X"}.get(kind, name.upper()),
+                help=option_words(options[name]).replace("%", "%%"),
             )
 
     def values(self, parsed: Namespace) -> dict[str, Any]:

@@ -7,11 +7,12 @@ equilibrium of the larger game is the next mixture. The first response is one to
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Annotated, Any, Unpack
 
 import numpy as np
+from annotated_types import Interval
 
-from pcs_racing.base.settings import Settings, setting, text, whole
+from pcs_racing.base.settings import Settings, Text
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.from_network import network_agent
@@ -30,12 +31,17 @@ MIXING_SEED = 6_000_000
 class PSROSettings(Settings):
     """Settings of policy-space response oracles."""
 
-    rounds: int = setting(6, whole(2, 32), "Responses that are learned.")
-    races: int = setting(200, whole(2, 2000), "Races of each two responses on each circuit, for the equilibrium; even.")
-    learner: str = setting(
-        "psro", text(), "Settings of each learned response (response configuration: a name or a YAML file)."
-    )
-    seed: int = setting(0, whole(0, 2**40), "Seed of the games and of the networks.")
+    rounds: Annotated[int, Interval(ge=2, le=32), "Responses that are learned."] = 6
+    races: Annotated[
+        int,
+        Interval(ge=2, le=2000),
+        "Races of each two responses on each circuit, for the equilibrium; even.",
+    ] = 200
+    learner: Annotated[
+        Text,
+        "Settings of each learned response (response configuration: a name or a YAML file).",
+    ] = "psro"
+    seed: Annotated[int, Interval(ge=0, le=2**40), "Seed of the games and of the networks."] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -15,13 +15,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, Unpack
+from typing import Annotated, Any, Protocol, Unpack
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.settings import choice, number, setting, whole
+from pcs_racing.base.settings import OneOf
 from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent
@@ -52,22 +53,28 @@ WEIGHTS = ("linear", "uniform")
 class SelfPlaySettings(LearnerSettings):
     """Settings of the training in self-play."""
 
-    iterations: int = setting(16, whole(1, 63), "Iterations of CFR; after each the network is fitted to all rows.")
-    starts: int = setting(
-        512, whole(4, 1_000_000), "Games branched in each iteration, at every step and on each circuit."
-    )
-    exploration: float = setting(
-        0.1,
-        number(0.0, 1.0),
+    iterations: Annotated[
+        int,
+        Interval(ge=1, le=63),
+        "Iterations of CFR; after each the network is fitted to all rows.",
+    ] = 16
+    starts: Annotated[
+        int,
+        Interval(ge=4, le=1_000_000),
+        "Games branched in each iteration, at every step and on each circuit.",
+    ] = 512
+    exploration: Annotated[
+        float,
+        Interval(ge=0.0, le=1.0),
         "Probability of a uniformly random move in place of one by regret matching, for both cars.",
-    )
-    weights: str = setting(
-        "linear",
-        choice(WEIGHTS),
+    ] = 0.1
+    weights: Annotated[
+        str,
+        OneOf(WEIGHTS),
         "Weight of iteration t in the regrets and in the average strategy: t (linear), or 1 (uniform).",
-    )
-    members: int = setting(1, whole(1, 32), "Networks fitted in each iteration; their mean is used.")
-    seed: int = setting(0, whole(0, 2**50), "Seed of the games and of the networks.")
+    ] = "linear"
+    members: Annotated[int, Interval(ge=1, le=32), "Networks fitted in each iteration; their mean is used."] = 1
+    seed: Annotated[int, Interval(ge=0, le=2**50), "Seed of the games and of the networks."] = 0
 
     def iteration_weight(self, iteration: int) -> float:
         """Return the weight of an iteration, counted from 1."""

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from annotated_types import Interval
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import Settings, choice, flag, number, setting, whole, wholes
+from pcs_racing.base.settings import Layers, OneOf, Settings
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.networks.targets import ROW_WEIGHTS, TARGETS
 from pcs_racing_agents.solvers import VARIANTS
@@ -19,60 +21,75 @@ class TrainSettings(Settings):
     moves in one of them: without ``differences`` a network learns the former first. Neither is for clipped targets.
     """
 
-    target: str = setting(
-        "regret", choice(tuple(TARGETS)), "Target of the network (pcs_racing_agents.networks.targets.TARGETS)."
-    )
-    iterations: int = setting(1000, whole(1, 1_000_000), "Iterations of CFR for targets based on regrets.")
-    variant: str = setting(
-        "vanilla",
-        choice(tuple(VARIANTS)),
+    target: Annotated[
+        str,
+        OneOf(TARGETS),
+        "Target of the network (pcs_racing_agents.networks.targets.TARGETS).",
+    ] = "regret"
+    iterations: Annotated[int, Interval(ge=1, le=1_000_000), "Iterations of CFR for targets based on regrets."] = 1000
+    variant: Annotated[
+        str,
+        OneOf(VARIANTS),
         'Variant of CFR; "vanilla" is that of the paper, whose cumulative regrets can be negative.',
-    )
-    row_weights: str | None = setting(
-        None,
-        choice(tuple(ROW_WEIGHTS)),
+    ] = "vanilla"
+    row_weights: Annotated[
+        str | None,
+        OneOf(ROW_WEIGHTS),
         'Weight of each node of a tree; None takes "uniform" for "regret", because at a tree\'s root cumulative '
         'regrets are a hundred times as large as at its leaves, and "random" for all other targets.',
-    )
-    rows_per_step: int = setting(
-        0, whole(0, 1_000_000), "Maximum number of nodes of each step from a tree, selected at random; 0 for all."
-    )
-    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Units of each hidden layer.")
-    learning_rate: float = setting(
-        1e-3,
-        number(1e-8, 10.0),
+    ] = None
+    rows_per_step: Annotated[
+        int,
+        Interval(ge=0, le=1_000_000),
+        "Maximum number of nodes of each step from a tree, selected at random; 0 for all.",
+    ] = 0
+    hidden: Annotated[Layers, "Units of each hidden layer."] = (64, 64)
+    learning_rate: Annotated[
+        float,
+        Interval(ge=1e-8, le=10.0),
         "Initial learning rate of Adam; halved after a quarter of the patience without improvement.",
-    )
-    weight_decay: float = setting(0.01, number(0.0, 10.0), "Weight decay of AdamW; 0 for plain Adam.")
-    floor: float | None = setting(
-        None,
-        number(0.0, 1000.0),
-        "Targets are raised to at most this many times what random moves lose on average below the best of their row; "
-        "0 for no floor. None takes 0.25 for trees, and 0 for rows of any other source.",
-    )
-    differences: bool | None = setting(
-        None,
-        flag(),
-        "Whether the mean of a row's moves, and how they differ from it, are learned each in units of its own spread. "
-        "None takes true for trees, and false for rows of any other source.",
-    )
-    below_zero: float = setting(
-        1.0,
-        number(0.0, 1000.0),
+    ] = 1e-3
+    weight_decay: Annotated[float, Interval(ge=0.0, le=10.0), "Weight decay of AdamW; 0 for plain Adam."] = 0.01
+    floor: Annotated[
+        float | None,
+        Interval(ge=0.0, le=1000.0),
+        "Targets are raised to at most this many times what random moves lose on average below the best of their row;"
+        " 0 for no floor. None takes 0.25 for trees, and 0 for rows of any other source.",
+    ] = None
+    differences: Annotated[
+        bool | None,
+        "Whether the mean of a row's moves, and how they differ from it, are learned each in units of its own spread."
+        " None takes true for trees, and false for rows of any other source.",
+    ] = None
+    below_zero: Annotated[
+        float,
+        Interval(ge=0.0, le=1000.0),
         "For clipped targets: weight of the errors below 0 in rows that have no positive target. There the paper "
         "allows any move; with this above 0 the network learns which is the least bad.",
-    )
-    batch_size: int = setting(1024, whole(1, 1_000_000), "Rows in the batch of a gradient step.")
-    rows_per_epoch: int = setting(
-        100_000,
-        whole(1, 100_000_000),
+    ] = 1.0
+    batch_size: Annotated[int, Interval(ge=1, le=1_000_000), "Rows in the batch of a gradient step."] = 1024
+    rows_per_epoch: Annotated[
+        int,
+        Interval(ge=1, le=100_000_000),
         "Rows drawn per epoch, with replacement, in proportion to their weights; at most as many as there are.",
-    )
-    epochs: int = setting(200, whole(1, 100_000), "Maximum number of epochs.")
-    patience: int = setting(20, whole(1, 100_000), "Epochs without a lower validation loss after which training stops.")
-    validation_share: float = setting(0.15, number(0.01, 0.9), "Share of the starting pairs used for early stopping.")
-    test_share: float = setting(0.15, number(0.0, 0.9), "Share of the starting pairs held out to evaluate the network.")
-    seed: int = setting(0, whole(0, 2**63 - 1), "Seed of the initial weights and of all random draws.")
+    ] = 100_000
+    epochs: Annotated[int, Interval(ge=1, le=100_000), "Maximum number of epochs."] = 200
+    patience: Annotated[
+        int,
+        Interval(ge=1, le=100_000),
+        "Epochs without a lower validation loss after which training stops.",
+    ] = 20
+    validation_share: Annotated[
+        float,
+        Interval(ge=0.01, le=0.9),
+        "Share of the starting pairs used for early stopping.",
+    ] = 0.15
+    test_share: Annotated[
+        float,
+        Interval(ge=0.0, le=0.9),
+        "Share of the starting pairs held out to evaluate the network.",
+    ] = 0.15
+    seed: Annotated[int, Interval(ge=0, le=2**63 - 1), "Seed of the initial weights and of all random draws."] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

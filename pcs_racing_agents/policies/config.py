@@ -3,11 +3,13 @@
 from dataclasses import dataclass
 from math import comb
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from annotated_types import Interval, MinLen
 
 from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Settings, checked, choice, names, number, setting, text, whole
+from pcs_racing.base.settings import Checked, Names, OneOf, Settings, Text
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig, load_race_config
@@ -23,13 +25,13 @@ HEADROOM_SETTINGS = ("groups", "payoff_races", "judging_races", "judging_tracks"
 """Settings that only matter with ``selection: headroom``."""
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
-_SECONDS = number(0.1, 3600.0)
+_SECONDS = Interval(ge=0.1, le=3600.0)
 
 
-def _numbers(value: Any) -> tuple[float, ...]:
+def _numbers(name: str, value: Any) -> tuple[float, ...]:
     """Return a list of numbers as a tuple."""
     if not isinstance(value, list | tuple) or not all(map(is_number, value)):
-        raise InputError(f"min_coordinates is {value!r}; it must be a list of numbers")
+        raise InputError(f"{name} is {value!r}; it must be a list of numbers")
     return tuple(value)
 
 
@@ -41,108 +43,134 @@ class ArchiveConfig(Settings):
     sides, on every track; the three stages (search, choice, measurement) draw different ones.
     """
 
-    name: str = setting("archive", text(), "Name of the archive.")
-    preset: str = setting("paper", text(), "Rules of the races: a preset's name or a YAML file.")
-    duration: float = setting(16.0, _SECONDS, "Length of a race during search and selection, s.")
-    final_duration: float = setting(40.0, _SECONDS, "Length of a race in the final measurement, s.")
-    segment_seconds: float = setting(
-        8.0, _SECONDS, "Length of the segments whose mean is a coordinate, s: a step of the game."
-    )
-    tracks: tuple[str, ...] = setting(
-        SHIPPED_TRACKS, names(), "Names or folders of the circuits; all policies race on all of them."
-    )
-    planner: str = setting("lattice", text(), "Planner of the policies and of their opponents.")
-    fixed: tuple[str, ...] = setting(
-        (),
-        names(0),
-        "Parameters of the planner that keep their defaults: the search has a dimension less for each, and the archive "
-        "does not hold them.",
-    )
-    characteristics: tuple[str, ...] | None = setting(
-        None,
-        names(),
-        "Axes; None takes what the rules name as their aggressiveness, which is aggressiveness itself (the lead), pace "
-        "or speed, and then restraint, beside speed the reaction to the lead.",
-    )
-    method: str = setting("mo-cma-es", choice(METHODS), "Search method; the first is that of the paper.")
-    generations: int = setting(60, whole(0, 100_000), "Number of generations.")
-    population: int = setting(32, whole(4, 10_000), "Number of policies in a generation.")
-    elite_ratio: float = setting(0.5, number(0.01, 1.0), "Share of a generation that updates the distribution.")
-    loss: str = setting("uhvi", choice(LOSSES), "Loss of Algorithm 1, as in synthesize().")
-    mean: str = setting("generation", choice(MEANS), "Mean of Algorithm 1, as in synthesize().")
-    step_size: float = setting(
-        0.3, number(1e-6, 1.0), "Initial standard deviation of CMA-ES, as a share of the parameters' ranges."
-    )
-    initial_sample: int = setting(
-        80,
-        whole(8, 10_000),
-        "Policies of the initial sample, drawn at random; their range is the scale of the axes in the loss and in the "
-        "hypervolume, and the best of them are the first archive.",
-    )
-    opponents: int = setting(4, whole(1, 1000), "Opponents (random policies) in the search.")
-    rivals: tuple[str, ...] = setting(
-        (), names(0), "Drivers of other planners that are met in every stage beside the random policies, each as often."
-    )
-    min_score: float = setting(
-        0.0,
-        number(0.0, 1.0),
+    name: Annotated[Text, "Name of the archive."] = "archive"
+    preset: Annotated[Text, "Rules of the races: a preset's name or a YAML file."] = "paper"
+    duration: Annotated[float, _SECONDS, "Length of a race during search and selection, s."] = 16.0
+    final_duration: Annotated[float, _SECONDS, "Length of a race in the final measurement, s."] = 40.0
+    segment_seconds: Annotated[
+        float,
+        _SECONDS,
+        "Length of the segments whose mean is a coordinate, s: a step of the game.",
+    ] = 8.0
+    tracks: Annotated[
+        Names,
+        MinLen(1),
+        "Names or folders of the circuits; all policies race on all of them.",
+    ] = SHIPPED_TRACKS
+    planner: Annotated[Text, "Planner of the policies and of their opponents."] = "lattice"
+    fixed: Annotated[
+        Names,
+        "Parameters of the planner that keep their defaults: the search has a dimension less for each, and the "
+        "archive does not hold them.",
+    ] = ()
+    characteristics: Annotated[
+        Names | None,
+        MinLen(1),
+        "Axes; None takes what the rules name as their aggressiveness, which is aggressiveness itself (the lead), "
+        "pace or speed, and then restraint, beside speed the reaction to the lead.",
+    ] = None
+    method: Annotated[str, OneOf(METHODS), "Search method; the first is that of the paper."] = "mo-cma-es"
+    generations: Annotated[int, Interval(ge=0, le=100_000), "Number of generations."] = 60
+    population: Annotated[int, Interval(ge=4, le=10_000), "Number of policies in a generation."] = 32
+    elite_ratio: Annotated[
+        float,
+        Interval(ge=0.01, le=1.0),
+        "Share of a generation that updates the distribution.",
+    ] = 0.5
+    loss: Annotated[str, OneOf(LOSSES), "Loss of Algorithm 1, as in synthesize()."] = "uhvi"
+    mean: Annotated[str, OneOf(MEANS), "Mean of Algorithm 1, as in synthesize()."] = "generation"
+    step_size: Annotated[
+        float,
+        Interval(ge=1e-6, le=1.0),
+        "Initial standard deviation of CMA-ES, as a share of the parameters' ranges.",
+    ] = 0.3
+    initial_sample: Annotated[
+        int,
+        Interval(ge=8, le=10_000),
+        "Policies of the initial sample, drawn at random; their range is the scale of the axes in the loss and in the"
+        " hypervolume, and the best of them are the first archive.",
+    ] = 80
+    opponents: Annotated[int, Interval(ge=1, le=1000), "Opponents (random policies) in the search."] = 4
+    rivals: Annotated[
+        Names,
+        "Drivers of other planners that are met in every stage beside the random policies, each as often.",
+    ] = ()
+    min_score: Annotated[
+        float,
+        Interval(ge=0.0, le=1.0),
         "Smallest score against the rivals, a win being 1 and a tie 1/2, of a policy that may be chosen.",
-    )
-    starts: int = setting(2, whole(1, 1000), "Start lines on each track in the search.")
-    crash_limit: float = setting(
-        0.15,
-        number(0.0, 1.0),
+    ] = 0.0
+    starts: Annotated[int, Interval(ge=1, le=1000), "Start lines on each track in the search."] = 2
+    crash_limit: Annotated[
+        float,
+        Interval(ge=0.0, le=1.0),
         "Largest share of crashes by own fault, in races of final_duration, of a policy in the archive; 1 keeps all. "
         "For the shorter races of the search it is converted with a constant crash rate.",
-    )
-    min_coordinates: tuple[float, ...] | None = setting(
-        None,
-        checked(_numbers),
+    ] = 0.15
+    min_coordinates: Annotated[
+        tuple[float, ...] | None,
+        Checked(_numbers),
         "Smallest coordinate of a policy in the archive, one for each axis; None for no limit.",
-    )
-    selection: str = setting(
-        "pareto",
-        choice(CHOICES),
-        "Rule of the selection: policies that no other one clearly beats on the axes (the paper), or a pool with much "
-        "headroom, chosen from the payoffs of all pairs of candidates.",
-    )
-    candidates: int = setting(240, whole(2, 10_000), "Policies that race again in the selection.")
-    choice_opponents: int = setting(8, whole(1, 1000), "Opponents in the selection.")
-    choice_starts: int = setting(2, whole(1, 1000), "Start lines on each track in the selection.")
-    error_bars: float = setting(
-        1.0,
-        number(0.0, 10.0),
-        "A policy is dominated if another one is better on all axes by more than this number of standard errors of the "
-        "difference.",
-    )
-    groups: int = setting(
-        4,
-        whole(1, 1000),
+    ] = None
+    selection: Annotated[
+        str,
+        OneOf(CHOICES),
+        "Rule of the selection: policies that no other one clearly beats on the axes (the paper), or a pool with much"
+        " headroom, chosen from the payoffs of all pairs of candidates.",
+    ] = "pareto"
+    candidates: Annotated[int, Interval(ge=2, le=10_000), "Policies that race again in the selection."] = 240
+    choice_opponents: Annotated[int, Interval(ge=1, le=1000), "Opponents in the selection."] = 8
+    choice_starts: Annotated[int, Interval(ge=1, le=1000), "Start lines on each track in the selection."] = 2
+    error_bars: Annotated[
+        float,
+        Interval(ge=0.0, le=10.0),
+        "A policy is dominated if another one is better on all axes by more than this number of standard errors of "
+        "the difference.",
+    ] = 1.0
+    groups: Annotated[
+        int,
+        Interval(ge=1, le=1000),
         "With selection: headroom, groups of candidates along the first axis that as many policies are taken from.",
-    )
-    payoff_races: int = setting(
-        16, whole(4, 100_000), "With selection: headroom, races of each pair of candidates on each track."
-    )
-    judging_races: int = setting(
-        64,
-        whole(4, 100_000),
+    ] = 4
+    payoff_races: Annotated[
+        int,
+        Interval(ge=4, le=100_000),
+        "With selection: headroom, races of each pair of candidates on each track.",
+    ] = 16
+    judging_races: Annotated[
+        int,
+        Interval(ge=4, le=100_000),
         "With selection: headroom, races of each pair of the chosen policies on each track, whose headroom the "
         "manifest states.",
-    )
-    judging_tracks: tuple[str, ...] | None = setting(
-        None, names(), "With selection: headroom, circuits that no choice is made on, on which it is judged, too."
-    )
-    spacing: float = setting(
-        0.015,
-        number(0.0, 0.5),
+    ] = 64
+    judging_tracks: Annotated[
+        Names | None,
+        MinLen(1),
+        "With selection: headroom, circuits that no choice is made on, on which it is judged, too.",
+    ] = None
+    spacing: Annotated[
+        float,
+        Interval(ge=0.0, le=0.5),
         "Smallest distance between two policies of the archive, in units of the archive's ranges; of two nearer "
         "policies one is dropped.",
-    )
-    min_policies: int = setting(40, whole(1, 10_000), "Minimum number of policies in the archive, if possible.")
-    max_policies: int = setting(80, whole(2, 10_000), "Maximum number of policies; with more, the spacing is widened.")
-    final_opponents: int = setting(12, whole(1, 1000), "Opponents in the measurement, which gives the coordinates.")
-    final_starts: int = setting(3, whole(1, 1000), "Start lines on each track in the measurement.")
-    seed: int = setting(0, whole(0, 2**63 - 1), "Seed of all random draws.")
+    ] = 0.015
+    min_policies: Annotated[
+        int,
+        Interval(ge=1, le=10_000),
+        "Minimum number of policies in the archive, if possible.",
+    ] = 40
+    max_policies: Annotated[
+        int,
+        Interval(ge=2, le=10_000),
+        "Maximum number of policies; with more, the spacing is widened.",
+    ] = 80
+    final_opponents: Annotated[
+        int,
+        Interval(ge=1, le=1000),
+        "Opponents in the measurement, which gives the coordinates.",
+    ] = 12
+    final_starts: Annotated[int, Interval(ge=1, le=1000), "Start lines on each track in the measurement."] = 3
+    seed: Annotated[int, Interval(ge=0, le=2**63 - 1), "Seed of all random draws."] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

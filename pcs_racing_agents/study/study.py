@@ -5,13 +5,15 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from annotated_types import Interval, MinLen, MultipleOf
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import Settings, checked, names, setting, tenths, text, whole
+from pcs_racing.base.settings import Names, Settings, Text
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import list_archives, load_archive
-from pcs_racing.game.config import EPSILON_RULE, GameConfig, check_lengths, load_game_config
+from pcs_racing.game.config import FIRST_STEPS, STEP_SIZES, GameConfig, load_game_config
 from pcs_racing.game.make import make_game
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import load_race_config
@@ -36,78 +38,104 @@ BEST_OPEN_LOOP = ("best-fixed", "best-schedule", "best-lead-plan")
 class StudyConfig(Settings):
     """Settings of a study; they determine its results."""
 
-    race: str = setting("paper", text(), "Rules: a preset's name or a YAML file.")
-    epsilon: float | tuple[float, ...] = setting(0.5, EPSILON_RULE, "Length of a move, in normalised coordinates.")
-    moves: int = setting(None, whole(1, 100), "Moves of each car in a game; None takes the steps of the rules.")
-    step_seconds: float = setting(None, tenths(0.1, 600.0), "Time between two moves, s.")
-    first_steps: tuple[float, ...] = setting(
-        None, checked(check_lengths), "Lengths of the first steps, as in the rules of the game, s."
+    race: Annotated[Text, "Rules: a preset's name or a YAML file."] = "paper"
+    epsilon: Annotated[float | tuple[float, ...], STEP_SIZES, "Length of a move, in normalised coordinates."] = 0.5
+    moves: Annotated[
+        int,
+        Interval(ge=1, le=100),
+        "Moves of each car in a game; None takes the steps of the rules.",
+    ] = None  # type: ignore[assignment]
+    step_seconds: Annotated[
+        float,
+        Interval(ge=0.1, le=600.0),
+        MultipleOf(0.1),
+        "Time between two moves, s.",
+    ] = None  # type: ignore[assignment]
+    first_steps: Annotated[
+        tuple[float, ...],
+        FIRST_STEPS,
+        "Lengths of the first steps, as in the rules of the game, s.",
+    ] = None  # type: ignore[assignment]
+    synthesis: Annotated[Text | None, "Configuration of the synthesis; None uses an existing archive instead."] = None
+    archive: Annotated[Text, "Name or folder of the existing archive."] = "default"
+    circuits: Annotated[Names, MinLen(1), "Circuits of the trees and of training."] = ("Tarnfjord",)
+    pairs: Annotated[int, Interval(ge=0, le=100_000), "Game trees on each circuit; 0 for none."] = 12
+    seeds: Annotated[int, Interval(ge=1, le=1000), "Noise realisations in each tree; 1 without noise."] = 1
+    training: Annotated[Text, "Settings of the networks' training."] = "study"
+    targets: Annotated[
+        Names,
+        MinLen(1),
+        "Targets of the networks, in this order.",
+    ] = (
+        "regret",
+        "normalised",
+        "advantage",
+        "static-q",
     )
-    synthesis: str | None = setting(
-        None,
-        text(),
-        "Configuration of the synthesis; None uses an existing archive instead.",
+    responses: Annotated[
+        Names,
+        "Settings of the learned responses (pcs_racing_agents.learning.responses.ResponseSettings).",
+    ] = ()
+    response_pool: Annotated[
+        Names,
+        MinLen(1),
+        "Opponents in the training of responses.",
+    ] = (
+        "never-switch",
+        "random-moves",
     )
-    archive: str = setting("default", text(), "Name or folder of the existing archive.")
-    circuits: tuple[str, ...] = setting(("Tarnfjord",), names(), "Circuits of the trees and of training.")
-    pairs: int = setting(12, whole(0, 100_000), "Game trees on each circuit; 0 for none.")
-    seeds: int = setting(1, whole(1, 1000), "Noise realisations in each tree; 1 without noise.")
-    training: str = setting("study", text(), "Settings of the networks' training.")
-    targets: tuple[str, ...] = setting(
-        ("regret", "normalised", "advantage", "static-q"), names(), "Targets of the networks, in this order."
-    )
-    responses: tuple[str, ...] = setting(
-        (), names(0), "Settings of the learned responses (pcs_racing_agents.learning.responses.ResponseSettings)."
-    )
-    response_pool: tuple[str, ...] = setting(
-        ("never-switch", "random-moves"), names(), "Opponents in the training of responses."
-    )
-    sampled_cfr: str | None = setting(
-        None,
-        text(),
+    sampled_cfr: Annotated[
+        Text | None,
         'Settings (self-play) of counterfactual regrets from sampled games: the network of "cfr-argmax" and '
         '"cfr-regret-matching", in place of one from full game trees; None for none.',
-    )
-    fitting_games: int = setting(
-        100,
-        whole(2, 1_000_000),
+    ] = None
+    fitting_games: Annotated[
+        int,
+        Interval(ge=2, le=1_000_000),
         "Games against each opponent on each circuit, to select the baselines; even.",
-    )
-    fixed_targets: int = setting(
-        16,
-        whole(0, 1_000_000),
+    ] = 100
+    fixed_targets: Annotated[
+        int,
+        Interval(ge=0, le=1_000_000),
         "Candidate policies for the targets of best-fixed and best-lead-plan, spread over the archive; 0 for all.",
+    ] = 16
+    fitting_opponents: Annotated[Names, MinLen(1), "Opponents in those games."] = ("never-switch",)
+    tracks: Annotated[Names, MinLen(1), "Circuits of the table."] = ("Tarnfjord",)
+    opponents: Annotated[
+        Names,
+        MinLen(1),
+        "Opponents of the table.",
+    ] = (
+        "never-switch",
+        "random-policy",
+        "lane-switcher",
     )
-    fitting_opponents: tuple[str, ...] = setting(("never-switch",), names(), "Opponents in those games.")
-    tracks: tuple[str, ...] = setting(("Tarnfjord",), names(), "Circuits of the table.")
-    opponents: tuple[str, ...] = setting(
-        ("never-switch", "random-policy", "lane-switcher"), names(), "Opponents of the table."
-    )
-    arms: tuple[str, ...] = setting(
-        ("never-switch", *BEST_OPEN_LOOP, "cfr-argmax"),
-        names(),
-        "Agents of the table; the first is the baseline. With the three fitted baselines among them (best-fixed, "
-        "best-schedule, best-lead-plan) the table has the adaptivity gain; some without the others are refused.",
-    )
-    best: str = setting("cfr-argmax", text(), "The agent of main interest among them.")
-    egos: int = setting(20, whole(2, 1000), "Start policies of the ego in each cell.")
-    variants: int = setting(20, whole(2, 1000), "Variants of the opponent in each cell.")
-    lines: int = setting(5, whole(1, 1000), "Start lines of each cell; races start from both sides.")
-    further_tracks: tuple[str, ...] = setting((), names(0), "Additional circuits of the second table.")
-    further_opponents: tuple[str, ...] = setting((), names(0), "Additional opponents of the second table.")
-    further_arms: tuple[str, ...] = setting((), names(0), "Additional agents of the second table.")
-    further_lines: int = setting(0, whole(0, 1000), "Start lines of its cells; 0 for no second table.")
-    ppo: str | None = setting(
-        None,
-        text(),
-        "Settings (level duel) of a PPO baseline that is trained on the study's circuits, with its archive and "
-        'rules; None trains none, and the agent "ppo" is then the shipped one.',
-    )
-    rated: tuple[str, ...] = setting((), names(0), "Agents of the round robin for the ratings.")
-    rating_races: int = setting(
-        100, whole(2, 2000), "Races of each pair of rated agents on each circuit of the table; even."
-    )
-    seed: int = setting(0, whole(0, 2**62), "Seed of all random draws.")
+    arms: Annotated[
+        Names,
+        MinLen(1),
+        "Agents of the table; the first is the baseline. With the three fitted baselines among them (best-fixed,"
+        " best-schedule, best-lead-plan) the table has the adaptivity gain; some without the others are refused.",
+    ] = ("never-switch", *BEST_OPEN_LOOP, "cfr-argmax")
+    best: Annotated[Text, "The agent of main interest among them."] = "cfr-argmax"
+    egos: Annotated[int, Interval(ge=2, le=1000), "Start policies of the ego in each cell."] = 20
+    variants: Annotated[int, Interval(ge=2, le=1000), "Variants of the opponent in each cell."] = 20
+    lines: Annotated[int, Interval(ge=1, le=1000), "Start lines of each cell; races start from both sides."] = 5
+    further_tracks: Annotated[Names, "Additional circuits of the second table."] = ()
+    further_opponents: Annotated[Names, "Additional opponents of the second table."] = ()
+    further_arms: Annotated[Names, "Additional agents of the second table."] = ()
+    further_lines: Annotated[int, Interval(ge=0, le=1000), "Start lines of its cells; 0 for no second table."] = 0
+    ppo: Annotated[
+        Text | None,
+        "Settings (level duel) of a PPO baseline that is trained on the study's circuits, with its archive and rules;"
+        ' None trains none, and the agent "ppo" is then the shipped one.',
+    ] = None
+    rated: Annotated[Names, "Agents of the round robin for the ratings."] = ()
+    rating_races: Annotated[
+        int,
+        Interval(ge=2, le=2000),
+        "Races of each pair of rated agents on each circuit of the table; even.",
+    ] = 100
+    seed: Annotated[int, Interval(ge=0, le=2**62), "Seed of all random draws."] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()

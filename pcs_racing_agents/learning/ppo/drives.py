@@ -9,9 +9,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
@@ -19,7 +20,6 @@ from numpy.typing import NDArray
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.settings import number, setting
 from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
@@ -58,7 +58,7 @@ def _observe(track, state, vehicles, settings, rows, view, inputs, out):  # type
 class LearnerOptions(DriveOptions):
     """Arguments of the races that a learner drives in."""
 
-    leading: float = setting(0.0, number(0.0, 1e6), "Reward for a second in front, m.")
+    leading: Annotated[float, Interval(ge=0.0, le=1e6), "Reward for a second in front, m."] = 0.0
 
 
 class LearnerBatch(DriveBatch):

@@ -2,30 +2,20 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from annotated_types import Interval, Len, MinLen
 
 from pcs_racing.base.checks import check_choice, check_path
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import (
-    Settings,
-    choice,
-    load_settings,
-    names,
-    number,
-    read_settings,
-    setting,
-    text,
-    weights,
-    whole,
-    wholes,
-)
+from pcs_racing.base.settings import DIFFERENT, Layers, Names, OneOf, Settings, Text, load_settings, read_settings
 from pcs_racing_agents.base.configurations import shipped_configs
 
 TRAINING_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
-_OPPONENTS = weights(1, 1000)
+_Weights = Annotated[Mapping[Text, Annotated[int, Interval(ge=1, le=1000)]], MinLen(1)]
 _REWARD_SCALE = "What rewards are multiplied by before they are learned from."
 
 
@@ -33,119 +23,129 @@ _REWARD_SCALE = "What rewards are multiplied by before they are learned from."
 class PPOSettings(Settings):
     """Settings that both levels share; the names of PPO's hyperparameters are those of Schulman et al. 2017."""
 
-    tracks: tuple[str, ...] = setting(TRAINING_TRACKS, names(), "Circuits of the training.")
-    opponents: Mapping[str, int] = setting({}, _OPPONENTS, "Opponents, and the relative frequency of each.")
-    steps: int = setting(1_000_000, whole(1, 10**12), "Maximum number of environment steps for each seed.")
-    seeds: tuple[int, ...] = setting(
-        (0,),
-        wholes(0, 2**31 - 1, shortest=1, different=True),
+    tracks: Annotated[Names, MinLen(1), "Circuits of the training."] = TRAINING_TRACKS
+    opponents: Annotated[
+        _Weights,
+        "Opponents, and the relative frequency of each.",
+    ] = field(default_factory=dict, hash=False)
+    steps: Annotated[int, Interval(ge=1, le=10**12), "Maximum number of environment steps for each seed."] = 1_000_000
+    seeds: Annotated[
+        tuple[Annotated[int, Interval(ge=0, le=2**31 - 1)], ...],
+        Len(1, 1000),
+        DIFFERENT,
         "Seeds; one policy is trained with each, and the best is kept.",
-    )
-    envs: int = setting(64, whole(1, 100_000), "Parallel races for each circuit and set of rules.")
-    rollout: int = setting(64, whole(1, 100_000), "Steps of each environment between two updates.")
-    batch_size: int = setting(1024, whole(2, 10_000_000), "Environment steps in the batch of a gradient step.")
-    epochs: int = setting(8, whole(1, 1000), "Passes over the collected steps in an update.")
-    learning_rate: float = setting(1e-3, number(1e-8, 1.0), "Initial learning rate of Adam.")
-    final_learning_rate: float = setting(
-        1e-4, number(0.0, 1.0), "Final learning rate of Adam; the schedule is linear in the steps."
-    )
-    discount: float = setting(1.0, number(0.0, 1.0), "Discount factor per step.")
-    gae_lambda: float = setting(0.95, number(0.0, 1.0), "Lambda of generalised advantage estimation.")
-    clip_range: float = setting(0.2, number(1e-3, 10.0), "Clip range of the probability ratio.")
-    entropy: float = setting(0.0, number(0.0, 10.0), "Weight of the entropy in the loss.")
-    value_weight: float = setting(0.5, number(0.0, 100.0), "Weight of the value loss.")
-    max_gradient: float = setting(0.5, number(1e-6, 1e6), "Maximum norm of a gradient.")
-    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Units of each hidden layer of the policy.")
-    value_hidden: tuple[int, ...] = setting(
-        (64, 64), wholes(1, 4096, longest=8), "Units of each hidden layer of the value network."
-    )
-    reward_scale: float = setting(1.0, number(1e-6, 1e6), _REWARD_SCALE)
-    evaluate_every: int = setting(50_000, whole(1, 10**12), "Steps between two evaluations.")
-    evaluation_races: int = setting(
-        200,
-        whole(2, 1_000_000),
+    ] = (0,)
+    envs: Annotated[int, Interval(ge=1, le=100_000), "Parallel races for each circuit and set of rules."] = 64
+    rollout: Annotated[int, Interval(ge=1, le=100_000), "Steps of each environment between two updates."] = 64
+    batch_size: Annotated[
+        int,
+        Interval(ge=2, le=10_000_000),
+        "Environment steps in the batch of a gradient step.",
+    ] = 1024
+    epochs: Annotated[int, Interval(ge=1, le=1000), "Passes over the collected steps in an update."] = 8
+    learning_rate: Annotated[float, Interval(ge=1e-8, le=1.0), "Initial learning rate of Adam."] = 1e-3
+    final_learning_rate: Annotated[
+        float,
+        Interval(ge=0.0, le=1.0),
+        "Final learning rate of Adam; the schedule is linear in the steps.",
+    ] = 1e-4
+    discount: Annotated[float, Interval(ge=0.0, le=1.0), "Discount factor per step."] = 1.0
+    gae_lambda: Annotated[float, Interval(ge=0.0, le=1.0), "Lambda of generalised advantage estimation."] = 0.95
+    clip_range: Annotated[float, Interval(ge=1e-3, le=10.0), "Clip range of the probability ratio."] = 0.2
+    entropy: Annotated[float, Interval(ge=0.0, le=10.0), "Weight of the entropy in the loss."] = 0.0
+    value_weight: Annotated[float, Interval(ge=0.0, le=100.0), "Weight of the value loss."] = 0.5
+    max_gradient: Annotated[float, Interval(ge=1e-6, le=1e6), "Maximum norm of a gradient."] = 0.5
+    hidden: Annotated[Layers, "Units of each hidden layer of the policy."] = (64, 64)
+    value_hidden: Annotated[Layers, "Units of each hidden layer of the value network."] = (64, 64)
+    reward_scale: Annotated[float, Interval(ge=1e-6, le=1e6), _REWARD_SCALE] = 1.0
+    evaluate_every: Annotated[int, Interval(ge=1, le=10**12), "Steps between two evaluations."] = 50_000
+    evaluation_races: Annotated[
+        int,
+        Interval(ge=2, le=1_000_000),
         "Races of an evaluation on each circuit (and under each set of rules), against the opponents in turn.",
-    )
-    patience: int = setting(
-        0,
-        whole(0, 1_000_000),
+    ] = 200
+    patience: Annotated[
+        int,
+        Interval(ge=0, le=1_000_000),
         "Early stopping: evaluations without an improvement after which training ends; 0 for none.",
-    )
+    ] = 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class DuelSettings(PPOSettings):
     """Settings of training at the strategy level: a step is a move."""
 
-    level: str = setting("duel", choice(("duel",)), "Level of the training.")
-    archive: str = setting("default", text(), "Name or folder of the archive of policies.")
-    race: str = setting("paper", text(), 'Rules: "paper", "contest" or a YAML file.')
-    epsilon: float = setting(0.5, number(1e-6, 10.0), "Length of a move, in units of the archive's range.")
-    opponents: Mapping[str, int] = setting(
-        {"never-switch": 1},
-        _OPPONENTS,
+    level: Annotated[str, OneOf(("duel",)), "Level of the training."] = "duel"
+    archive: Annotated[Text, "Name or folder of the archive of policies."] = "default"
+    race: Annotated[Text, 'Rules: "paper", "contest" or a YAML file.'] = "paper"
+    epsilon: Annotated[float, Interval(ge=1e-6, le=10.0), "Length of a move, in units of the archive's range."] = 0.5
+    opponents: Annotated[
+        _Weights,
         "never-switch, random-moves, always-MOVE, or drivers such as lane-switcher:3, with relative frequencies.",
-    )
-    envs: int = setting(64, whole(1, 100_000), "Parallel races for each circuit.")
-    rollout: int = setting(16, whole(1, 100_000), "Steps of each environment between two updates.")
-    reward_scale: float = setting(0.1, number(1e-6, 1e6), _REWARD_SCALE)
+    ] = field(default_factory=lambda: {"never-switch": 1}, hash=False)
+    envs: Annotated[int, Interval(ge=1, le=100_000), "Parallel races for each circuit."] = 64
+    rollout: Annotated[int, Interval(ge=1, le=100_000), "Steps of each environment between two updates."] = 16
+    reward_scale: Annotated[float, Interval(ge=1e-6, le=1e6), _REWARD_SCALE] = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class DriveSettings(PPOSettings):
     """Settings of training at the control level: a step is a steering angle and a speed."""
 
-    level: str = setting("drive", choice(("drive",)), "Level of the training.")
-    races: tuple[str, ...] = setting(
-        ("paper", "contest"),
-        names(),
+    level: Annotated[str, OneOf(("drive",)), "Level of the training."] = "drive"
+    races: Annotated[
+        Names,
+        MinLen(1),
         'Sets of rules: "paper", "contest" or YAML files; races are driven under each of them.',
-    )
-    opponents: Mapping[str, int] = setting(
-        {"lattice": 1}, _OPPONENTS, "Policies such as lattice:pace=0.8, with relative frequencies."
-    )
-    duration: float = setting(
-        16.0, number(0.1, 3600.0), "Length of a race in training, s; evaluations use that of the rules."
-    )
-    slowest: float = setting(
-        0.3,
-        number(0.0, 1.0),
-        "Speed scale of an opponent's pace 0 in training; 0 for that of the rules. Slow opponents let the agent learn "
-        "to overtake; behind an opponent of equal speed the risk is not worth it.",
-    )
-    hold: int = setting(
-        4,
-        whole(2, 100),
+    ] = ("paper", "contest")
+    opponents: Annotated[
+        _Weights,
+        "Policies such as lattice:pace=0.8, with relative frequencies.",
+    ] = field(default_factory=lambda: {"lattice": 1}, hash=False)
+    duration: Annotated[
+        float,
+        Interval(ge=0.1, le=3600.0),
+        "Length of a race in training, s; evaluations use that of the rules.",
+    ] = 16.0
+    slowest: Annotated[
+        float,
+        Interval(ge=0.0, le=1.0),
+        "Speed scale of an opponent's pace 0 in training; 0 for that of the rules. Slow opponents let the agent learn"
+        " to overtake; behind an opponent of equal speed the risk is not worth it.",
+    ] = 0.3
+    hold: Annotated[
+        int,
+        Interval(ge=2, le=100),
         "Simulation steps of 0.01 s for which an action holds, an even number; 2 is the 50 Hz of the other planners.",
-    )
-    rivalry: float = setting(
-        0.9,
-        number(0.0, 1.0),
-        "Share of the opponent's progress that is subtracted from the own progress in the reward: 0 rewards progress, "
-        "1 rewards the lead.",
-    )
-    leading: float = setting(
-        2.0,
-        number(0.0, 1e6),
+    ] = 4
+    rivalry: Annotated[
+        float,
+        Interval(ge=0.0, le=1.0),
+        "Share of the opponent's progress that is subtracted from the own progress in the reward: 0 rewards progress,"
+        " 1 rewards the lead.",
+    ] = 0.9
+    leading: Annotated[
+        float,
+        Interval(ge=0.0, le=1e6),
         "Reward of a second in front, m. (With a penalty for being behind, a crash would avoid it.)",
-    )
-    crash_penalty: float = setting(10.0, number(0.0, 1e6), "Penalty for a crash by own fault, m.")
-    noise: float = setting(
-        0.5,
-        number(1e-3, 10.0),
+    ] = 2.0
+    crash_penalty: Annotated[float, Interval(ge=0.0, le=1e6), "Penalty for a crash by own fault, m."] = 10.0
+    noise: Annotated[
+        float,
+        Interval(ge=1e-3, le=10.0),
         "Initial standard deviation of the exploration noise of actions, before their tanh.",
-    )
-    noise_steps: int = setting(
-        0,
-        whole(0, 10_000),
-        "Steps between two draws of the exploration noise, which depends on the state (gSDE, Raffin et al. 2021); "
-        "0 draws independent noise in each step.",
-    )
-    discount: float = setting(0.998, number(0.0, 1.0), "Discount factor per step.")
-    reward_scale: float = setting(0.1, number(1e-6, 1e6), _REWARD_SCALE)
-    steps: int = setting(5_000_000, whole(1, 10**12), "Maximum number of environment steps for each seed.")
-    rollout: int = setting(128, whole(1, 100_000), "Steps of each environment between two updates.")
-    evaluate_every: int = setting(500_000, whole(1, 10**12), "Steps between two evaluations.")
+    ] = 0.5
+    noise_steps: Annotated[
+        int,
+        Interval(ge=0, le=10_000),
+        "Steps between two draws of the exploration noise, which depends on the state (gSDE, Raffin et al. 2021); 0 "
+        "draws independent noise in each step.",
+    ] = 0
+    discount: Annotated[float, Interval(ge=0.0, le=1.0), "Discount factor per step."] = 0.998
+    reward_scale: Annotated[float, Interval(ge=1e-6, le=1e6), _REWARD_SCALE] = 0.1
+    steps: Annotated[int, Interval(ge=1, le=10**12), "Maximum number of environment steps for each seed."] = 5_000_000
+    rollout: Annotated[int, Interval(ge=1, le=100_000), "Steps of each environment between two updates."] = 128
+    evaluate_every: Annotated[int, Interval(ge=1, le=10**12), "Steps between two evaluations."] = 500_000
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Annotated, Any, Unpack
 
 import numpy as np
+from annotated_types import Interval
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.settings import Settings, choice, number, setting, whole, wholes
+from pcs_racing.base.settings import Layers, OneOf, Settings
 from pcs_racing.game.identity import game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Competitor
@@ -46,13 +47,17 @@ class LearnerSettings(Settings):
     """What is learned from branched games, and how networks are fitted to it."""
 
     # The name of this setting is in the files of shipped networks.
-    worth: str = setting("win", choice(PAYOFFS), "Payoff of a game: a race won, or the game's utility.")
-    hidden: tuple[int, ...] = setting((64, 64), wholes(1, 4096, longest=8), "Units of each hidden layer of a network.")
-    learning_rate: float = setting(3e-3, number(1e-8, 10.0), "Initial learning rate of Adam.")
-    weight_decay: float = setting(1e-3, number(0.0, 10.0), "Weight decay of AdamW.")
-    batch_size: int = setting(512, whole(1, 1_000_000), "Rows in the batch of a gradient step.")
-    epochs: int = setting(60, whole(1, 100_000), "Maximum number of epochs.")
-    patience: int = setting(12, whole(1, 100_000), "Epochs without a lower validation loss after which training stops.")
+    worth: Annotated[str, OneOf(PAYOFFS), "Payoff of a game: a race won, or the game's utility."] = "win"
+    hidden: Annotated[Layers, "Units of each hidden layer of a network."] = (64, 64)
+    learning_rate: Annotated[float, Interval(ge=1e-8, le=10.0), "Initial learning rate of Adam."] = 3e-3
+    weight_decay: Annotated[float, Interval(ge=0.0, le=10.0), "Weight decay of AdamW."] = 1e-3
+    batch_size: Annotated[int, Interval(ge=1, le=1_000_000), "Rows in the batch of a gradient step."] = 512
+    epochs: Annotated[int, Interval(ge=1, le=100_000), "Maximum number of epochs."] = 60
+    patience: Annotated[
+        int,
+        Interval(ge=1, le=100_000),
+        "Epochs without a lower validation loss after which training stops.",
+    ] = 12
 
     def fit_settings(self, seed: int) -> TrainSettings:
         """Return the settings of the training of a network."""
@@ -72,20 +77,20 @@ class LearnerSettings(Settings):
 class ResponseSettings(LearnerSettings):
     """Settings of the training of a response."""
 
-    starts: int = setting(
-        1024,
-        whole(4, 1_000_000),
+    starts: Annotated[
+        int,
+        Interval(ge=4, le=1_000_000),
         "Games branched at every step of a round, on each circuit: against each opponent of the pool or, where the "
         "opponents have shares, against all of them together.",
-    )
-    rounds: int = setting(
-        2,
-        whole(1, 20),
+    ] = 1024
+    rounds: Annotated[
+        int,
+        Interval(ge=1, le=20),
         "Passes from the last step to the first. In the first pass, games reach a step by random moves; in later "
         "passes, every other game reaches it by the moves of the current network.",
-    )
-    members: int = setting(4, whole(1, 32), "Networks of the ensemble; the response is their mean.")
-    seed: int = setting(0, whole(0, 2**57 - 1), "Seed of the games and of the networks.")
+    ] = 2
+    members: Annotated[int, Interval(ge=1, le=32), "Networks of the ensemble; the response is their mean."] = 4
+    seed: Annotated[int, Interval(ge=0, le=2**57 - 1), "Seed of the games and of the networks."] = 0
 
     def train_settings(self, member: int) -> TrainSettings:
         """Return the settings of one of the networks."""

@@ -1,18 +1,28 @@
 import dataclasses
 import inspect
-from dataclasses import dataclass
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
 
 import numpy as np
 import pytest
+from annotated_types import Interval, Len, MinLen, MultipleOf
 from refusal import refused
 
 from pcs_racing.base import settings as loading
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
+from pcs_racing.car.vehicle import VehicleParams
+from pcs_racing.envs.drive_options import DriveOptions
+from pcs_racing.envs.obstacles import Obstacles
+from pcs_racing.race.config import PRESETS, RaceConfig
+from pcs_racing.race.random_circuits import RandomCircuits
 
 
-def even(value):
+def even(name, value):
     if value % 2:
-        raise InputError(f"guests is {value}; it must be even")
+        raise InputError(f"{name} is {value}; it must be even")
     return value
 
 
@@ -20,17 +30,21 @@ def even(value):
 class Soup(loading.Settings):
     """A soup."""
 
-    salt: float = loading.setting(0.5, loading.number(0.0, 1.0), "Salt, g.")
-    bowls: int = loading.setting(2, loading.whole(1, 9), "How many bowls.")
-    herbs: tuple[str, ...] = loading.setting(("dill",), loading.names(), "What is green in it.")
-    minutes: float = loading.setting(20.0, loading.tenths(0.1, 60.0), "Time on the fire.")
-    hot: bool = loading.setting(True, loading.flag(), "Whether it is served hot.")
-    cook: str = loading.setting("Ann", loading.text(), "Who makes it.")
-    kind: str = loading.setting("clear", loading.choice(("clear", "thick")), "What it looks like.")
-    spoons: tuple[int, ...] = loading.setting((3, 4), loading.wholes(1, 9, longest=3), "Sizes of the spoons.")
-    parts: dict[str, int] = loading.setting({"leek": 1}, loading.weights(1, 5), "What is in it, and how much.")
-    guests: int = loading.setting(2, loading.checked(even), "How many eat.")
-    bread: str | None = loading.setting(None, loading.text(), "What is eaten with it; None for nothing.")
+    salt: Annotated[float, Interval(ge=0.0, le=1.0), "Salt, g."] = 0.5
+    bowls: Annotated[int, Interval(ge=1, le=9), "How many bowls."] = 2
+    herbs: Annotated[loading.Names, MinLen(1), "What is green in it."] = ("dill",)
+    minutes: Annotated[float, Interval(ge=0.1, le=60.0), MultipleOf(0.1), "Time on the fire."] = 20.0
+    hot: Annotated[bool, "Whether it is served hot."] = True
+    cook: Annotated[loading.Text, "Who makes it."] = "Ann"
+    kind: Annotated[str, loading.OneOf(("clear", "thick")), "What it looks like."] = "clear"
+    spoons: Annotated[tuple[Annotated[int, Interval(ge=1, le=9)], ...], Len(0, 3), "Sizes of the spoons."] = (3, 4)
+    parts: Annotated[
+        Mapping[loading.Text, Annotated[int, Interval(ge=1, le=5)]], MinLen(1), "What is in it, and how much."
+    ] = field(default_factory=lambda: {"leek": 1}, hash=False)
+    guests: Annotated[int, loading.Checked(even), "How many eat."] = 2
+    bread: Annotated[loading.Text | None, "What is eaten with it; None for nothing."] = None
+    plate: Annotated[Literal["deep", "flat"], "What it is eaten from."] = "deep"
+    size: Annotated[tuple[float, float], loading.number_range(0.1, 2.0), "Of a leek."] = (0.5, 1.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -42,8 +56,8 @@ class Soup(loading.Settings):
 class FishSoup(Soup):
     """A soup with fish."""
 
-    fish: int = loading.setting(1, loading.whole(1, 3), "How many fish.")
-    cook: str = loading.setting("Ben", loading.text(), "Who makes it.")
+    fish: Annotated[int, Interval(ge=1, le=3), "How many fish."] = 1
+    cook: Annotated[loading.Text, "Who makes it."] = "Ben"
 
 
 def test_values_are_kept_in_one_form_and_are_the_documentation():
@@ -59,6 +73,10 @@ def test_values_are_kept_in_one_form_and_are_the_documentation():
     soup = Soup(salt=np.float64(0.25), bowls=np.int64(3), herbs=["mint"], spoons=[1])
     assert soup == Soup(0.25, 3, ("mint",), spoons=(1,))
     assert [type(value) for value in (soup.salt, soup.bowls, soup.herbs)] == [float, int, tuple]
+    # A whole number stays one: the hash of a manifest would change.
+    assert type(Soup(salt=1).salt) is int
+    assert (Soup(size=1).size, Soup(size=[0.5, 2]).size) == ((1.0, 1.0), (0.5, 2.0))
+    assert Soup(minutes=1.1).minutes == 1.1  # which is no multiple of 0.1 in floating point
     hash(soup)
     assert loading.plain_settings(soup)["herbs"] == ["mint"]
 
@@ -66,8 +84,8 @@ def test_values_are_kept_in_one_form_and_are_the_documentation():
 WRONG = {
     "salt": (1.01, float("nan"), True, "0.5"), "bowls": (0, 10, 2.0, True, None),
     "herbs": ("dill", (), ("dill", "dill"), ("dill", 3)), "minutes": (0.25, 0.5), "hot": (1,), "cook": ("",),
-    "kind": ("claer",), "spoons": ((0,), (1, 2, 3, 4)), "parts": ({}, {"leek": 6}, ["leek"]), "guests": (3,),
-    "bread": ("",),
+    "kind": ("claer", 3), "spoons": ((0,), (1, 2, 3, 4), (True,)), "parts": ({}, {"leek": 6}, {"": 1}, ["leek"]),
+    "guests": (3,), "bread": ("", 4), "plate": ("falt",), "size": ((2.0, 1.0), (True, 1.0)),
 }  # fmt: skip
 
 
@@ -80,6 +98,26 @@ def test_wrong_values_are_refused_and_options_come_from_the_declaration():
         loading.load_settings("soup", Soup(), "slaty", {"salty": Soup(1.0)})
     refused(r"the arguments: .*'pepper'", loading.load_settings, "soup", Soup(), pepper=1, error=ConfigError)
     refused("soup settings are 3;", loading.load_settings, "soup", Soup(), 3, error=ConfigError)
+
+
+def test_the_default_of_every_option_obeys_its_rule_and_pydantic_waits_for_a_wrong_value():
+    code = (
+        "import gymnasium as gym, pcs_racing; gym.make('pcs_racing/Drive-v1', track='Pipkin', opponent=None, beams=9)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}; import sys; assert 'pydantic' not in sys.modules"], check=False
+    )
+    assert done.returncode == 0
+    checked = 0
+    for cls in [RaceConfig, RandomCircuits, VehicleParams, Obstacles, DriveOptions, Soup]:
+        made = cls()
+        for name, option in loading.options_of(cls).items():
+            if option.default is not None:
+                assert repr(option.checked(name, option.default)) == repr(getattr(made, name))
+                checked += 1
+    assert checked > 70
+    for preset in PRESETS.values():  # made without a check
+        assert dataclasses.replace(preset) == preset
 
 
 def test_a_file_sets_some_fields_and_the_arguments_others_before_they_are_checked(tmp_path):

@@ -16,11 +16,12 @@ from typing import Annotated
 import numpy as np
 import pytest
 import yaml
+from annotated_types import Interval
 from PIL import Image
 from refusal import refused
 
 from pcs_racing import list_tracks, load_race_config, load_track, parse_policy, read_replay, record_race
-from pcs_racing.base.settings import Settings, names, setting, whole
+from pcs_racing.base.settings import Names, Settings
 from pcs_racing.planners import registry
 from pcs_racing.race.calibration import calibrate
 from pcs_racing.track.maps import find_shipped
@@ -322,8 +323,8 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
 
     @dataclass(frozen=True)
     class Tea(Settings):
-        herbs: tuple[str, ...] = setting(("mint",), names(), "What is in it.")
-        sugar: int = setting(0, whole(0, 9), "Pieces of sugar.")
+        herbs: Annotated[Names, "What is in it."] = ("mint",)
+        sugar: Annotated[int, Interval(ge=0, le=9), "Pieces of sugar."] = 0
 
     @command("wave", "pcs-racing wave Ada")
     def wave(

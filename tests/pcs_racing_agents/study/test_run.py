@@ -269,7 +269,7 @@ def test_impossible_studies_are_refused():
         ({"pairs": 1}, "3 trees"),
         ({"archive": "nowhere"}, "archive is 'nowhere'"),
         ({"targets": ("fame",)}, "fame"),
-        ({"tracks": ("Pipkin", "Pipkin")}, "name each once"),
+        ({"tracks": ("Pipkin", "Pipkin")}, "it must be a list of different names"),
         ({"ppo": "drive"}, "ppo is 'drive'"),
         ({"ppo": "nowhere"}, "ppo settings 'nowhere' are unknown"),
         ({"sampled_cfr": "cfr"}, "one source"),
