@@ -35,11 +35,11 @@ def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-def make_agent(setting, weights):
+def make_agent(spec, weights):
     """What the benchmark calls."""
     from pcs_racing_agents.agents.from_torch import TorchPolicy
 
-    actor = network(len(setting.elements), setting.offered, 0.01)
+    actor = network(len(spec.elements), spec.offered, 0.01)
     load_model(actor, weights)
     return TorchPolicy(actor, "cleanrl-self-play")
 

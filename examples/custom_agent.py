@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pcs_racing import load_track
-from pcs_racing_agents.agents import Agent, Setting, make_setting, observing, register_agent
+from pcs_racing_agents.agents import Agent, GameSpec, make_game_spec, observing, register_agent
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.tournament import game_rules, play_tournament, tournament_text
 
@@ -36,9 +36,9 @@ class CatchUp:
         return np.eye(len(self.moves))[wanted]
 
 
-def catch_up(setting: Setting, *, name: str = "catch-up", seed: int = 0) -> Agent:
+def catch_up(spec: GameSpec, *, name: str = "catch-up", seed: int = 0) -> Agent:
     """Bold behind a restrained opponent, careful in front."""
-    return Agent(name, CatchUp(setting.moves), setting, seed)
+    return Agent(name, CatchUp(spec.moves), spec, seed)
 
 
 # 2. Any object with predict, as a model of Stable-Baselines3 has it. It may remember: it is handed its own state again.
@@ -63,7 +63,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     rules = game_rules(arguments.race)
-    mine = catch_up(make_setting("default", rules))
+    mine = catch_up(make_game_spec("default", rules))
 
     # 3. Under a name it can be asked for like the others; a distribution declares it in the entry points
     #    "pcs_racing.agents" instead, and then the command line knows it, too.

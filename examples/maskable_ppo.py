@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.game.moves import duplicate_moves
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.agents.observing import own
-from pcs_racing_agents.agents.setting import Setting
 
 try:
     import torch
@@ -40,20 +40,20 @@ class MaskedAgent:
     """A model of sb3-contrib that races without its environment: it works out the mask from the observation."""
 
     policy: Any  # the model's network: its weights tell the agent from others
-    setting: Setting
+    spec: GameSpec
     name: str = "maskable-ppo"
 
     def predict(self, observation: np.ndarray, state: Any = None, episode_start: Any = None, deterministic=True):
         """The most probable move of those that are not masked."""
-        archive = self.setting.archive
+        archive = self.spec.archive
         driven = archive.nearest(own(observation, len(archive.characteristics)))  # the own policy, exactly
-        masks = ~duplicate_moves(self.setting.table[:, : self.setting.offered])[driven]
+        masks = ~duplicate_moves(self.spec.table[:, : self.spec.offered])[driven]
         return self.policy.predict(observation, deterministic=True, action_masks=masks)[0], None
 
 
-def make_agent(setting: Setting, weights: Path) -> MaskedAgent:
+def make_agent(spec: GameSpec, weights: Path) -> MaskedAgent:
     """What the benchmark calls."""
-    return MaskedAgent(MaskablePPO.load(weights, device="cpu").policy, setting)
+    return MaskedAgent(MaskablePPO.load(weights, device="cpu").policy, spec)
 
 
 def main() -> None:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.make import make_game
 from pcs_racing.track.loading import load_track
+from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.observing import earlier, lead, opponent, own
-from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.tables import aligned, with_interval, write_csv
 from pcs_racing_agents.cli.commands import Option, command
@@ -93,11 +93,11 @@ def run(
     out: Annotated[Path, Option("folder for reading.csv", "DIR")],
 ) -> None:
     """Race agents against policies that stay, and tell how well the opponent's place predicts their moves."""
-    setting = make_setting(load_archive(archive), game_rules(rules.config()))
-    egos, rival = [parse_agent(name, setting) for name in agents], parse_agent("never-switch", setting)
+    spec = make_game_spec(load_archive(archive), game_rules(rules.config()))
+    egos, rival = [parse_agent(name, spec) for name in agents], parse_agent("never-switch", spec)
     lines: list[tuple[object, ...]] = [HEAD]
     for name in track:
-        game = make_game(load_track(name), setting.archive, setting.config)
+        game = make_game(load_track(name), spec.archive, spec.config)
         pairing = cross_pairing(game, egos[0], rival, egos=12, opponents=24, lines=3, seed=rules.seed)
         variants = pairing.variants.reshape(len(np.unique(pairing.variants[:, 0])), -1, 6, 2)
         for label, agent, raced in zip(agents, egos, pairing.race(egos), strict=True):

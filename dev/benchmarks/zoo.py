@@ -23,7 +23,7 @@ import numpy as np
 from pcs_racing import load_track, make_game, run_races
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.state import take_games
-from pcs_racing_agents.agents import Agent, Driver, make_setting, names
+from pcs_racing_agents.agents import Agent, Driver, make_game_spec, names
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.describe import Measured
 from pcs_racing_agents.agents.zoo import build
@@ -45,17 +45,17 @@ SEED = 8_000_000  # other races than those of any study
 
 def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
     """Everything about the agents of one game."""
-    setting = make_setting(archive, race)
+    spec = make_game_spec(archive, race)
     agents = {}
     for name in (*names(archive, race), *TUNED):
         try:
-            agents[name] = build(name, setting)
+            agents[name] = build(name, spec)
         except UnknownNameError as error:
             print(f"not measured: {error}")
-    games = [make_game(load_track(track), setting.archive, setting.config) for track in TRACKS[race]]
+    games = [make_game(load_track(track), spec.archive, spec.config) for track in TRACKS[race]]
     # The same starts and seeds for every agent, so that differences of scores are differences of agents.
-    schedules = [draw_schedule(game.track, setting.config.race_rules, races, SEED) for game in games]
-    settings = {"archive": setting.archive.content_hash, "race": race, "races": races, "seed": SEED}
+    schedules = [draw_schedule(game.track, spec.config.race_rules, races, SEED) for game in games]
+    settings = {"archive": spec.archive.content_hash, "race": race, "races": races, "seed": SEED}
     tables = []
     with open_job(out / f"{archive}-{race}", "zoo", settings) as job:
         for name, agent in agents.items():

@@ -46,7 +46,7 @@ from pcs_racing.track.map_files import (
 )
 from pcs_racing.track.maps import find_map, find_shipped, read_map
 from pcs_racing_agents.agents.fits import load_fit, shipped_fits
-from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.chunks import chunk_file, read_chunk, write_chunk
 from pcs_racing_agents.base.configurations import shipped_configs
@@ -510,8 +510,8 @@ AGENTS = (
 
 
 @cache
-def setting() -> Any:
-    return make_setting()
+def spec() -> Any:
+    return make_game_spec()
 
 
 TARGETS: dict[str, Target] = {
@@ -536,7 +536,7 @@ TARGETS: dict[str, Target] = {
     "track name": Target(as_text(load_track), texts("Pipkin", "tarnfjord", "./x", "maps/Pipkin"), "text"),
     "archive name": Target(as_text(load_archive), texts("default", "contest", "archives/default"), "text"),
     "policy text": Target(as_text(parse_policy), texts(*POLICIES), "text"),
-    "agent text": Target(as_text(lambda text: parse_agent(text, setting())), texts(*AGENTS), "text"),
+    "agent text": Target(as_text(lambda text: parse_agent(text, spec())), texts(*AGENTS), "text"),
     "opponents": Target(opponents, values(40), "values"),
     "f110 program": Target(partial(old_program, "a"), values(120), "values"),
     "f1tenth program": Target(partial(old_program, "b"), values(120), "values"),

@@ -22,8 +22,8 @@ def ship(study: Study, checkout: Path) -> list[Path]:
 
     The first response is what the agent "adaptive" asks: its network is called ``gain`` there.
     """
-    setting = study.setting
-    stem = f"{setting.archive.name}-{setting.race}"
+    spec = study.spec
+    stem = f"{spec.archive.name}-{spec.race}"
     data = checkout / "pcs_racing_agents" / "data"
     networks, written = data / "networks", []
     targets = dict.fromkeys((*study.config.targets, "regret"))

@@ -85,8 +85,11 @@ DIFFERENT = Predicate(_different)
 Text = Annotated[str, MinLen(1)]
 """A text that is not empty, such as a name or a path."""
 
-Names = Annotated[tuple[Text, ...], DIFFERENT]
+Names = Annotated[tuple[Text, ...], MinLen(1), DIFFERENT]
 """A list of different names."""
+
+OptionalNames = Annotated[tuple[Text, ...], DIFFERENT]
+"""A list of different names, which may be empty."""
 
 Layers = Annotated[tuple[Annotated[int, Interval(ge=1, le=4096)], ...], Len(0, 8)]
 """Units of each hidden layer of a network."""
@@ -115,6 +118,11 @@ class Option:
     notes: tuple[Any, ...]  #: Notes behind the type, its meaning among them.
     default: Any  #: ``dataclasses.MISSING`` if there is none.
     type: Any  #: As it was declared.
+
+    @property
+    def meaning(self) -> str:
+        """The text among the notes."""
+        return next(note for note in self.notes if isinstance(note, str))
 
     @cached_property
     def adapter(self) -> "TypeAdapter[Any]":
@@ -342,8 +350,8 @@ def type_name(kind: Any) -> str:
 
 def option_words(option: Option, with_default: bool = True) -> str:
     """Return the meaning, the range and the default of an option as a sentence."""
-    meaning = next(note for note in option.notes if isinstance(note, str)).rstrip(".")
     noun, limits = _wanted(option.kind, option.notes, 1e9)
     words = f"{noun}{limits}" if noun == "one of" else limits.strip(" ,")
     shown = with_default and option.default is not None and option.default is not MISSING
-    return f"{meaning}{f'; {words}' if words else ''}{f' (default: {option.default!r})' if shown else ''}."
+    default = f" (default: {option.default!r})" if shown else ""
+    return f"{option.meaning.rstrip('.')}{f'; {words}' if words else ''}{default}."

@@ -5,7 +5,7 @@ from typing import Any
 
 _PLACES = {
     "agent": "Agent Competitor Decider Driver Strategy as_competitor",
-    "setting": "Setting make_setting",
+    "game_spec": "GameSpec make_game_spec",
     "zoo": "Entry make names parse_agent register_agent",
 }
 _FILES = {name: file for file, names in _PLACES.items() for name in names.split()}

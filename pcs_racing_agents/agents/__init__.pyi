@@ -4,8 +4,8 @@ from pcs_racing_agents.agents.agent import Decider as Decider
 from pcs_racing_agents.agents.agent import Driver as Driver
 from pcs_racing_agents.agents.agent import Strategy as Strategy
 from pcs_racing_agents.agents.agent import as_competitor as as_competitor
-from pcs_racing_agents.agents.setting import Setting as Setting
-from pcs_racing_agents.agents.setting import make_setting as make_setting
+from pcs_racing_agents.agents.game_spec import GameSpec as GameSpec
+from pcs_racing_agents.agents.game_spec import make_game_spec as make_game_spec
 from pcs_racing_agents.agents.zoo import Entry as Entry
 from pcs_racing_agents.agents.zoo import make as make
 from pcs_racing_agents.agents.zoo import names as names
@@ -18,11 +18,11 @@ __all__ = [
     "Decider",
     "Driver",
     "Entry",
-    "Setting",
+    "GameSpec",
     "Strategy",
     "as_competitor",
     "make",
-    "make_setting",
+    "make_game_spec",
     "names",
     "parse_agent",
     "register_agent",

@@ -23,7 +23,7 @@ from pcs_racing.base.seeds import GOLDEN, scramble_one
 from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor, is_model
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.fingerprint import fingerprint
 
 
@@ -67,7 +67,7 @@ class Agent:
     #: ``strategy(observation (B, D)) -> (B, M)``: the probabilities of the moves; a row depends on its observation
     #: alone. A dataclass with ``__call__`` can be sent to other processes; its fields identify it.
     strategy: Strategy
-    setting: Setting  #: Archive and rules that it is made for.
+    spec: GameSpec  #: Archive and rules that it is made for.
     seed: int = 0  #: Seed of the random draws of a mixed strategy, from 0 to 2**63 - 1.
     #: For documentation and reports: what it does, its source, what it was trained on, a digest of its weights.
     facts: Mapping[str, str] = field(default_factory=dict)
@@ -78,22 +78,22 @@ class Agent:
         object.__setattr__(self, "facts", dict(self.facts))
 
     def __repr__(self) -> str:
-        return f"<Agent {self.name!r}: archive {self.setting.archive.name!r}, {self.setting.race} rules>"
+        return f"<Agent {self.name!r}: archive {self.spec.archive.name!r}, {self.spec.race} rules>"
 
     @property
     def content_hash(self) -> str:
         """SHA-256 of all that its moves depend on, without its name; for a strategy that is a dataclass."""
-        setting = self.setting
-        return fingerprint(self.strategy, int(self.seed), setting.archive.content_hash, setting.config)
+        spec = self.spec
+        return fingerprint(self.strategy, int(self.seed), spec.archive.content_hash, spec.config)
 
     def check_fits(self, game: RaceGame) -> None:
         """Check that a game is played with the archive, moves and observations that this agent is made for."""
-        self.setting.check_fits(game, self.name)
+        self.spec.check_fits(game, self.name)
 
     def probabilities(self, observation: ArrayLike) -> NDArray[np.float64]:
         """Return the probabilities of the moves, shape (B, M), for observations of shape (B, D)."""
         rows = np.asarray(observation, np.float32)
-        size = len(self.setting.elements)
+        size = len(self.spec.elements)
         if rows.ndim != 2 or rows.shape[1] != size:
             raise InputError(
                 f"agent {self.name!r} got an observation of shape {np.shape(observation)}; it takes ({size},) or "
@@ -102,7 +102,7 @@ class Agent:
         if not np.isfinite(rows).all():
             raise InputError(f"agent {self.name!r} got an observation that holds NaN or infinity")
         if len(rows) == 0:
-            return np.zeros((0, len(self.setting.moves)))
+            return np.zeros((0, len(self.spec.moves)))
         return self.strategy(rows)
 
     def predict(
@@ -112,7 +112,7 @@ class Agent:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Any, None]:
-        """Return moves, indices in :attr:`Setting.moves`, as a model of Stable-Baselines3 would.
+        """Return moves, indices in :attr:`GameSpec.moves`, as a model of Stable-Baselines3 would.
 
         Parameters
         ----------
@@ -218,7 +218,7 @@ def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
     if name is None or name == getattr(candidate, "name", None):
         return candidate
     if isinstance(candidate, Agent):
-        return Agent(name, candidate.strategy, candidate.setting, candidate.seed, candidate.facts)
+        return Agent(name, candidate.strategy, candidate.spec, candidate.seed, candidate.facts)
     if isinstance(candidate, Driver):
         return Driver(name, candidate.policies, candidate.facts)
     if isinstance(candidate, Predictor) and not isinstance(candidate, Decider):

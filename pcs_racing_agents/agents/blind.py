@@ -19,8 +19,8 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.moves import STAY
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import FitSource, find_fit
+from pcs_racing_agents.agents.game_spec import GameSpec, training_text
 from pcs_racing_agents.agents.observing import ObservationBatch, lead, moves_made, own
-from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry
 
 Floats = NDArray[np.float64]
@@ -81,20 +81,20 @@ class LeadPlanStrategy:
         return np.where(leads[:, None], self.ahead(observation), self.behind(observation))
 
 
-def walk_to(setting: Setting, target: int) -> WalkStrategy:
+def walk_to(spec: GameSpec, target: int) -> WalkStrategy:
     """Return the strategy that follows a shortest path of moves to a policy, and then keeps it.
 
     If no path leads to the target, the path ends at the nearest policy that can be reached. Of several shortest paths
     it takes the one whose moves come first in the list.
     """
-    policies = len(setting.archive)
+    policies = len(spec.archive)
     if not is_whole(target) or not 0 <= target < policies:
         raise InputError(
-            f"target is {target!r}; it must be the index of a policy in archive {setting.archive.name!r}, 0 to "
+            f"target is {target!r}; it must be the index of a policy in archive {spec.archive.name!r}, 0 to "
             f"{policies - 1}"
         )
-    moves = path_moves(setting.table, setting.archive.normalised, int(target))
-    return WalkStrategy(moves, setting.archive, len(setting.moves))
+    moves = path_moves(spec.table, spec.archive.normalised, int(target))
+    return WalkStrategy(moves, spec.archive, len(spec.moves))
 
 
 def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.int64]:
@@ -146,28 +146,28 @@ def _distances(leads_to: NDArray[np.int64]) -> NDArray[np.int64]:
 # Agents
 
 
-def always(setting: Setting, move: str, *, name: str | None = None, seed: int = 0) -> Agent:
+def always(spec: GameSpec, move: str, *, name: str | None = None, seed: int = 0) -> Agent:
     """Make the same move again and again."""
-    probabilities = np.eye(len(setting.moves))[setting.move(move)]
-    return Agent(name or f"always-{''.join(move.split())}", ConstantStrategy(probabilities), setting, seed)
+    probabilities = np.eye(len(spec.moves))[spec.move(move)]
+    return Agent(name or f"always-{''.join(move.split())}", ConstantStrategy(probabilities), spec, seed)
 
 
-def never_switch(setting: Setting, *, name: str = "never-switch", seed: int = 0) -> Agent:
+def never_switch(spec: GameSpec, *, name: str = "never-switch", seed: int = 0) -> Agent:
     """Keep the policy of the start: the paper's non-GT agent."""
-    return always(setting, STAY, name=name, seed=seed)
+    return always(spec, STAY, name=name, seed=seed)
 
 
-def random_moves(setting: Setting, *, name: str = "random-moves", seed: int = 0) -> Agent:
+def random_moves(spec: GameSpec, *, name: str = "random-moves", seed: int = 0) -> Agent:
     """Draw each move uniformly among those that the rules offer."""
-    probabilities = np.zeros(len(setting.moves))
-    probabilities[: setting.offered] = 1.0 / setting.offered
-    return Agent(name, ConstantStrategy(probabilities), setting, seed)
+    probabilities = np.zeros(len(spec.moves))
+    probabilities[: spec.offered] = 1.0 / spec.offered
+    return Agent(name, ConstantStrategy(probabilities), spec, seed)
 
 
-def _choice(kind: str, setting: Setting, agent: str, given: Any, fit: FitSource) -> tuple[Any, dict[str, str]]:
+def _choice(kind: str, spec: GameSpec, agent: str, given: Any, fit: FitSource) -> tuple[Any, dict[str, str]]:
     """Return what an agent does that was chosen on training races, and facts about it: what is given, or a fit's."""
     if given is None:
-        loaded = find_fit(kind, setting, fit)
+        loaded = find_fit(kind, spec, fit)
         return loaded.choice, {"trained on": training_text(loaded.training)}
     if fit is not None:
         raise InputError(f"agent {agent!r} got {given!r} and a fit; give one of the two")
@@ -175,7 +175,7 @@ def _choice(kind: str, setting: Setting, agent: str, given: Any, fit: FitSource)
 
 
 def best_schedule(
-    setting: Setting,
+    spec: GameSpec,
     *,
     name: str = "best-schedule",
     seed: int = 0,
@@ -192,16 +192,16 @@ def best_schedule(
         A sequence selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_schedule`;
         the shipped one by default.
     """
-    moves, facts = _choice("best-schedule", setting, name, moves, fit)
-    if isinstance(moves, str) or len(moves) != setting.config.moves:
-        raise InputError(f"agent {name!r} got the plan {moves!r}; a game has {setting.config.moves} moves")
-    sequence = np.array([setting.move(move) for move in moves], np.int64)
-    strategy = OpenLoopStrategy(sequence, len(setting.moves), len(setting.archive.characteristics))
-    return Agent(name, strategy, setting, seed, {**facts, "plan": ", ".join(setting.moves[i] for i in sequence)})
+    moves, facts = _choice("best-schedule", spec, name, moves, fit)
+    if isinstance(moves, str) or len(moves) != spec.config.moves:
+        raise InputError(f"agent {name!r} got the plan {moves!r}; a game has {spec.config.moves} moves")
+    sequence = np.array([spec.move(move) for move in moves], np.int64)
+    strategy = OpenLoopStrategy(sequence, len(spec.moves), len(spec.archive.characteristics))
+    return Agent(name, strategy, spec, seed, {**facts, "plan": ", ".join(spec.moves[i] for i in sequence)})
 
 
 def best_fixed(
-    setting: Setting,
+    spec: GameSpec,
     *,
     name: str = "best-fixed",
     seed: int = 0,
@@ -217,13 +217,13 @@ def best_fixed(
     fit : Fit or path, optional
         A target selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_fixed`; the shipped one by default.
     """
-    target, facts = _choice("best-fixed", setting, name, target, fit)
-    strategy = walk_to(setting, target)
-    return Agent(name, strategy, setting, seed, {**facts, "target": _policy_text(setting, target)})
+    target, facts = _choice("best-fixed", spec, name, target, fit)
+    strategy = walk_to(spec, target)
+    return Agent(name, strategy, spec, seed, {**facts, "target": _policy_text(spec, target)})
 
 
 def best_lead_plan(
-    setting: Setting,
+    spec: GameSpec,
     *,
     name: str = "best-lead-plan",
     seed: int = 0,
@@ -242,17 +242,17 @@ def best_lead_plan(
         Targets selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_lead_plan`; the shipped ones by
         default.
     """
-    targets, facts = _choice("best-lead-plan", setting, name, targets, fit)
+    targets, facts = _choice("best-lead-plan", spec, name, targets, fit)
     if not isinstance(targets, Mapping) or set(targets) != set(LEAD_PLAN):
         raise InputError(f"agent {name!r} got targets {targets!r}; give a policy for each of {', '.join(LEAD_PLAN)}")
-    strategy = LeadPlanStrategy(*(walk_to(setting, targets[place]) for place in LEAD_PLAN))
-    plan = {place: _policy_text(setting, targets[place]) for place in LEAD_PLAN}
-    return Agent(name, strategy, setting, seed, {**facts, **plan})
+    strategy = LeadPlanStrategy(*(walk_to(spec, targets[place]) for place in LEAD_PLAN))
+    plan = {place: _policy_text(spec, targets[place]) for place in LEAD_PLAN}
+    return Agent(name, strategy, spec, seed, {**facts, **plan})
 
 
-def _policy_text(setting: Setting, index: int) -> str:
+def _policy_text(spec: GameSpec, index: int) -> str:
     """A policy with its coordinates: ``policy 3 (speed 0.20, restraint 0.91)``."""
-    point = zip(setting.archive.characteristics, setting.archive.normalised[index], strict=True)
+    point = zip(spec.archive.characteristics, spec.archive.normalised[index], strict=True)
     return f"policy {index} ({', '.join(f'{axis} {value:.2f}' for axis, value in point)})"
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.agents.zoo import Entry, build, entries, options
 from pcs_racing_agents.base.tables import read_csv
 
@@ -124,10 +124,10 @@ def describe(name: str, entry: Entry) -> str:
     return "\n".join(lines)
 
 
-def facts_of(name: str, setting: Setting) -> list[str]:
+def facts_of(name: str, spec: GameSpec) -> list[str]:
     """Return lines about an agent in one game: its training, strength, cost and hash."""
     try:
-        agent = build(name, setting)
+        agent = build(name, spec)
     except UnknownNameError:
         return NOT_SHIPPED
     facts = dict(getattr(agent, "facts", {}))
@@ -135,7 +135,7 @@ def facts_of(name: str, setting: Setting) -> list[str]:
         facts.pop(key, None)
     lines = [f"{key[0].upper()}{key[1:]}: {value}." for key, value in facts.items()]
     digest = competitor_hash(agent)
-    measurement = measured(setting.archive.name, setting.race, name, digest)
+    measurement = measured(spec.archive.name, spec.race, name, digest)
     if measurement is None:
         lines.append("Strength and cost: not measured as it is.")
     else:

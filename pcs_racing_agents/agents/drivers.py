@@ -7,11 +7,11 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.trained import NAME, load_driver, read_driver
 from pcs_racing_agents.agents.agent import Driver
-from pcs_racing_agents.agents.setting import Setting, training_text
+from pcs_racing_agents.agents.game_spec import GameSpec, training_text
 from pcs_racing_agents.agents.zoo import Entry
 
 
-def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 0, first: int | None = None) -> Driver:
+def random_policy(spec: GameSpec, *, name: str = "random-policy", seed: int = 0, first: int | None = None) -> Driver:
     """Drive every policy that the archive's synthesis evaluated: the paper's random agent.
 
     Parameters
@@ -19,7 +19,7 @@ def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 
     first : int, optional
         Only so many of them, the first ones: those of its initial sample were drawn and not searched.
     """
-    archive = setting.archive
+    archive = spec.archive
     explored = len(archive.explored_parameters)
     if explored == 0:
         raise InputError(f"archive {archive.name!r} holds no explored policies, so there is no {name!r} to race")
@@ -27,7 +27,7 @@ def random_policy(setting: Setting, *, name: str = "random-policy", seed: int = 
     return Driver(name, tuple(archive.explored_policy(i) for i in range(count)))
 
 
-def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str | None = None) -> Driver:
+def planner_driver(spec: GameSpec, *, name: str, seed: int = 0, planner: str | None = None) -> Driver:
     """Drive all variants of a planner, or its default policy if it has none; it needs no archive.
 
     Parameters
@@ -42,7 +42,7 @@ def planner_driver(setting: Setting, *, name: str, seed: int = 0, planner: str |
 
 
 def trained_driver(
-    setting: Setting, *, name: str = "ppo-drive", seed: int = 0, network: str | Path | None = None
+    spec: GameSpec, *, name: str = "ppo-drive", seed: int = 0, network: str | Path | None = None
 ) -> Driver:
     """Drive with a network that steers, trained by ``pcs-racing ppo`` at the control level; it needs no archive.
 

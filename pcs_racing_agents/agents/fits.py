@@ -13,7 +13,7 @@ from pcs_racing.base.artifacts import ManifestFormat
 from pcs_racing.base.checks import check_text, check_whole, is_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, check_same_game
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 
 FIT_FORMAT = ManifestFormat(
     "fit", ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"), "save_fit"
@@ -48,14 +48,14 @@ class Fit:
         if not isinstance(self.training, Mapping):
             raise InputError(f"training is {self.training!r}; it must be a mapping")
 
-    def check_fits(self, setting: Setting) -> None:
+    def check_fits(self, spec: GameSpec) -> None:
         """Check that a choice is valid for a game."""
-        check_same_game(self.game, setting.identity, f"the fit of {self.kind}")
+        check_same_game(self.game, spec.identity, f"the fit of {self.kind}")
 
 
-def make_fit(kind: str, choice: Any, setting: Setting, training: Mapping[str, Any]) -> Fit:
-    """Return a choice for a setting."""
-    return Fit(kind, choice, setting.identity._replace(elements=(), moves=()), dict(training))
+def make_fit(kind: str, choice: Any, spec: GameSpec, training: Mapping[str, Any]) -> Fit:
+    """Return a choice for a game spec."""
+    return Fit(kind, choice, spec.identity._replace(elements=(), moves=()), dict(training))
 
 
 def save_fit(fit: Fit, path: str | Path) -> Path:
@@ -85,21 +85,21 @@ FitSource = str | Path | Fit | None
 """A fit, its file, or None for the shipped one."""
 
 
-def find_fit(kind: str, setting: Setting, source: FitSource = None) -> Fit:
-    """Return a fit for a setting: a given one, one from a file, or the one that is shipped."""
+def find_fit(kind: str, spec: GameSpec, source: FitSource = None) -> Fit:
+    """Return a fit for a game spec: a given one, one from a file, or the one that is shipped."""
     if source is None:
-        source = shipped_fits() / f"{setting.archive.name}-{setting.race}-{kind}.yaml"
+        source = shipped_fits() / f"{spec.archive.name}-{spec.race}-{kind}.yaml"
         if not source.is_file():
             known = ", ".join(sorted(path.stem for path in shipped_fits().glob("*.yaml"))) or "none"
             raise UnknownNameError(
                 f"agent {kind!r} is chosen on training races, and none is shipped for archive "
-                f"{setting.archive.name!r} and rules {setting.race!r} (there are: {known}); choose one with "
+                f"{spec.archive.name!r} and rules {spec.race!r} (there are: {known}); choose one with "
                 "pcs_racing_agents.tournament.fitting and give it as fit=FILE"
             )
     fit = source if isinstance(source, Fit) else load_fit(source)
     if fit.kind != kind:
         raise InputError(f"the fit is one of {fit.kind!r}; agent {kind!r} needs its own")
-    fit.check_fits(setting)
+    fit.check_fits(spec)
     return fit
 
 

@@ -14,8 +14,8 @@ from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
+from pcs_racing_agents.agents.game_spec import GameSpec, training_text
 from pcs_racing_agents.agents.observing import ObservationBatch
-from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry, build_member
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
@@ -93,9 +93,9 @@ class NetworkStrategy:
         return probabilities
 
 
-def network_agent(network: RegretNetwork, setting: Setting, seed: int = 0, decision: str = "argmax") -> Agent:
+def network_agent(network: RegretNetwork, spec: GameSpec, seed: int = 0, decision: str = "argmax") -> Agent:
     """Return the agent of a network, with the network's name."""
-    return Agent(network.name, NetworkStrategy(network, decision, len(setting.moves)), setting, seed)
+    return Agent(network.name, NetworkStrategy(network, decision, len(spec.moves)), spec, seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +121,8 @@ class AdaptiveStrategy:
         return np.where((gain > self.margin)[:, None], np.eye(default.shape[1])[best], default)
 
 
-def fitting_network(source: NetworkSource, setting: Setting, kind: str, agent: str) -> RegretNetwork:
-    """Return a network for a setting, after a check that it belongs to it.
+def fitting_network(source: NetworkSource, spec: GameSpec, kind: str, agent: str) -> RegretNetwork:
+    """Return a network for a game spec, after a check that it belongs to it.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def fitting_network(source: NetworkSource, setting: Setting, kind: str, agent: s
         Name of the agent, for error messages.
     """
     if source is None:
-        source = f"{setting.archive.name}-{setting.race}-{kind}"
+        source = f"{spec.archive.name}-{spec.race}-{kind}"
         if source not in list_networks():
             shipped = ", ".join(list_networks()) or "none"
             raise UnknownNameError(
@@ -143,7 +143,7 @@ def fitting_network(source: NetworkSource, setting: Setting, kind: str, agent: s
                 "one with 'pcs-racing train' and give it as network=FOLDER"
             )
     network = load_network(source)
-    check_same_game(network.identity, setting.identity, f"agent {agent!r}: network {network.name!r}")
+    check_same_game(network.identity, spec.identity, f"agent {agent!r}: network {network.name!r}")
     return network
 
 
@@ -162,7 +162,7 @@ def network_facts(network: RegretNetwork) -> dict[str, str]:
 
 
 def from_network(
-    setting: Setting,
+    spec: GameSpec,
     *,
     name: str,
     seed: int = 0,
@@ -181,13 +181,13 @@ def from_network(
     network : RegretNetwork, str or path, optional
         Another network: the name of a shipped one or its folder.
     """
-    loaded = fitting_network(network, setting, kind, name)
-    strategy = NetworkStrategy(loaded, decision, len(setting.moves))
-    return Agent(name, strategy, setting, seed, {**network_facts(loaded), "decision": decision})
+    loaded = fitting_network(network, spec, kind, name)
+    strategy = NetworkStrategy(loaded, decision, len(spec.moves))
+    return Agent(name, strategy, spec, seed, {**network_facts(loaded), "decision": decision})
 
 
 def adaptive(
-    setting: Setting,
+    spec: GameSpec,
     *,
     name: str = "adaptive",
     seed: int = 0,
@@ -210,13 +210,13 @@ def adaptive(
         Least predicted gain of a move, in units of the network's target; by default the ``margin`` in the facts of the
         network's training, else 0.
     """
-    loaded = fitting_network(network, setting, kind, name)
-    open_loop_agent = build_member(open_loop, setting, seed)
+    loaded = fitting_network(network, spec, kind, name)
+    open_loop_agent = build_member(open_loop, spec, seed)
     if margin is None:
         margin = loaded.training.get("margin", 0.0)  # type: ignore[assignment]
     margin = check_number(f"the margin of agent {name!r}", margin, 0.0)
     facts = {**network_facts(loaded), "keeps to": open_loop_agent.name, "margin": f"{margin:g}"}
-    return Agent(name, AdaptiveStrategy(loaded, open_loop_agent, float(margin)), setting, seed, facts)
+    return Agent(name, AdaptiveStrategy(loaded, open_loop_agent, float(margin)), spec, seed, facts)
 
 
 def _entry(kind: str, decision: str, summary: str, source: str) -> Entry:

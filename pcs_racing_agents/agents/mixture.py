@@ -15,8 +15,8 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import network_agent
+from pcs_racing_agents.agents.game_spec import GameSpec, training_text
 from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_made, own
-from pcs_racing_agents.agents.setting import Setting, training_text
 from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network_files import NetworkSet, check_weights, list_network_sets, load_network_set
@@ -32,12 +32,12 @@ class Mixture:
 
     members: tuple[Agent, ...]
     weights: Floats  #: shape (C,): Probabilities of the members; they sum to 1.
-    setting: Setting  #: Common to all members.
+    spec: GameSpec  #: Common to all members.
 
     def __call__(self, observation: ObservationBatch) -> Floats:
         """Probabilities of the moves, shape (B, M)."""
         steps = moves_made(observation, self._axes)
-        probabilities = np.zeros((len(observation), len(self.setting.moves)))
+        probabilities = np.zeros((len(observation), len(self.spec.moves)))
         for step in np.unique(steps):
             rows = np.flatnonzero(steps == step)
             probabilities[rows] = self._at(observation[rows], int(step))
@@ -45,17 +45,17 @@ class Mixture:
 
     @property
     def _axes(self) -> int:
-        return len(self.setting.archive.characteristics)
+        return len(self.spec.archive.characteristics)
 
     def _at(self, observation: ObservationBatch, step: int) -> Floats:
         """Probabilities of the moves for observations at one step."""
-        archive, axes = self.setting.archive, self._axes
+        archive, axes = self.spec.archive, self._axes
         posterior = np.tile(self.weights, (len(observation), 1))
         for k in range(step):
             past = earlier(observation, axes, k)
             policy, next_policy = (archive.nearest(own(observation, axes, at)) for at in (k, k + 1))
             # A move is not observed, only the policy that it leads to: all moves with the same result count, (B, M).
-            possible = self.setting.table[policy] == next_policy[:, None]
+            possible = self.spec.table[policy] == next_policy[:, None]
             for c, member in enumerate(self.members):
                 posterior[:, c] *= (member.probabilities(past) * possible).sum(axis=1)
         total = posterior.sum(axis=1, keepdims=True)
@@ -66,26 +66,26 @@ class Mixture:
 
 
 def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
-    """Return a mixture of agents of one setting; members of weight 0 are left out."""
+    """Return a mixture of agents of one game spec; members of weight 0 are left out."""
     shares = check_weights("weights", weights, len(members))
     for member in members:
         if not isinstance(member, Agent):
             raise InputError(f"{member!r} can't be a member of a mixture; only agents can")
-        first = members[0].setting
-        if (member.setting.archive.content_hash, member.setting.config) != (first.archive.content_hash, first.config):
+        first = members[0].spec
+        if (member.spec.archive.content_hash, member.spec.config) != (first.archive.content_hash, first.config):
             raise InputError(
                 f"members {members[0].name!r} and {member.name!r} are made for different archives or rules; a mixture "
                 "needs one"
             )
     positive = np.flatnonzero(shares > 0.0)
-    return Mixture(tuple(members[int(i)] for i in positive), shares[positive] / shares.sum(), members[0].setting)
+    return Mixture(tuple(members[int(i)] for i in positive), shares[positive] / shares.sum(), members[0].spec)
 
 
 # Agents
 
 
 def from_network_set(
-    setting: Setting, *, name: str, seed: int = 0, kind: str, networks: NetworkSetSource = None
+    spec: GameSpec, *, name: str, seed: int = 0, kind: str, networks: NetworkSetSource = None
 ) -> Agent:
     """Draw one of several networks for each game, and decide by its values of the moves.
 
@@ -96,7 +96,7 @@ def from_network_set(
     networks : NetworkSet, str or path, optional
         Another set: the name of a shipped one or its folder.
     """
-    source: str | NetworkSet = f"{setting.archive.name}-{setting.race}-{kind}" if networks is None else networks
+    source: str | NetworkSet = f"{spec.archive.name}-{spec.race}-{kind}" if networks is None else networks
     if networks is None and source not in list_network_sets():
         shipped = ", ".join(list_network_sets()) or "none"
         raise UnknownNameError(
@@ -104,8 +104,8 @@ def from_network_set(
             f"make one with 'pcs-racing learn {kind}' and give it as networks=FOLDER"
         )
     loaded = load_network_set(source)
-    check_same_game(loaded.identity, setting.identity, f"agent {name!r}: network set {loaded.name!r}")
-    members = [network_agent(network, setting, seed, loaded.decision) for network in loaded.networks]
+    check_same_game(loaded.identity, spec.identity, f"agent {name!r}: network set {loaded.name!r}")
+    members = [network_agent(network, spec, seed, loaded.decision) for network in loaded.networks]
     facts = {
         "networks": f"{loaded.name}: {len(loaded.networks)}, preset {loaded.identity.preset}",
         "weights": ", ".join(f"{weight:.3g}" for weight in loaded.weights),
@@ -113,7 +113,7 @@ def from_network_set(
         "trained on": training_text(loaded.training),
         "weights sha256": fingerprint([network.layers for network in loaded.networks], loaded.weights),
     }
-    return Agent(name, make_mixture(members, loaded.weights), setting, seed, facts)
+    return Agent(name, make_mixture(members, loaded.weights), spec, seed, facts)
 
 
 def _entry(kind: str, summary: str, source: str) -> Entry:

@@ -3,11 +3,11 @@
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing_agents.agents.agent import Competitor
-from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.zoo import names as names
 from pcs_racing_agents.agents.zoo import parse_agent
 
 
 def make(text: str, archive: PolicyArchive, config: GameConfig) -> Competitor:
     """Make an agent or a driver from its name, which may be followed by options as in ``"cfr-argmax:network=NAME"``."""
-    return parse_agent(text, make_setting(archive, config))
+    return parse_agent(text, make_game_spec(archive, config))

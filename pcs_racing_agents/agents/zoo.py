@@ -2,7 +2,7 @@
 
 Those of this package are listed in :data:`SHIPPED`. A distribution adds its own in the entry point group
 ``pcs_racing.agents``: ``name = "package.module:function"``. The function takes a
-:class:`pcs_racing_agents.agents.Setting`, the keywords ``name`` and ``seed``, and options of its own; it returns an
+:class:`pcs_racing_agents.agents.GameSpec`, the keywords ``name`` and ``seed``, and options of its own; it returns an
 agent, a driver, or any object with ``predict``. A program calls :func:`register_agent`. A module is imported when its
 agent is built.
 """
@@ -28,8 +28,8 @@ from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import RaceConfig
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor, driver_of_model
+from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.own_code import is_code, own_code
-from pcs_racing_agents.agents.setting import Setting, make_setting
 from pcs_racing_agents.agents.shipped import SHIPPED
 
 ENTRY_POINTS = "pcs_racing.agents"
@@ -43,7 +43,7 @@ _ALWAYS = "pcs_racing_agents.agents.blind:always"
 class Entry:
     """An agent or a driver of the zoo."""
 
-    build: Callable[..., Any]  #: ``build(setting, name=..., seed=..., **options)`` makes it.
+    build: Callable[..., Any]  #: ``build(spec, name=..., seed=..., **options)`` makes it.
     summary: str  #: What it does, in a sentence.
     source: str = ""  #: Where the idea comes from.
     needs: str = ""  #: What must be trained before it can race: "", "fit", "network" or "networks".
@@ -61,7 +61,7 @@ def register_agent(name: str, build: Callable[..., Any], summary: str = "", sour
     Parameters
     ----------
     build : callable
-        ``build(setting, name=..., seed=..., **options)`` returns an agent, a driver, or any object with ``predict``.
+        ``build(spec, name=..., seed=..., **options)`` returns an agent, a driver, or any object with ``predict``.
     summary, source : str
         For reports; by default the first line of the function's docstring.
     """
@@ -88,7 +88,7 @@ def names(
 
     Trained agents also need a network or a fit (:class:`Entry`).
     """
-    constant = [f"{ALWAYS}{''.join(move.split())}" for move in make_setting(archive, race).moves[:-1]]
+    constant = [f"{ALWAYS}{''.join(move.split())}" for move in make_game_spec(archive, race).moves[:-1]]
     return sorted({*_declared(), *_registered, *SHIPPED, *constant})
 
 
@@ -119,18 +119,18 @@ def make(
     >>> make("always-aggressiveness+").name
     'always-aggressiveness+'
     """
-    return build(name, make_setting(archive, race), seed=seed, **options)
+    return build(name, make_game_spec(archive, race), seed=seed, **options)
 
 
-def build(name: str, setting: Setting, *, seed: int = 0, **options: Any) -> Any:
-    """Make an agent or a driver for a setting; see :func:`make`."""
+def build(name: str, spec: GameSpec, *, seed: int = 0, **options: Any) -> Any:
+    """Make an agent or a driver for a game spec; see :func:`make`."""
     if not isinstance(name, str):
         raise InputError(f"agent {name!r} must be a name")
     available = entries()
     if name.startswith(ALWAYS):
         for key in options:
             raise InputError(f"agent {name!r} has no option {key!r}; it has none")
-        return resolve_name(_ALWAYS)(setting, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed)
+        return resolve_name(_ALWAYS)(spec, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed)
     if is_model(name):
         return driver_of_model(name)
     # An agent may have the name of a planner; anything else that begins with one is a policy.
@@ -144,22 +144,22 @@ def build(name: str, setting: Setting, *, seed: int = 0, **options: Any) -> Any:
     entry = available[name]
     if not isinstance(entry.build, _LateFunction):
         _check_options(name, entry.build, options)
-    agent = entry.build(setting, name=name, seed=seed, **{**entry.defaults, **options})
+    agent = entry.build(spec, name=name, seed=seed, **{**entry.defaults, **options})
     if not isinstance(agent, Agent | Driver):
         return as_competitor(agent, name)
     facts = {"does": entry.summary, "source": entry.source, **agent.facts}
     return replace(agent, facts={key: value for key, value in facts.items() if value})
 
 
-def build_member(member: str | Agent, setting: Setting, seed: int) -> Agent:
+def build_member(member: str | Agent, spec: GameSpec, seed: int) -> Agent:
     """Return an agent that is a member of another one; it is given as an agent or by name."""
-    agent = member if isinstance(member, Agent) else build(member, setting, seed=seed)
+    agent = member if isinstance(member, Agent) else build(member, spec, seed=seed)
     if not isinstance(agent, Agent):
         raise InputError(f"{member!r} makes no moves; only agents can be part of another one")
     return agent
 
 
-def parse_agent(text: str, setting: Setting, *, seed: int = 0, code: bool = False) -> Competitor:
+def parse_agent(text: str, spec: GameSpec, *, seed: int = 0, code: bool = False) -> Competitor:
     """Make an agent from text: a name, or a name with options as in ``"cfr-argmax:network=out/net"``.
 
     A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``. With ``code`` the text may
@@ -169,7 +169,7 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0, code: bool = Fals
     name, separator, rest = split_name(text)
     # "lane-switcher:3" is a variant of the planner, not an option of the agent of that name.
     if not separator or name not in entries() or name in planner_names():
-        own = own_code(text, setting) if code else None
+        own = own_code(text, spec) if code else None
         if own is not None:
             with one_line(text):
                 return as_competitor(own, text)
@@ -178,17 +178,17 @@ def parse_agent(text: str, setting: Setting, *, seed: int = 0, code: bool = Fals
                 f"agent {text!r} is unknown: no file may name code. If it is yours, register it, or name it on the "
                 f"command line (view and explain: --agents {shlex.quote(text)})"
             )
-        return build(text, setting, seed=seed)
+        return build(text, spec, seed=seed)
     options: dict[str, Any] = {}
     for option in rest.split(","):
         key, equals, value = option.partition("=")
-        if not equals or key.strip() in options or key.strip() in ("name", "seed", "setting"):
+        if not equals or key.strip() in options or key.strip() in ("name", "seed", "spec"):
             raise InputError(f"agent {text!r}: {option!r} is not of the form option=value, each option once")
         try:
             options[key.strip()] = plain_yaml(value)
         except InputError:
             raise InputError(f"agent {text!r}: {value!r} is no value; it must be a number or plain text") from None
-    agent = build(name, setting, seed=seed, **options)
+    agent = build(name, spec, seed=seed, **options)
     return as_competitor(agent, text)
 
 
@@ -199,12 +199,12 @@ class _LateFunction:
     name: str
     reference: str
 
-    def __call__(self, setting: Setting, **options: Any) -> Any:
+    def __call__(self, spec: GameSpec, **options: Any) -> Any:
         try:
             function = resolve_name(self.reference)
         except Exception as error:  # whatever a third party's module raises when it is imported
             raise InputError(f"agent {self.name!r} can't be loaded from {self.reference}: {error}") from error
-        return function(setting, **options)
+        return function(spec, **options)
 
 
 @lru_cache(maxsize=1)
@@ -226,7 +226,7 @@ def _free_options(function: Callable[..., Any]) -> dict[str, Any]:
     return {
         key: None if parameter.default is parameter.empty else parameter.default
         for key, parameter in parameters.items()
-        if key not in ("setting", "name", "seed") and parameter.kind is not parameter.VAR_KEYWORD
+        if key not in ("spec", "name", "seed") and parameter.kind is not parameter.VAR_KEYWORD
     }
 
 
@@ -245,7 +245,7 @@ def _first_line(function: Callable[..., Any]) -> str:
 
 
 def load_entrant(
-    text: str, setting: Setting, *, drive: bool = False, weights: Path | None = None, name: str | None = None
+    text: str, spec: GameSpec, *, drive: bool = False, weights: Path | None = None, name: str | None = None
 ) -> Competitor:
     """Return the competitor that a word of the command line names, by code of your own as well.
 
@@ -254,7 +254,7 @@ def load_entrant(
     text : str
         One of these: what :func:`pcs_racing_agents.agents.parse_agent` takes; the path of a ``.zip`` file of
         Stable-Baselines3, of which only numbers are read; with ``weights``, ``module:function``, a function of the
-        setting and of their path that returns a competitor; with ``drive``, the folder of a driver at control level.
+        game spec and of their path that returns a competitor; with ``drive``, the folder of a driver at control level.
     drive : bool
         Whether the text is the name or the folder of a driver (:func:`pcs_racing.planners.trained.load_driver`).
     weights : path, optional
@@ -272,10 +272,10 @@ def load_entrant(
     if is_model(text) and not Path(text).with_suffix(".yaml").is_file():
         return as_competitor(load_sb3_policy(Path(text)), name or Path(text).stem)
     if weights is None:
-        return as_competitor(parse_agent(text, setting, code=True), name)
+        return as_competitor(parse_agent(text, spec, code=True), name)
     if not weights.is_file():
         raise InputError(f"there is no file of weights {weights}")
-    made = own_code(text, setting, weights)
+    made = own_code(text, spec, weights)
     if made is None:
         raise InputError(f"can't find {text}; give module:function, where the module can be imported")
     return as_competitor(made, name or text.partition(":")[2])

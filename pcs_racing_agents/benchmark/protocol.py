@@ -10,17 +10,17 @@ from functools import cached_property
 from itertools import zip_longest
 from typing import Annotated, Any, NamedTuple
 
-from annotated_types import Interval, MinLen
+from annotated_types import Interval
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.settings import Names, Settings, Text
+from pcs_racing.base.settings import Names, OptionalNames, Settings, Text
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import load_race_config
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
-from pcs_racing_agents.agents.setting import Setting, make_setting
+from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.fingerprint import fingerprint
@@ -42,23 +42,21 @@ class ProtocolConfig(Settings):
     name: Annotated[Text, "Name, with the version."] = "bench-v2"
     archive: Annotated[Text, "Archive of the agents."] = "contest"
     race: Annotated[Text, "Rules of the race."] = "contest"
-    seen: Annotated[Names, MinLen(1), "Circuits that may be trained on."] = ("Pipkin", "Quillburg")
-    unseen: Annotated[Names, MinLen(1), "Circuits that may not be trained on."] = ("Larkmoor", "Saltmere")
-    keeps: Annotated[Names, MinLen(1), "Opponents that keep one policy."] = ("never-switch",)
-    switches: Annotated[Names, MinLen(1), "Opponents that change it at random."] = ("random-moves",)
+    seen: Annotated[Names, "Circuits that may be trained on."] = ("Pipkin", "Quillburg")
+    unseen: Annotated[Names, "Circuits that may not be trained on."] = ("Larkmoor", "Saltmere")
+    keeps: Annotated[Names, "Opponents that keep one policy."] = ("never-switch",)
+    switches: Annotated[Names, "Opponents that change it at random."] = ("random-moves",)
     planners: Annotated[
         Names,
-        MinLen(1),
         "Drivers of other families; not to be trained on.",
     ] = (
         "lane-switcher",
         "pure-pursuit",
         "gap-follower",
     )
-    agents: Annotated[Names, MinLen(1), "Agents; not to be trained on."] = ("cfr-argmax", "response")
+    agents: Annotated[Names, "Agents; not to be trained on."] = ("cfr-argmax", "response")
     blind: Annotated[
         Names,
-        MinLen(1),
         "Baselines (open-loop, lead-conditioned) of the gain.",
     ] = (
         "best-fixed",
@@ -67,7 +65,7 @@ class ProtocolConfig(Settings):
     egos: Annotated[int, Interval(ge=2, le=1000), "Start policies of the agent in each cell."] = 10
     variants: Annotated[int, Interval(ge=2, le=1000), "Variants of the opponent in each cell."] = 10
     seed: Annotated[int, Interval(ge=0, le=2**62), "Seed of the starts, policies and noise."] = 71
-    hashes: Annotated[Names, "Hashes of what the results depend on; () checks none."] = ()
+    hashes: Annotated[OptionalNames, "Hashes of what the results depend on; () checks none."] = ()
 
 
 class Cell(NamedTuple):
@@ -84,7 +82,7 @@ class Protocol:
     """A protocol with its circuits, opponents and rules loaded."""
 
     config: ProtocolConfig
-    setting: Setting  #: Archive and rules of the game.
+    spec: GameSpec  #: Archive and rules of the game.
     tracks: dict[str, Track]
     opponents: dict[str, Competitor]  #: And the baselines.
 
@@ -99,14 +97,14 @@ class Protocol:
 
     def game(self, circuit: str) -> RaceGame:
         """Return the game on a circuit."""
-        return RaceGame(self.tracks[circuit], self.setting.archive, self.setting.config)
+        return RaceGame(self.tracks[circuit], self.spec.archive, self.spec.config)
 
     @cached_property
     def hashes(self) -> tuple[str, ...]:
         """Hashes of what the results depend on, as ``"kind name sha256"``."""
         lines = [
-            f"archive {self.setting.archive.name} {self.setting.archive.content_hash}",
-            f"rules {self.config.race} {fingerprint(self.setting.config)}",
+            f"archive {self.spec.archive.name} {self.spec.archive.content_hash}",
+            f"rules {self.config.race} {fingerprint(self.spec.config)}",
             *(f"circuit {name} {track.content_hash}" for name, track in self.tracks.items()),
             *(f"opponent {name} {competitor_hash(car)}" for name, car in self.opponents.items()),
         ]
@@ -134,14 +132,14 @@ def load_protocol(source: str | ProtocolConfig = "bench_v2", **changes: Any) -> 
     """Return a protocol from a shipped one's name, a YAML file or a configuration, with some fields changed."""
     config = load_config("protocol", ProtocolConfig(), source, **changes)
     rules: GameConfig = game_rules(load_race_config(config.race))
-    setting = make_setting(config.archive, rules)
+    spec = make_game_spec(config.archive, rules)
     circuits = dict.fromkeys([*config.seen, *config.unseen])
     rivals = dict.fromkeys([name for kind in (*KINDS, "blind") for name in getattr(config, kind)])
     protocol = Protocol(
         config,
-        setting,
+        spec,
         {name: load_track(name) for name in circuits},
-        {name: as_competitor(parse_agent(name, setting), name) for name in rivals},
+        {name: as_competitor(parse_agent(name, spec), name) for name in rivals},
     )
     # With other fields it is a protocol of one's own, which no hashes were written down for.
     if not changes:

@@ -157,7 +157,7 @@ def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
     from scipy.optimize import brentq  # takes a second
 
     table = measurements()
-    archive, race = protocol.setting.archive.name, protocol.setting.race
+    archive, race = protocol.spec.archive.name, protocol.spec.race
     pairs = [
         (table[archive, race, played.cell.opponent].rating, float(played.races.score.mean()))
         for played in races

@@ -27,12 +27,12 @@ def run(
 ) -> None:
     """List all agents and drivers, or describe one of them: options, training, strength, cost, hash."""
     from pcs_racing_agents.agents.describe import describe, facts_of
-    from pcs_racing_agents.agents.setting import make_setting
+    from pcs_racing_agents.agents.game_spec import make_game_spec
     from pcs_racing_agents.agents.zoo import entries, names
 
     config = load_game_config(race)
-    setting = make_setting(archive_for(archive, config.race), config)
-    available, listed = entries(), names(setting.archive, setting.config)
+    spec = make_game_spec(archive_for(archive, config.race), config)
+    available, listed = entries(), names(spec.archive, spec.config)
     if agent is None:
         rows = [(name, available[name].summary if name in available else _CONSTANT) for name in listed]
         print("\n".join(aligned(rows, left=2)))
@@ -42,8 +42,8 @@ def run(
     told = f"{_CONSTANT.capitalize()}.\n"
     if agent in available:
         told = describe(agent, available[agent]).replace("`", "")
-    print(f"{agent}\n\n{told}\n\nWith archive {setting.archive.name} in the {setting.race} race:")
-    print("\n".join(f"- {line}" for line in facts_of(agent, setting)))
+    print(f"{agent}\n\n{told}\n\nWith archive {spec.archive.name} in the {spec.race} race:")
+    print("\n".join(f"- {line}" for line in facts_of(agent, spec)))
 
 
 @command("policies", "pcs-racing policies lattice")

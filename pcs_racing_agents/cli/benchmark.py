@@ -41,7 +41,7 @@ def run(
     agents: Annotated[
         Sequence[str],
         Option(
-            "a name of the zoo, module:function (called with the setting of the game, and the path of the weights if "
+            "a name of the zoo, module:function (called with the game spec, and the path of the weights if "
             "there is one), or a .zip file of Stable-Baselines3; of several each gets a card in a folder of its own, "
             "and the baselines are raced only once",
             "AGENT",
@@ -69,7 +69,7 @@ def run(
     if weights is not None and ":" not in agents[0]:
         raise InputError("--weights goes with module:function")
     rules = load_protocol(protocol)
-    entrants = [load_entrant(text, rules.setting, drive=drive, weights=weights, name=name) for text in agents]
+    entrants = [load_entrant(text, rules.spec, drive=drive, weights=weights, name=name) for text in agents]
     digests = [competitor_hash(agent) for agent in entrants]
     settings = {"protocol": rules.content_hash, "agents": digests}
     with workers.start() as executor, open_job(out, "benchmark", settings) as job:
@@ -135,7 +135,7 @@ def _best_reply(
     reply = best_reply(
         [protocol.game(name) for name in protocol.config.seen],
         agent,
-        protocol.setting,
+        protocol.spec,
         settings,
         job,
         races=REPLY_RACES,

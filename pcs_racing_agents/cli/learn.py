@@ -20,7 +20,7 @@ from pcs_racing_agents.learning.ppo.settings import PPOSettings
 
 if TYPE_CHECKING:
     from pcs_racing_agents.agents.agent import Competitor
-    from pcs_racing_agents.agents.setting import Setting
+    from pcs_racing_agents.agents.game_spec import GameSpec
 
 
 METHODS = {
@@ -48,20 +48,20 @@ class Games:
     archive: ArchiveName = None
     rules: Rules
 
-    def make(self) -> "tuple[Setting, list[RaceGame]]":
+    def make(self) -> "tuple[GameSpec, list[RaceGame]]":
         """Return archive and rules that the options name, and the game on each circuit."""
-        from pcs_racing_agents.agents.setting import make_setting
+        from pcs_racing_agents.agents.game_spec import make_game_spec
         from pcs_racing_agents.tournament.play import game_rules
 
         config = game_rules(self.rules.config())
-        setting = make_setting(archive_for(self.archive, config.race), config)
-        return setting, [make_game(load_track(name), setting.archive, config) for name in self.track]
+        spec = make_game_spec(archive_for(self.archive, config.race), config)
+        return spec, [make_game(load_track(name), spec.archive, config) for name in self.track]
 
-    def agents(self, texts: Sequence[str], setting: "Setting") -> "list[Competitor]":
+    def agents(self, texts: Sequence[str], spec: "GameSpec") -> "list[Competitor]":
         """Return the agents of these names."""
         from pcs_racing_agents.agents.zoo import parse_agent
 
-        return [parse_agent(text, setting, seed=self.rules.seed, code=True) for text in texts]
+        return [parse_agent(text, spec, seed=self.rules.seed, code=True) for text in texts]
 
 
 @command(
@@ -95,9 +95,9 @@ def run(
     from pcs_racing_agents.learning import psro, responses, self_play
     from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
 
-    setting, made = games.make()
+    spec, made = games.make()
     # Self-play needs no pool, so an agent of the pool that can't be made must not stop it.
-    opponents = [] if method == "self-play" else games.agents(pool, setting)
+    opponents = [] if method == "self-play" else games.agents(pool, spec)
     methods: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
         "response": (responses.load_response_settings, responses.learn_response),
         "psro": (psro.load_psro_settings, psro.learn_psro),
@@ -105,11 +105,11 @@ def run(
     }
     load, train = methods[method]
     settings = load(config or CONFIGS[method][0], seed=games.rules.seed)
-    players: tuple[Any, ...] = (made, opponents, setting)
+    players: tuple[Any, ...] = (made, opponents, spec)
     if method == "self-play":
-        players = ([self_play.RaceSampler(game, setting, settings.worth) for game in made],)
+        players = ([self_play.RaceSampler(game, spec, settings.worth) for game in made],)
     name = name or method
-    identity = {**run_identity(made, setting, opponents), "name": name, "settings": plain_settings(settings)}
+    identity = {**run_identity(made, spec, opponents), "name": name, "settings": plain_settings(settings)}
     with workers.start() as executor, open_job(out, method, identity) as job:
         learned = train(*players, settings, job, executor=executor, name=name, progress=show_progress("tasks"))
         folder = out / "agent"
@@ -125,12 +125,12 @@ def run(
     print(f"written: {folder}; race it as {method}:{option}={folder}")
 
 
-def run_identity(games: "list[RaceGame]", setting: "Setting", competitors: "list[Competitor]") -> dict[str, Any]:
+def run_identity(games: "list[RaceGame]", spec: "GameSpec", competitors: "list[Competitor]") -> dict[str, Any]:
     """Return what identifies games and competitors in the manifest of a job."""
     from pcs_racing_agents.agents.agent import competitor_hash
 
     return {
-        "archive": setting.archive.content_hash,
+        "archive": spec.archive.content_hash,
         "rules": repr(games[0].config),
         "tracks": [game.track.content_hash for game in games],
         "competitors": [competitor_hash(competitor) for competitor in competitors],
@@ -169,20 +169,20 @@ def run_best_reply(
 
     budget = {} if starts is None else {"starts": starts}
     settings = load_response_settings(config, seed=games.rules.seed, **budget)
-    setting, made = games.make()
-    (target,) = games.agents([agent], setting)
+    spec, made = games.make()
+    (target,) = games.agents([agent], spec)
     check_whole("races", races, FEWEST * len(made))
     identity = {
         "agent": competitor_hash(target),
-        "archive": setting.archive.content_hash,
-        "rules": repr(setting.config),
+        "archive": spec.archive.content_hash,
+        "rules": repr(spec.config),
         "tracks": [game.track.content_hash for game in made],
         "races": races,
         "learner": plain_settings(settings),
     }
     with workers.start() as executor, open_job(out, "best reply", identity) as job:
         progress = show_progress("tasks")
-        reply = best_reply(made, target, setting, settings, job, races=races, executor=executor, progress=progress)
+        reply = best_reply(made, target, spec, settings, job, races=races, executor=executor, progress=progress)
         print(reply_text({agent: reply}, settings))
         write_results(reply.races, out / "results.csv")
         print(f"written: {write_replies({agent: reply}, out / 'best_reply.csv')}")

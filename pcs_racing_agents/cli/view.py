@@ -211,7 +211,7 @@ def run_play(
     from pcs_racing.game.archive_files import load_archive
     from pcs_racing.game.make import make_game
     from pcs_racing.track.loading import load_track
-    from pcs_racing_agents.agents.setting import make_setting
+    from pcs_racing_agents.agents.game_spec import make_game_spec
     from pcs_racing_agents.agents.zoo import parse_agent
     from pcs_racing_agents.watch.person_race import PersonRaces, play_page
     from pcs_racing_agents.watch.view_server import make_server
@@ -219,7 +219,7 @@ def run_play(
     check_seed(rules.seed)
     config = rules.config()
     loaded = load_archive(archive_for(archive, config))
-    rival = parse_agent(opponent, make_setting(loaded, config), seed=rules.seed, code=True)
+    rival = parse_agent(opponent, make_game_spec(loaded, config), seed=rules.seed, code=True)
     if drive:
         from pcs_racing_agents.watch.person_race import drive_page, make_person_drive
 

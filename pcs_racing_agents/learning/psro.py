@@ -16,7 +16,7 @@ from pcs_racing.base.settings import Settings, Text
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.from_network import network_agent
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.jobs import Job, Workers
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response, load_response_settings
@@ -61,7 +61,7 @@ def load_psro_settings(source: str | Path | PSROSettings | None = None, **change
 def learn_psro(
     games: Sequence[RaceGame],
     pool: Sequence[Competitor],
-    setting: Setting,
+    spec: GameSpec,
     settings: PSROSettings,
     job: Job,
     *,
@@ -72,7 +72,7 @@ def learn_psro(
 
     Parameters
     ----------
-    games, setting
+    games, spec
         As for :func:`pcs_racing_agents.learning.responses.learn_response`.
     pool : sequence of Competitor
         Opponents of the first response.
@@ -88,13 +88,13 @@ def learn_psro(
     weights = np.full(len(pool), 1.0 / max(len(pool), 1))
     meta: MetaStrategy | None = None
     training = TrainingRaces(
-        tuple(game.track for game in games), tuple(pool), setting, settings.races, settings.seed + MIXING_SEED
+        tuple(game.track for game in games), tuple(pool), spec, settings.races, settings.seed + MIXING_SEED
     )
     for round_ in range(settings.rounds):
         network = learn_response(
             games,
             opponents,
-            setting,
+            spec,
             settings.response(round_),
             job,
             shares=weights.tolist(),
@@ -103,7 +103,7 @@ def learn_psro(
             **workers,
         )
         networks.append(network)
-        members.append(network_agent(network, setting, settings.seed))
+        members.append(network_agent(network, spec, settings.seed))
         # A single response is its own equilibrium; what is known of earlier ones is not raced again.
         if round_ > 0:
             meta = fit_psro(training, members, known=meta, job=job, **workers)

@@ -27,8 +27,8 @@ from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import regret_matching
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.agents.observing import ObservationBatch
-from pcs_racing_agents.agents.setting import Setting
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.jobs import Job, Workers
@@ -221,7 +221,7 @@ class RaceSampler:
     """The game on one circuit: every move of one car is tried, and both cars play by the same network."""
 
     game: RaceGame
-    setting: Setting  #: Archive and rules, as agents know them.
+    spec: GameSpec  #: Archive and rules, as agents know them.
     payoff: str = "win"  #: "win" or "utility": What a game counts.
 
     @property
@@ -243,7 +243,7 @@ class RaceSampler:
         probability of coming there is then the same in all iterations, and advantages of several iterations can be
         averaged without importance weights. Whether it starts in front or behind is drawn, so it learns for both cars.
         """
-        random = random_player(self.game, self.setting, 2)
+        random = random_player(self.game, self.spec, 2)
         first, second = (self._player(network, exploration, seed) for seed in (0, 1))
         game = game_between(self.game, first, second)
         moves = len(self.identity.moves)
@@ -259,6 +259,6 @@ class RaceSampler:
     def _player(self, network: RegretNetwork | None, exploration: float, seed: int) -> Agent:
         if network is None:
             # Draws are a function of seed and observation: other seeds than those of the players by regret matching.
-            return random_player(self.game, self.setting, seed + 2)
-        strategy = ExploringStrategy(network, exploration, len(self.setting.moves))
-        return Agent("self-play", strategy, self.setting, seed)
+            return random_player(self.game, self.spec, seed + 2)
+        strategy = ExploringStrategy(network, exploration, len(self.spec.moves))
+        return Agent("self-play", strategy, self.spec, seed)

@@ -132,7 +132,7 @@ def _top_tenth(values: Floats, by: Floats) -> float:
 
 
 def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
-    """Every setting of a synthesis that matters, as a text or a number."""
+    """Every option of a synthesis that matters, as a text or a number."""
     values = {**plain_settings(config), "characteristics": list(config.axes)}
     if config.selection != "headroom":
         values = {key: value for key, value in values.items() if key not in HEADROOM_SETTINGS}

@@ -70,7 +70,7 @@ def make_archive(
     folder = Path(folder)
     family = get_planner(config.planner)
     hashes = {name: load_track(name).content_hash for name in (*config.tracks, *(config.judging_tracks or ()))}
-    # Drawn before the folder is made: an impossible setting must leave nothing behind.
+    # Drawn before the folder is made: an impossible option must leave nothing behind.
     search, choice, final = stage_scenarios(config)
     first, optimiser, payoffs, judging = _roots(config)[3:]
     _check_folder(folder)

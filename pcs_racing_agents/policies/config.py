@@ -5,11 +5,11 @@ from math import comb
 from pathlib import Path
 from typing import Annotated, Any
 
-from annotated_types import Interval, MinLen
+from annotated_types import Interval
 
 from pcs_racing.base.checks import is_number
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Checked, Names, OneOf, Settings, Text
+from pcs_racing.base.settings import Checked, Names, OneOf, OptionalNames, Settings, Text
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig, load_race_config
@@ -54,18 +54,16 @@ class ArchiveConfig(Settings):
     ] = 8.0
     tracks: Annotated[
         Names,
-        MinLen(1),
         "Names or folders of the circuits; all policies race on all of them.",
     ] = SHIPPED_TRACKS
     planner: Annotated[Text, "Planner of the policies and of their opponents."] = "lattice"
     fixed: Annotated[
-        Names,
+        OptionalNames,
         "Parameters of the planner that keep their defaults: the search has a dimension less for each, and the "
         "archive does not hold them.",
     ] = ()
     characteristics: Annotated[
         Names | None,
-        MinLen(1),
         "Axes; None takes what the rules name as their aggressiveness, which is aggressiveness itself (the lead), "
         "pace or speed, and then restraint, beside speed the reaction to the lead.",
     ] = None
@@ -92,7 +90,7 @@ class ArchiveConfig(Settings):
     ] = 80
     opponents: Annotated[int, Interval(ge=1, le=1000), "Opponents (random policies) in the search."] = 4
     rivals: Annotated[
-        Names,
+        OptionalNames,
         "Drivers of other planners that are met in every stage beside the random policies, each as often.",
     ] = ()
     min_score: Annotated[
@@ -145,7 +143,6 @@ class ArchiveConfig(Settings):
     ] = 64
     judging_tracks: Annotated[
         Names | None,
-        MinLen(1),
         "With selection: headroom, circuits that no choice is made on, on which it is judged, too.",
     ] = None
     spacing: Annotated[

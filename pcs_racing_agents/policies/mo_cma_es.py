@@ -119,14 +119,14 @@ def cma_options(rng: np.random.Generator) -> dict[str, Any]:
 class MOCMAES:
     """Algorithm 1 of the paper, with the ask-and-tell protocol."""
 
-    def __init__(self, setting: OptimiserOptions) -> None:
+    def __init__(self, spec: OptimiserOptions) -> None:
         # Line 2: initialise lambda, mu, sigma, C = I, p_sigma = p_c = 0. The archive is empty.
         self.restarts = 0
-        self._setting = setting
-        self._elite = max(1, round(setting.elite_ratio * setting.population))
-        self._rng = np.random.default_rng(setting.seed)
+        self._spec = spec
+        self._elite = max(1, round(spec.elite_ratio * spec.population))
+        self._rng = np.random.default_rng(spec.seed)
         self._stalled = 0
-        self._es = None if setting.start is None else self._started(setting.start, setting.step_size)
+        self._es = None if spec.start is None else self._started(spec.start, spec.step_size)
 
     @property
     def step_size(self) -> float:
@@ -137,18 +137,18 @@ class MOCMAES:
         """Return a generation of points, shape (n, P), in the unit cube."""
         # Lines 4-5: sample theta_i from N(mu, sigma^2 C).
         if self._es is None:
-            return latin_hypercube(self._setting.population, self._setting.dimension, self._rng)
+            return latin_hypercube(self._spec.population, self._spec.dimension, self._rng)
         return self._es.ask()
 
     def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
         """Learn from the generation that was asked for, and return the archive with its best points in it."""
         if self._es is None:
             grown = archive.joined(points, objectives, violation)
-            self._es = self._started(middle_of_the_best(grown), 0.5 * self._setting.step_size)
+            self._es = self._started(middle_of_the_best(grown), 0.5 * self._spec.step_size)
             return grown
         # Line 8: the hypervolume loss against the archive.
-        scale = archive.joined(points, objectives, violation).scale(self._setting.ideal, self._setting.nadir)
-        loss = hypervolume_loss(self._setting.loss, archive, objectives, violation, scale, self._setting.reference)
+        scale = archive.joined(points, objectives, violation).scale(self._spec.ideal, self._spec.nadir)
+        loss = hypervolume_loss(self._spec.loss, archive, objectives, violation, scale, self._spec.reference)
         # Line 9: sort. Infeasible points come last, by how much they violate.
         # The last key counts first. All feasible points violate by 0, so among them the loss decides.
         order = np.lexsort((loss, np.maximum(violation, 0.0)))
@@ -161,7 +161,7 @@ class MOCMAES:
         ranks[order] = np.arange(len(points))
         self._es.tell(ranks)
         # Line 13: the mean.
-        if self._setting.mean == "archive" and len(grown.front):
+        if self._spec.mean == "archive" and len(grown.front):
             self._es.move(grown.parameters[grown.front].mean(axis=0))
         self._restart_if_done(archive, grown, scale)
         return grown
@@ -171,7 +171,7 @@ class MOCMAES:
         # As long as nothing feasible is known, there is no hypervolume to stand still.
         if len(after.front):
             old, new = (
-                hypervolume(scale(archive.objectives[archive.front]), self._setting.reference)
+                hypervolume(scale(archive.objectives[archive.front]), self._spec.reference)
                 if len(archive.front)
                 else 0.0
                 for archive in (before, after)
@@ -181,19 +181,19 @@ class MOCMAES:
             return
         self.restarts += 1
         self._stalled = 0
-        setting = self._setting
+        spec = self._spec
         if len(after.front) == 0:
-            self._es = self._started(self._rng.random(setting.dimension), setting.step_size)
+            self._es = self._started(self._rng.random(spec.dimension), spec.step_size)
             return
-        share = contributions(scale(after.objectives[after.front]), setting.reference)
+        share = contributions(scale(after.objectives[after.front]), spec.reference)
         # Points below the reference have a chance, too.
         share = share + max(1e-9, 1e-3 * float(share.mean()))
         row = self._rng.choice(after.front, p=share / share.sum())
-        self._es = self._started(after.parameters[row], 0.5 * setting.step_size)
+        self._es = self._started(after.parameters[row], 0.5 * spec.step_size)
 
     def _started(self, mean: Floats, step_size: float) -> CubeCMAES:
-        largest = 2.0 * self._setting.step_size
-        return CubeCMAES(mean, step_size, largest, self._setting.population, self._elite, self._rng)
+        largest = 2.0 * self._spec.step_size
+        return CubeCMAES(mean, step_size, largest, self._spec.population, self._elite, self._rng)
 
 
 def latin_hypercube(count: int, dimension: int, rng: np.random.Generator) -> Floats:

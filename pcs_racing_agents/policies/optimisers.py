@@ -47,9 +47,9 @@ class Random:
     restarts = 0
     step_size = np.nan
 
-    def __init__(self, setting: OptimiserOptions) -> None:
-        self._shape = setting.population, setting.dimension
-        self._rng = np.random.default_rng(setting.seed)
+    def __init__(self, spec: OptimiserOptions) -> None:
+        self._shape = spec.population, spec.dimension
+        self._rng = np.random.default_rng(spec.seed)
 
     def ask(self) -> Floats:
         """Return points drawn uniformly."""
@@ -66,9 +66,9 @@ class NSGA2:
     restarts = 0
     step_size = np.nan
 
-    def __init__(self, setting: OptimiserOptions) -> None:
+    def __init__(self, spec: OptimiserOptions) -> None:
         require("pymoo", extra="baselines")
-        self._setting = setting
+        self._spec = spec
         self._algorithm: Any = None
         self._asked: Any = None
 
@@ -77,9 +77,9 @@ class NSGA2:
         from pymoo.core.problem import Problem
         from pymoo.core.termination import NoTermination
 
-        self._algorithm = Algorithm(pop_size=self._setting.population)
-        problem = Problem(n_var=self._setting.dimension, n_obj=objectives, n_ieq_constr=1, xl=0.0, xu=1.0)
-        seed = int(self._setting.seed.generate_state(1)[0])
+        self._algorithm = Algorithm(pop_size=self._spec.population)
+        problem = Problem(n_var=self._spec.dimension, n_obj=objectives, n_ieq_constr=1, xl=0.0, xu=1.0)
+        seed = int(self._spec.seed.generate_state(1)[0])
         self._algorithm.setup(problem, termination=NoTermination(), seed=seed, verbose=False)
 
     def ask(self) -> Floats:
@@ -109,10 +109,10 @@ _METHODS: dict[str, Callable[[OptimiserOptions], Optimiser]] = {
 METHODS = tuple(_METHODS)
 
 
-def make_optimiser(method: str | Callable[[OptimiserOptions], Optimiser], setting: OptimiserOptions) -> Optimiser:
+def make_optimiser(method: str | Callable[[OptimiserOptions], Optimiser], spec: OptimiserOptions) -> Optimiser:
     """Return one of the optimisers by name, or what a function makes of the options."""
     if not isinstance(method, str):
-        return method(setting)
+        return method(spec)
     if method not in _METHODS:
         raise UnknownNameError(f"method is {method!r}; it must be one of {', '.join(METHODS)}")
-    return _METHODS[method](setting)
+    return _METHODS[method](spec)

@@ -121,7 +121,7 @@ class Search:
         first = self._first_mean(start)
         self.population = population
         root = np.random.SeedSequence(int(seed))
-        setting = OptimiserOptions(
+        spec = OptimiserOptions(
             dimension=dimension,
             population=population,
             seed=root,
@@ -134,7 +134,7 @@ class Search:
             ideal=self._scale_from[0],
             nadir=self._scale_from[1],
         )
-        self._optimiser = make_optimiser(method, setting)
+        self._optimiser = make_optimiser(method, spec)
         self._explored = ParetoArchive.empty(dimension)
         self._parameters = np.zeros((0, dimension))
         self._generations: list[Generation] = []

@@ -143,7 +143,7 @@ def learn_sampled_regrets(study: Study) -> None:
         return
     settings = load_self_play_settings(study.config.sampled_cfr)
     settings = replace(settings, seed=settings.seed + study.config.seed + SAMPLED_SEED)
-    samplers = [RaceSampler(game, study.setting, settings.worth) for game in study.games()]
+    samplers = [RaceSampler(game, study.spec, settings.worth) for game in study.games()]
     identity = {"archive": study.archive.content_hash, **plain_settings(settings)}
     name = "sampled-cfr"
     with open_job(study.folder / name / name, name, identity) as job:
@@ -169,7 +169,7 @@ def choose_open_loop(study: Study) -> None:
     training = TrainingRaces(
         tracks=tuple(study.track(name) for name in config.circuits),
         opponents=tuple(study.agent(name) for name in config.fitting_opponents),
-        setting=study.setting,
+        spec=study.spec,
         races=config.fitting_games,
         seed=config.seed + FITTING_SEED,
     )
@@ -201,7 +201,7 @@ def learn_responses(study: Study) -> None:
             network = learn_response(
                 study.games(),
                 pool,
-                study.setting,
+                study.spec,
                 seeded,
                 job,
                 name=name,

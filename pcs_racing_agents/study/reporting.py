@@ -75,7 +75,7 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
     for name in dict.fromkeys(name for name, *_ in observed):
         observations, moves = (np.concatenate([own[k] for own in observed if own[0] == name]) for k in (1, 2))
         if (moves >= 0).any():
-            summaries.append(summarise(observations, moves, study.archive, study.setting.moves, name))
+            summaries.append(summarise(observations, moves, study.archive, study.spec.moves, name))
             write_situations(summaries[-1], study.folder / "report" / f"situations-{name}.csv")
     return summaries
 

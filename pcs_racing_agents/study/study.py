@@ -7,10 +7,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any
 
-from annotated_types import Interval, MinLen, MultipleOf
+from annotated_types import Interval, MultipleOf
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import Names, Settings, Text
+from pcs_racing.base.settings import Names, OptionalNames, Settings, Text
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import list_archives, load_archive
 from pcs_racing.game.config import FIRST_STEPS, STEP_SIZES, GameConfig, load_game_config
@@ -20,7 +20,7 @@ from pcs_racing.race.config import load_race_config
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
-from pcs_racing_agents.agents.setting import Setting, make_setting
+from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import build, parse_agent
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.progress import Progress, show_progress
@@ -58,13 +58,12 @@ class StudyConfig(Settings):
     ] = None  # type: ignore[assignment]
     synthesis: Annotated[Text | None, "Configuration of the synthesis; None uses an existing archive instead."] = None
     archive: Annotated[Text, "Name or folder of the existing archive."] = "default"
-    circuits: Annotated[Names, MinLen(1), "Circuits of the trees and of training."] = ("Tarnfjord",)
+    circuits: Annotated[Names, "Circuits of the trees and of training."] = ("Tarnfjord",)
     pairs: Annotated[int, Interval(ge=0, le=100_000), "Game trees on each circuit; 0 for none."] = 12
     seeds: Annotated[int, Interval(ge=1, le=1000), "Noise realisations in each tree; 1 without noise."] = 1
     training: Annotated[Text, "Settings of the networks' training."] = "study"
     targets: Annotated[
         Names,
-        MinLen(1),
         "Targets of the networks, in this order.",
     ] = (
         "regret",
@@ -73,12 +72,11 @@ class StudyConfig(Settings):
         "static-q",
     )
     responses: Annotated[
-        Names,
+        OptionalNames,
         "Settings of the learned responses (pcs_racing_agents.learning.responses.ResponseSettings).",
     ] = ()
     response_pool: Annotated[
         Names,
-        MinLen(1),
         "Opponents in the training of responses.",
     ] = (
         "never-switch",
@@ -99,11 +97,10 @@ class StudyConfig(Settings):
         Interval(ge=0, le=1_000_000),
         "Candidate policies for the targets of best-fixed and best-lead-plan, spread over the archive; 0 for all.",
     ] = 16
-    fitting_opponents: Annotated[Names, MinLen(1), "Opponents in those games."] = ("never-switch",)
-    tracks: Annotated[Names, MinLen(1), "Circuits of the table."] = ("Tarnfjord",)
+    fitting_opponents: Annotated[Names, "Opponents in those games."] = ("never-switch",)
+    tracks: Annotated[Names, "Circuits of the table."] = ("Tarnfjord",)
     opponents: Annotated[
         Names,
-        MinLen(1),
         "Opponents of the table.",
     ] = (
         "never-switch",
@@ -112,7 +109,6 @@ class StudyConfig(Settings):
     )
     arms: Annotated[
         Names,
-        MinLen(1),
         "Agents of the table; the first is the baseline. With the three fitted baselines among them (best-fixed,"
         " best-schedule, best-lead-plan) the table has the adaptivity gain; some without the others are refused.",
     ] = ("never-switch", *BEST_OPEN_LOOP, "cfr-argmax")
@@ -120,16 +116,16 @@ class StudyConfig(Settings):
     egos: Annotated[int, Interval(ge=2, le=1000), "Start policies of the ego in each cell."] = 20
     variants: Annotated[int, Interval(ge=2, le=1000), "Variants of the opponent in each cell."] = 20
     lines: Annotated[int, Interval(ge=1, le=1000), "Start lines of each cell; races start from both sides."] = 5
-    further_tracks: Annotated[Names, "Additional circuits of the second table."] = ()
-    further_opponents: Annotated[Names, "Additional opponents of the second table."] = ()
-    further_arms: Annotated[Names, "Additional agents of the second table."] = ()
+    further_tracks: Annotated[OptionalNames, "Additional circuits of the second table."] = ()
+    further_opponents: Annotated[OptionalNames, "Additional opponents of the second table."] = ()
+    further_arms: Annotated[OptionalNames, "Additional agents of the second table."] = ()
     further_lines: Annotated[int, Interval(ge=0, le=1000), "Start lines of its cells; 0 for no second table."] = 0
     ppo: Annotated[
         Text | None,
         "Settings (level duel) of a PPO baseline that is trained on the study's circuits, with its archive and rules;"
         ' None trains none, and the agent "ppo" is then the shipped one.',
     ] = None
-    rated: Annotated[Names, "Agents of the round robin for the ratings."] = ()
+    rated: Annotated[OptionalNames, "Agents of the round robin for the ratings."] = ()
     rating_races: Annotated[
         int,
         Interval(ge=2, le=2000),
@@ -223,9 +219,9 @@ class Study:
         return load_archive(self.config.archive if self.config.synthesis is None else self.folder / "archive")
 
     @cached_property
-    def setting(self) -> Setting:
+    def spec(self) -> GameSpec:
         """Archive and rules, as agents know them."""
-        return make_setting(self.archive, self.config.game)
+        return make_game_spec(self.archive, self.config.game)
 
     def game(self, track: str) -> RaceGame:
         """Return the game on a circuit."""
@@ -255,9 +251,9 @@ class Study:
         """
         seed = self.config.seed
         if name in self.config.responses:
-            agent = build("cfr-argmax", self.setting, seed=seed, network=self.network(name))
+            agent = build("cfr-argmax", self.spec, seed=seed, network=self.network(name))
             assert isinstance(agent, Agent)
-            return Agent(name, agent.strategy, agent.setting, agent.seed, agent.facts)
+            return Agent(name, agent.strategy, agent.spec, agent.seed, agent.facts)
         # What this study has trained goes before what is shipped; a stage that did not run leaves the shipped one.
         options: dict[str, Any] = {}
         kind = NETWORK_AGENTS.get(name)
@@ -268,7 +264,7 @@ class Study:
         elif name in BEST_OPEN_LOOP:
             options = {"fit": self.folder / "open-loop" / f"{name}.yaml"}
         make = build if options else parse_agent
-        return make(name, self.setting, seed=seed, **options)
+        return make(name, self.spec, seed=seed, **options)
 
     def progress(self, unit: str) -> Progress | None:
         """Return a progress function that updates a line on stderr; None if the study is quiet."""

@@ -21,7 +21,7 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, Competitor
 from pcs_racing_agents.agents.blind import LEAD_PLAN, best_fixed, best_lead_plan, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from pcs_racing_agents.tournament.pairings import Pairing, RaceSchedule, draw_schedule, schedule_pairing
@@ -36,7 +36,7 @@ class TrainingRaces:
 
     tracks: tuple[Track, ...]
     opponents: tuple[Competitor, ...]  #: Each is met equally often.
-    setting: Setting
+    spec: GameSpec
     races: int = 100  #: Races against each opponent on each track; even.
     seed: int = 1_000_003  #: Of starts, start policies and noise: another one than that of the test races.
 
@@ -76,10 +76,10 @@ def evaluate(
 
 def _games(training: TrainingRaces) -> list[tuple[RaceGame, RaceSchedule]]:
     """Return the game on each track, and its races."""
-    setting, rules = training.setting, training.setting.config.race_rules
+    spec, rules = training.spec, training.spec.config.race_rules
     return [
         (
-            RaceGame(track, setting.archive, setting.config),
+            RaceGame(track, spec.archive, spec.config),
             draw_schedule(track, rules, training.races, training.seed),
         )
         for track in training.tracks
@@ -92,16 +92,14 @@ def fit_best_schedule(training: TrainingRaces, **run: Unpack[Run]) -> Fit:
     The search begins with the best constant sequence and takes the best change of one step, until none is an
     improvement.
     """
-    setting = training.setting
+    spec = training.spec
 
     def raced(sequences: Sequence[Choices], before: int) -> NDArray[np.float64]:
-        plans = [best_schedule(setting, moves=[setting.moves[i] for i in sequence]) for sequence in sequences]
+        plans = [best_schedule(spec, moves=[spec.moves[i] for i in sequence]) for sequence in sequences]
         return evaluate(training, plans, f"schedule-{before}", **run)
 
-    best, scores = _search(raced, range(len(setting.moves)), setting.config.moves)
-    return make_fit(
-        "best-schedule", [setting.moves[i] for i in best], setting, training.facts(scores[best], len(scores))
-    )
+    best, scores = _search(raced, range(len(spec.moves)), spec.config.moves)
+    return make_fit("best-schedule", [spec.moves[i] for i in best], spec, training.facts(scores[best], len(scores)))
 
 
 def _search(
@@ -139,12 +137,12 @@ def fit_best_fixed(training: TrainingRaces, *, targets: Sequence[int] | None = N
 
     ``targets``: candidates; all policies of the archive by default.
     """
-    setting = training.setting
-    candidates = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]
-    walkers = [best_fixed(setting, target=target) for target in candidates]
+    spec = training.spec
+    candidates = list(range(len(spec.archive))) if targets is None else [int(target) for target in targets]
+    walkers = [best_fixed(spec, target=target) for target in candidates]
     values = evaluate(training, walkers, "fixed", **run)
     index = int(np.argmax(values))
-    return make_fit("best-fixed", candidates[index], setting, training.facts(float(values[index]), len(candidates)))
+    return make_fit("best-fixed", candidates[index], spec, training.facts(float(values[index]), len(candidates)))
 
 
 def fit_best_lead_plan(training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]) -> Fit:
@@ -158,16 +156,16 @@ def fit_best_lead_plan(training: TrainingRaces, *, targets: Sequence[int] | None
     targets : sequence of int, optional
         Candidates; all policies of the archive by default.
     """
-    setting = training.setting
-    candidates = list(range(len(setting.archive))) if targets is None else [int(target) for target in targets]
+    spec = training.spec
+    candidates = list(range(len(spec.archive))) if targets is None else [int(target) for target in targets]
 
     def raced(plans: Sequence[Choices], before: int) -> NDArray[np.float64]:
-        agents = [best_lead_plan(setting, targets=dict(zip(LEAD_PLAN, plan, strict=True))) for plan in plans]
+        agents = [best_lead_plan(spec, targets=dict(zip(LEAD_PLAN, plan, strict=True))) for plan in plans]
         return evaluate(training, agents, f"lead-plan-{before}", **run)
 
     best, scores = _search(raced, candidates, len(LEAD_PLAN))
     choice = dict(zip(LEAD_PLAN, best, strict=True))
-    return make_fit("best-lead-plan", choice, setting, training.facts(scores[best], len(scores)))
+    return make_fit("best-lead-plan", choice, spec, training.facts(scores[best], len(scores)))
 
 
 class MetaStrategy(NamedTuple):

@@ -19,7 +19,7 @@ from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
-from pcs_racing_agents.agents.setting import Setting, make_setting
+from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.tournament.games import game_between
@@ -37,7 +37,7 @@ class TournamentPlan:
 
     competitors: tuple[Competitor, ...]
     tracks: tuple[Track, ...]
-    setting: Setting  #: The archive and the rules, the move "stay" included.
+    spec: GameSpec  #: The archive and the rules, the move "stay" included.
     schedules: tuple[RaceSchedule, ...]  #: The races of each pair, by track.
     races_per_pair: int  #: On each track.
     seed: int
@@ -53,7 +53,7 @@ class TournamentPlan:
         """The races: every pair on the first track, then every pair on the next one."""
         pairings = []
         for track, schedule in zip(self.tracks, self.schedules, strict=True):
-            game = RaceGame(track, self.setting.archive, self.setting.config)
+            game = RaceGame(track, self.spec.archive, self.spec.config)
             for ego, opponent in combinations(self.competitors, 2):
                 pairings.append(schedule_pairing(game, ego, opponent, schedule, self.seed))
         return tuple(pairings)
@@ -61,7 +61,7 @@ class TournamentPlan:
     @property
     def config(self) -> RaceConfig:
         """Rules of the race, with the duration of the game."""
-        return self.setting.config.race_rules
+        return self.spec.config.race_rules
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,20 +124,20 @@ def plan_tournament(
     """
     circuits = [tracks] if isinstance(tracks, Track) else list(tracks)
     _check_distinct("tracks", [track.name for track in circuits], 1)
-    setting = make_setting(archive, game_rules(race))
+    spec = make_game_spec(archive, game_rules(race))
     if isinstance(entrants, Mapping):
-        competitors = [as_competitor(_resolve(one, setting, seed, code), name) for name, one in entrants.items()]
+        competitors = [as_competitor(_resolve(one, spec, seed, code), name) for name, one in entrants.items()]
     else:
-        competitors = [as_competitor(_resolve(one, setting, seed, code)) for one in entrants]
+        competitors = [as_competitor(_resolve(one, spec, seed, code)) for one in entrants]
     _check_distinct("competitors", [competitor_name(entrant) for entrant in competitors], 2)
-    rules = setting.config.race_rules
+    rules = spec.config.race_rules
     schedules = tuple(draw_schedule(track, rules, races_per_pair, seed) for track in circuits)
-    source = setting.identity.archive
+    source = spec.identity.archive
     if not isinstance(archive, PolicyArchive) and archive not in list_archives():
         source = str(Path(archive).resolve())
-    plan = TournamentPlan(tuple(competitors), tuple(circuits), setting, schedules, races_per_pair, seed, source)
+    plan = TournamentPlan(tuple(competitors), tuple(circuits), spec, schedules, races_per_pair, seed, source)
     for track in circuits:
-        game = RaceGame(track, setting.archive, setting.config)
+        game = RaceGame(track, spec.archive, spec.config)
         for entrant in competitors:
             # Against itself: whoever does not fit is refused before any race is simulated, not in the middle of them.
             game_between(game, entrant, entrant)
@@ -186,13 +186,13 @@ def play_plan(plan: TournamentPlan, **run: Unpack[Run]) -> Tournament:
 
 def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
     """Return everything that a tournament depends on, for :func:`pcs_racing_agents.base.jobs.open_job`."""
-    setting = plan.setting
+    spec = plan.spec
     return {
         "seed": plan.seed,
         "races_per_pair": plan.races_per_pair,
-        "game": setting.config,
+        "game": spec.config,
         "archive": plan.archive,
-        "archive_sha256": setting.identity.archive_sha256,
+        "archive_sha256": spec.identity.archive_sha256,
         "tracks": {track.name: track.content_hash for track in plan.tracks},
         "agents": {competitor_name(competitor): competitor_hash(competitor) for competitor in plan.competitors},
     }
@@ -208,8 +208,8 @@ def record_row(tournament: Tournament, row: RaceRow, *, candidates: bool = True)
     raise InputError(f"race {row.race} of {row.ego!r} against {row.opponent!r} on {row.track!r} was not raced here")
 
 
-def _resolve(entrant: Entrant, setting: Setting, seed: int, code: bool) -> Any:
-    return parse_agent(entrant, setting, seed=seed, code=code) if isinstance(entrant, str) else entrant
+def _resolve(entrant: Entrant, spec: GameSpec, seed: int, code: bool) -> Any:
+    return parse_agent(entrant, spec, seed=seed, code=code) if isinstance(entrant, str) else entrant
 
 
 def _check_distinct(noun: str, names: list[str], minimum: int) -> None:

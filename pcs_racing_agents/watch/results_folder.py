@@ -21,7 +21,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.agent import Competitor, competitor_hash
-from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.folders import read_job
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, draw_schedule, schedule_pairing
@@ -120,14 +120,14 @@ class ResultsFolder:
         circuit = load_track(track)
         _check_same(f"track {track!r}", circuit.content_hash, settings["tracks"][track])
         seed = int(settings["seed"])
-        setting = make_setting(archive, _game_config(settings["game"]))
+        spec = make_game_spec(archive, _game_config(settings["game"]))
         cars = []
         for name in (ego, opponent):
-            car = parse_agent(name, setting, seed=seed, code=name in self.code) if study is None else study.agent(name)
+            car = parse_agent(name, spec, seed=seed, code=name in self.code) if study is None else study.agent(name)
             _check_same(f"agent {name!r}", competitor_hash(car), settings["agents"][name])
             cars.append(car)
-        game = RaceGame(circuit, setting.archive, setting.config)
-        schedule = draw_schedule(circuit, setting.config.race_rules, int(settings["races_per_pair"]), seed)
+        game = RaceGame(circuit, spec.archive, spec.config)
+        schedule = draw_schedule(circuit, spec.config.race_rules, int(settings["races_per_pair"]), seed)
         return schedule_pairing(game, cars[0], cars[1], schedule, seed)
 
 

@@ -21,7 +21,7 @@ from pcs_racing.base.files import unpack_arrays
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing.game.observation import RaceMemory
 from pcs_racing_agents.agents.fits import game_fields, recorded_game
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.fingerprint import fingerprint
 
 Floats = NDArray[np.float64]
@@ -87,9 +87,9 @@ class Behaviours:
         """Policy with the highest mean score against the pool."""
         return int(self.scores.mean(axis=1).argmax())
 
-    def check_fits(self, setting: Setting, user: str) -> None:
-        """Check that this was measured with the archive and the race rules of a setting."""
-        check_same_game(self.game, setting.identity, user)
+    def check_fits(self, spec: GameSpec, user: str) -> None:
+        """Check that this was measured with the archive and the race rules of a game spec."""
+        check_same_game(self.game, spec.identity, user)
 
     def distances(self, own: NDArray[np.int64], observed: Floats, known: NDArray[np.bool_]) -> Floats:
         """Squared Mahalanobis distance of what was seen in R races from each opponent, shape (B, N).

@@ -28,20 +28,20 @@ def run(
     workers: Workers,
 ) -> None:
     """Learn how an archive's policies behave and what beats them, and play matches with and without that memory."""
-    from pcs_racing_agents.agents.setting import make_setting
+    from pcs_racing_agents.agents.game_spec import make_game_spec
     from pcs_racing_agents.tournament.play import game_rules
     from studies.matches.behaviours import save_behaviours
     from studies.matches.gain import MatchTest, gain_text, match_gains, write_gains
     from studies.matches.learning import LearningRaces, learn_behaviours
 
-    setting = make_setting(load_archive(archive), game_rules(rules.config()))
+    spec = make_game_spec(load_archive(archive), game_rules(rules.config()))
     learned = tuple(load_track(name) for name in track)
     tracks = (*learned, *(load_track(name) for name in unseen))
-    learning = LearningRaces(setting, learned, learning_races, rules.seed)
+    learning = LearningRaces(spec, learned, learning_races, rules.seed)
     MatchTest.check(tracks, races, matches, rules.seed)
     settings = {
-        "archive_sha256": setting.archive.content_hash,
-        "game": setting.config,
+        "archive_sha256": spec.archive.content_hash,
+        "game": spec.config,
         "learned": [one.content_hash for one in learned],
         "tracks": [one.content_hash for one in tracks],
         "races": races,
@@ -51,7 +51,7 @@ def run(
     }
     with workers.start() as executor, open_job(out, "match", settings) as job:
         table = learn_behaviours(learning, job=job, executor=executor, progress=show_progress("blocks"))
-        test = MatchTest(setting, table, tracks, races, matches, rules.seed)
+        test = MatchTest(spec, table, tracks, races, matches, rules.seed)
         gains = match_gains(test, job=job, executor=executor, progress=show_progress("opponents"))
         print(f"the best fixed policy is {table.opponents[table.best_fixed]}")
         print(gain_text(gains))

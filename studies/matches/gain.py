@@ -15,7 +15,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import start_lines
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.jobs import Run, run_races
 from pcs_racing_agents.base.tables import aligned, write_csv
@@ -42,7 +42,7 @@ nearest behaviour; known: gain if the opponent is known before the first race"""
 class MatchTest:
     """Matches against each policy of an archive, played by all players with the same lines, sides and noise."""
 
-    setting: Setting  #: Archive and rules.
+    spec: GameSpec  #: Archive and rules.
     table: Behaviours  #: What was learned; its opponents are the policies of the archive.
     tracks: tuple[Track | str, ...]
     races: int = 3  #: Races of a match.
@@ -52,11 +52,11 @@ class MatchTest:
 
     def __post_init__(self) -> None:
         self.check(self.tracks, self.races, self.matches, self.seed)
-        self.table.check_fits(self.setting, "the table of behaviours")
-        if len(self.table.opponents) != len(self.setting.archive):
+        self.table.check_fits(self.spec, "the table of behaviours")
+        if len(self.table.opponents) != len(self.spec.archive):
             raise InputError(
-                f"the table holds {len(self.table.opponents)} opponents; they must be the {len(self.setting.archive)} "
-                f"policies of archive {self.setting.archive.name!r}"
+                f"the table holds {len(self.table.opponents)} opponents; they must be the {len(self.spec.archive)} "
+                f"policies of archive {self.spec.archive.name!r}"
             )
 
     @staticmethod
@@ -114,8 +114,8 @@ def match_gains(test: MatchTest, **run: Unpack[Run]) -> list[TrackGain]:
 def _play_opponent(task: tuple[MatchTest, int, int], threads: int | None = None) -> Arrays:
     """Play the matches of all players against one opponent on one circuit: scores, shape (A, M, R)."""
     test, number, opponent = task
-    setting, table, count = test.setting, test.table, test.matches
-    game = RaceGame(as_track(test.tracks[number]), setting.archive, setting.config, threads=threads)
+    spec, table, count = test.spec, test.table, test.matches
+    game = RaceGame(as_track(test.tracks[number]), spec.archive, spec.config, threads=threads)
     match = MatchGame(game, races=test.races)
     rules = replace(game.setup.config, start_lines=count * test.races)
     # Other lines and noise than those of training, whatever its seed.
@@ -129,8 +129,8 @@ def _play_opponent(task: tuple[MatchTest, int, int], threads: int | None = None)
     }
     players = {
         "best fixed": FixedChoice(table.best_fixed),
-        "remember": _ReplyChooser(RememberedReply(table, setting)),
-        "nearest": _ReplyChooser(RememberedReply(table, setting, "nearest")),
+        "remember": _ReplyChooser(RememberedReply(table, spec)),
+        "nearest": _ReplyChooser(RememberedReply(table, spec, "nearest")),
         "known": KnownOpponentChoice(np.full(count, int(table.scores[:, opponent].argmax()))),
     }
     played = [play_matches(match, players[arm], None, **given) for arm in ARMS]

@@ -16,7 +16,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import start_lines
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.jobs import Run, run_races
 from studies.matches.behaviours import Behaviours, features
@@ -29,7 +29,7 @@ RACES_AT_ONCE = 512
 class LearningRaces:
     """The races from which the behaviours of an archive's policies are learned."""
 
-    setting: Setting  #: Archive and rules.
+    spec: GameSpec  #: Archive and rules.
     #: Circuits, or their names or folders, which workers on other machines load themselves.
     tracks: tuple[Track | str, ...]
     races: int = 64  #: Races of each two policies on each circuit, even: on each start line both sides take turns.
@@ -46,7 +46,7 @@ class LearningRaces:
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """All pairs of policies, each with itself as well; the lower index first."""
-        return list(combinations_with_replacement(range(len(self.setting.archive)), 2))
+        return list(combinations_with_replacement(range(len(self.spec.archive)), 2))
 
 
 def learn_behaviours(learning: LearningRaces, **run: Unpack[Run]) -> Behaviours:
@@ -54,7 +54,7 @@ def learn_behaviours(learning: LearningRaces, **run: Unpack[Run]) -> Behaviours:
 
     Progress counts blocks of pairs.
     """
-    pairs, archive = learning.pairs, learning.setting.archive
+    pairs, archive = learning.pairs, learning.spec.archive
     step = max(1, RACES_AT_ONCE // learning.races)
     tasks = [
         (learning, track, pairs[first : first + step])
@@ -67,7 +67,7 @@ def learn_behaviours(learning: LearningRaces, **run: Unpack[Run]) -> Behaviours:
 
 
 def _table(learning: LearningRaces, name: str, blocks: Sequence[tuple[list[tuple[int, int]], Arrays]]) -> Behaviours:
-    policies = len(learning.setting.archive)
+    policies = len(learning.spec.archive)
     width = blocks[0][1]["seen"].shape[-1]
     scores, seen, squares = (np.zeros((policies, policies, *more)) for more in ((), (width,), (width, width)))
     count = np.zeros((policies, policies))
@@ -85,7 +85,7 @@ def _table(learning: LearningRaces, name: str, blocks: Sequence[tuple[list[tuple
     covariance = within.sum(axis=(0, 1)) / (count - 1.0).sum()
     covariance += np.diag(1e-6 + 1e-3 * np.diag(covariance))  # a feature that never varies is no certain sign
     return Behaviours(
-        game=learning.setting.identity._replace(elements=(), moves=()),
+        game=learning.spec.identity._replace(elements=(), moves=()),
         opponents=tuple(f"{name}[{i}]" for i in range(policies)),
         scores=scores / count,
         seen=seen,
@@ -101,8 +101,8 @@ def _table(learning: LearningRaces, name: str, blocks: Sequence[tuple[list[tuple
 def _race_block(task: tuple[LearningRaces, int, list[tuple[int, int]]], threads: int | None = None) -> Arrays:
     """Race some pairs on one circuit: scores, shape (pairs, races, 2), and features, shape (pairs, races, 2, F)."""
     learning, number, pairs = task
-    setting, races = learning.setting, learning.races
-    game = RaceGame(as_track(learning.tracks[number]), setting.archive, setting.config, threads=threads)
+    spec, races = learning.spec, learning.races
+    game = RaceGame(as_track(learning.tracks[number]), spec.archive, spec.config, threads=threads)
     match = MatchGame(game, races=1)
     rules = replace(game.setup.config, start_lines=races // 2)
     lines = start_lines(game.track, rules, np.random.SeedSequence(learning.seed, spawn_key=(0, number)))

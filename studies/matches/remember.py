@@ -18,7 +18,7 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.observation import AFTER_AXES, decode_match
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.blind import walk_to
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.fingerprint import fingerprint
 from studies.matches.behaviours import Behaviours, features, load_behaviours
 
@@ -32,12 +32,12 @@ class RememberedReply:
     """The choice of a policy from what was seen in the earlier races of a match."""
 
     table: Behaviours
-    setting: Setting  #: Its archive tells which policy was driven.
+    spec: GameSpec  #: Its archive tells which policy was driven.
     reply: str = "likely"  #: "likely" or "nearest": To all opponents by their likelihood, or to the nearest one.
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Return the policies for observations of B matches, shape (B,)."""
-        archive = self.setting.archive
+        archive = self.spec.archive
         axes = len(archive.characteristics)
         memory = decode_match(observation, _seen_races(observation.shape[1], axes), axes)
         own = archive.nearest(memory.own)
@@ -51,7 +51,7 @@ class RememberedReply:
     @property
     def content_hash(self) -> str:
         """SHA-256 of all that its choices depend on."""
-        return fingerprint(self.reply, self.table.content_hash, self.setting.archive.content_hash)
+        return fingerprint(self.reply, self.table.content_hash, self.spec.archive.content_hash)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class MatchAgent(Agent):
 
 
 def remember(
-    setting: Setting, *, name: str = "remember", seed: int = 0, table: Any = None, reply: str = "likely"
+    spec: GameSpec, *, name: str = "remember", seed: int = 0, table: Any = None, reply: str = "likely"
 ) -> MatchAgent:
     """Choose, before each race of a match, the best reply to the opponents that behave like the one that was seen.
 
@@ -90,17 +90,17 @@ def remember(
     """
     check_choice("reply", reply, REPLIES)
     if table is None:
-        table = Path(__file__).parent / f"{setting.archive.name}-{setting.race}-behaviours"
+        table = Path(__file__).parent / f"{spec.archive.name}-{spec.race}-behaviours"
     if isinstance(table, Path) and not table.is_dir():
         raise UnknownNameError(
             f"agent {name!r} needs a table of behaviours, and there is none at {table.name!r}; "
             "'python -m studies match --out DIR' measures one: give it as table=DIR/behaviours"
         )
     known = load_behaviours(table)
-    known.check_fits(setting, f"the table of behaviours of agent {name!r}")
-    strategy = walk_to(setting, known.best_fixed)
+    known.check_fits(spec, f"the table of behaviours of agent {name!r}")
+    strategy = walk_to(spec, known.best_fixed)
     facts = {"pool": f"{len(known.opponents)} opponents", "trained on": _trained(known)}
-    return MatchAgent(name, strategy, setting, seed, facts, choice=RememberedReply(known, setting, reply))
+    return MatchAgent(name, strategy, spec, seed, facts, choice=RememberedReply(known, spec, reply))
 
 
 def _trained(table: Behaviours) -> str:

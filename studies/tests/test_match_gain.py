@@ -9,7 +9,7 @@ from zoo_games import CONFIG, toy_archive
 from pcs_racing import InputError, RaceGame, load_track, save_archive
 from pcs_racing.envs.match import MatchEnv
 from pcs_racing.game.match import MatchGame
-from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from studies.__main__ import main
 from studies.matches.behaviours import Behaviours
@@ -20,7 +20,7 @@ from studies.matches.play import FixedChoice, play_matches
 
 @pytest.fixture(scope="module")
 def small():
-    return make_setting(toy_archive(4), CONFIG)
+    return make_game_spec(toy_archive(4), CONFIG)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 from zoo_games import CONFIG, toy_archive, untrained
 
 from pcs_racing import PolicyArchive, RaceGame, load_race_config, load_track, make_game, save_archive
-from pcs_racing_agents.agents import Agent, Setting, make_setting
+from pcs_racing_agents.agents import Agent, GameSpec, make_game_spec
 from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
@@ -41,14 +41,14 @@ def archive() -> PolicyArchive:
 
 
 @pytest.fixture(scope="session")
-def setting(archive) -> Setting:
+def spec(archive) -> GameSpec:
     """Games of 4 s by the paper's rules."""
-    return make_setting(archive, CONFIG)
+    return make_game_spec(archive, CONFIG)
 
 
 @pytest.fixture(scope="session")
-def game(oval, setting) -> RaceGame:
-    return RaceGame(oval, setting.archive, setting.config)
+def game(oval, spec) -> RaceGame:
+    return RaceGame(oval, spec.archive, spec.config)
 
 
 @pytest.fixture(scope="session")
@@ -60,16 +60,16 @@ def learner(tmp_path_factory) -> str:
 
 
 @pytest.fixture(scope="session")
-def lesson(oval, archive) -> tuple[list[RaceGame], list[Agent], Setting]:
-    """What an agent is learned from: games of two moves by the rules of the contest, two opponents, and the setting."""
+def lesson(oval, archive) -> tuple[list[RaceGame], list[Agent], GameSpec]:
+    """Inputs of learning: games of two moves by the rules of the contest, two opponents, and the game spec."""
     game = make_game(oval, archive, "contest", moves=2, step_seconds=1.2, threads=1)
-    setting = make_setting(archive, game.config)
-    return [game], [never_switch(setting), always(setting, "aggressiveness -")], setting
+    spec = make_game_spec(archive, game.config)
+    return [game], [never_switch(spec), always(spec, "aggressiveness -")], spec
 
 
 @pytest.fixture(scope="session")
-def network(setting) -> RegretNetwork:
-    return untrained(setting)
+def network(spec) -> RegretNetwork:
+    return untrained(spec)
 
 
 @pytest.fixture(scope="session")

@@ -12,8 +12,8 @@ from pcs_racing import Starts, load_race_config, load_track, run_races
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.field.lidar_networks import read_lidar_driver
 from pcs_racing.race.races import start_lines
+from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.observing import own
-from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import load_entrant
 
 EXAMPLES = REPOSITORY / "examples"
@@ -73,18 +73,18 @@ def test_a_trained_agent_enters_the_benchmark(tmp_path, monkeypatch, script, lib
         pytest.importorskip(library)
     run_python(EXAMPLES / script, "--steps", 1, "--out", "made", folder=tmp_path)
     monkeypatch.syspath_prepend(REPOSITORY)
-    setting = make_setting("contest", "contest")
+    spec = make_game_spec("contest", "contest")
     entrant = f"examples.{Path(script).stem}:make_agent"
-    agent = load_entrant(entrant, setting, weights=tmp_path / "made" / file)
-    game = RaceGame(load_track("Pipkin"), setting.archive, setting.config)
+    agent = load_entrant(entrant, spec, weights=tmp_path / "made" / file)
+    game = RaceGame(load_track("Pipkin"), spec.archive, spec.config)
     seen = game.observation(game.reset(games=6, seed=1))[0]
     moves, _ = agent.predict(seen, None, np.ones(6, bool), True)
-    assert set(moves.tolist()) <= set(range(setting.offered))
+    assert set(moves.tolist()) <= set(range(spec.offered))
     if script == "maskable_ppo.py":
         from pcs_racing.game.moves import duplicate_moves
 
-        driven = setting.archive.nearest(own(seen, len(setting.archive.characteristics)))
-        assert not duplicate_moves(setting.table[:, : setting.offered])[driven, moves].any()
+        driven = spec.archive.nearest(own(seen, len(spec.archive.characteristics)))
+        assert not duplicate_moves(spec.table[:, : spec.offered])[driven, moves].any()
 
 
 @pytest.mark.parametrize("script", ["train_ppo.py", "self_play_ppo.py"])

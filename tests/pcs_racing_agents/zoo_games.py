@@ -5,7 +5,7 @@ import numpy as np
 from pcs_racing import GameConfig, PolicyArchive, get_planner
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.agents import Setting
+from pcs_racing_agents.agents import GameSpec
 from pcs_racing_agents.networks import RegretNetwork
 
 CONFIG = GameConfig(step_seconds=0.8, epsilon=0.5)
@@ -25,13 +25,13 @@ def toy_archive(policies: int = 12) -> PolicyArchive:
     )  # fmt: skip
 
 
-def untrained(setting: Setting, target: str = "regret", seed: int = 2, stay: bool = True) -> RegretNetwork:
+def untrained(spec: GameSpec, target: str = "regret", seed: int = 2, stay: bool = True) -> RegretNetwork:
     """A network that has learned nothing, but decides differently in different situations."""
     rng = np.random.default_rng(seed)
-    moves = setting.moves if stay else setting.moves[:-1]
-    size, count = len(setting.elements), len(moves)
-    archive = setting.archive
-    identity = GameIdentity(setting.elements, moves, (0.5,), archive.name, archive.content_hash, setting.race)
+    moves = spec.moves if stay else spec.moves[:-1]
+    size, count = len(spec.elements), len(moves)
+    archive = spec.archive
+    identity = GameIdentity(spec.elements, moves, (0.5,), archive.name, archive.content_hash, spec.race)
     weights = rng.normal(size=(16, size)), rng.normal(size=(count, 16))
     layers = DenseLayers(weights, (rng.normal(size=16), rng.normal(size=count)))
     return RegretNetwork(f"untrained-{target}", identity, target, False, layers, np.zeros(size), np.ones(size))

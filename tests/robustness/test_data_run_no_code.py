@@ -40,8 +40,8 @@ from pcs_racing.planners.trained import load_driver
 from pcs_racing.race.replay import replay_page
 from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents import make, parse_agent
+from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.sb3_files import load_model
-from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.benchmark.card import Card, board_page, read_cards, write_card
 from pcs_racing_agents.benchmark.card_values import CardScore, Gain
 from pcs_racing_agents.benchmark.protocol import ProtocolConfig, load_protocol
@@ -241,7 +241,7 @@ KINDS = {
     ),
     "network": Kind(
         shipped("networks", "default-paper-regret/manifest.yaml"),
-        lambda file: parse_agent(f"cfr-argmax:network={file.parent}", make_setting("default", "paper")),
+        lambda file: parse_agent(f"cfr-argmax:network={file.parent}", make_game_spec("default", "paper")),
     ),
     "set of networks": Kind(
         shipped("networks", "contest-contest-psro/set.yaml"),
@@ -439,5 +439,5 @@ def test_a_command_that_opens_a_stranger_s_file_runs_no_code_of_it(evil, command
 
 def test_a_text_is_no_code_unless_its_caller_says_so(evil):
     for word in WORDS:
-        refused("no file may name code", parse_agent, word, make_setting("default", "paper"))
+        refused("no file may name code", parse_agent, word, make_game_spec("default", "paper"))
         refused("unknown", make, word)

@@ -41,8 +41,8 @@ from pcs_racing.track.map_files import parse_grid
 from pcs_racing.track.maps import read_map, write_map
 from pcs_racing_agents.agents import parse_agent
 from pcs_racing_agents.agents.fits import Fit, load_fit
+from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.sb3_files import load_model
-from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.benchmark.card import read_cards
 from pcs_racing_agents.benchmark.overtaking import read_lines
@@ -73,7 +73,7 @@ def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkey
     monkeypatch.chdir(tmp_path)
     archive, track = load_archive("default"), load_track("Pipkin")
     replay = record_race(track, parse_policy("lattice"), parse_policy("lattice"), load_race_config("paper"), seed=0)
-    folder, file, game = Path(name.format("d")), name.format, make_setting("default", "paper")
+    folder, file, game = Path(name.format("d")), name.format, make_game_spec("default", "paper")
     for call in (
         lambda: load_track(file("yaml")), lambda: load_archive(folder), lambda: read_replay(file("json")),
         lambda: load_race_config(file("yaml")), lambda: load_fit(file("yaml")), lambda: load_model(file("zip")),

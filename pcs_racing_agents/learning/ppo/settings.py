@@ -23,7 +23,7 @@ _REWARD_SCALE = "What rewards are multiplied by before they are learned from."
 class PPOSettings(Settings):
     """Settings that both levels share; the names of PPO's hyperparameters are those of Schulman et al. 2017."""
 
-    tracks: Annotated[Names, MinLen(1), "Circuits of the training."] = TRAINING_TRACKS
+    tracks: Annotated[Names, "Circuits of the training."] = TRAINING_TRACKS
     opponents: Annotated[
         _Weights,
         "Opponents, and the relative frequency of each.",
@@ -95,7 +95,6 @@ class DriveSettings(PPOSettings):
     level: Annotated[str, OneOf(("drive",)), "Level of the training."] = "drive"
     races: Annotated[
         Names,
-        MinLen(1),
         'Sets of rules: "paper", "contest" or YAML files; races are driven under each of them.',
     ] = ("paper", "contest")
     opponents: Annotated[

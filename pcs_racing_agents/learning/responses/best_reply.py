@@ -18,7 +18,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.from_network import network_agent
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.jobs import Job, Workers
 from pcs_racing_agents.base.tables import aligned, interval_text, write_csv
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
@@ -49,7 +49,7 @@ class BestReply(NamedTuple):
 def best_reply(
     games: Sequence[RaceGame],
     agent: Competitor,
-    setting: Setting,
+    spec: GameSpec,
     settings: ResponseSettings,
     job: Job,
     *,
@@ -74,8 +74,8 @@ def best_reply(
         Beginning of the names of this work in the job.
     """
     check_whole("races", races, FEWEST * len(games))
-    reply = learn_response(games, [agent], setting, settings, job, name="best-reply", part=f"{part}reply-", **workers)
-    pilot = network_agent(reply, setting, settings.seed)
+    reply = learn_response(games, [agent], spec, settings, job, name="best-reply", part=f"{part}reply-", **workers)
+    pilot = network_agent(reply, spec, settings.seed)
     table = race_on_circuits(games, pilot, agent, races, settings.seed, job, name=f"{part}races", **workers)
     return BestReply(reply, table, excess_estimate(table))
 

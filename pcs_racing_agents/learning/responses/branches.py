@@ -17,7 +17,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
 from pcs_racing_agents.agents.blind import ConstantStrategy
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.networks import Rows
 
@@ -65,11 +65,11 @@ def block_rows(arrays: Arrays, block: GameBlock, place: int, step: int, weight: 
     )
 
 
-def random_player(game: RaceGame, setting: Setting, seed: int) -> Agent:
-    """Return an agent that draws each move among those of a game, which may lack the setting's move "stay"."""
+def random_player(game: RaceGame, spec: GameSpec, seed: int) -> Agent:
+    """Return an agent that draws each move among those of a game, which may lack the spec's move "stay"."""
     offered = len(game.move_names)
-    probabilities = (np.arange(len(setting.moves)) < offered) / offered
-    return Agent("random-moves", ConstantStrategy(probabilities), setting, seed)
+    probabilities = (np.arange(len(spec.moves)) < offered) / offered
+    return Agent("random-moves", ConstantStrategy(probabilities), spec, seed)
 
 
 class Branches(NamedTuple):

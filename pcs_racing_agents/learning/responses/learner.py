@@ -21,7 +21,7 @@ from pcs_racing.game.identity import game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Competitor
 from pcs_racing_agents.agents.from_network import network_agent
-from pcs_racing_agents.agents.setting import Setting
+from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.jobs import Job, Workers
@@ -46,7 +46,7 @@ ROWS_PER_EPOCH = 50_000
 class LearnerSettings(Settings):
     """What is learned from branched games, and how networks are fitted to it."""
 
-    # The name of this setting is in the files of shipped networks.
+    # The name of this option is in the files of shipped networks.
     worth: Annotated[str, OneOf(PAYOFFS), "Payoff of a game: a race won, or the game's utility."] = "win"
     hidden: Annotated[Layers, "Units of each hidden layer of a network."] = (64, 64)
     learning_rate: Annotated[float, Interval(ge=1e-8, le=10.0), "Initial learning rate of Adam."] = 3e-3
@@ -105,7 +105,7 @@ def load_response_settings(source: str | Path | ResponseSettings | None = None, 
 def learn_response(
     games: Sequence[RaceGame],
     pool: Sequence[Competitor],
-    setting: Setting,
+    spec: GameSpec,
     settings: ResponseSettings,
     job: Job,
     *,
@@ -135,7 +135,7 @@ def learn_response(
         raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")
     starts = _starts(settings.starts, len(pool), shares)
     identity = game_identity(games[0])
-    random_moves = random_player(games[0], setting, settings.seed)
+    random_moves = random_player(games[0], spec, settings.seed)
     played = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
     for game in games:
         if game_identity(game) != identity:
@@ -151,10 +151,10 @@ def learn_response(
         return merge_networks(networks, name)
 
     for round_ in range(settings.rounds):
-        behaviours = [random_moves] if network is None else [random_moves, network_agent(network, setting)]
+        behaviours = [random_moves] if network is None else [random_moves, network_agent(network, spec)]
         for step in reversed(range(games[0].config.moves)):
             # In the first pass the branches of the last step have no later moves, so any continuation does.
-            continuation = random_moves if network is None else network_agent(network, setting)
+            continuation = random_moves if network is None else network_agent(network, spec)
             blocks = [
                 block
                 for i in range(len(games))

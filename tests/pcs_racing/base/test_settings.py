@@ -32,7 +32,7 @@ class Soup(loading.Settings):
 
     salt: Annotated[float, Interval(ge=0.0, le=1.0), "Salt, g."] = 0.5
     bowls: Annotated[int, Interval(ge=1, le=9), "How many bowls."] = 2
-    herbs: Annotated[loading.Names, MinLen(1), "What is green in it."] = ("dill",)
+    herbs: Annotated[loading.Names, "What is green in it."] = ("dill",)
     minutes: Annotated[float, Interval(ge=0.1, le=60.0), MultipleOf(0.1), "Time on the fire."] = 20.0
     hot: Annotated[bool, "Whether it is served hot."] = True
     cook: Annotated[loading.Text, "Who makes it."] = "Ann"

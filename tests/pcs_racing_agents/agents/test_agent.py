@@ -12,8 +12,8 @@ from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.zoo import build
 
 
-def test_an_agent_answers_like_a_model_of_sb3_and_draws_by_what_is_seen_and_its_seed(setting, seen):
-    agent = always(setting, "restraint +")
+def test_an_agent_answers_like_a_model_of_sb3_and_draws_by_what_is_seen_and_its_seed(spec, seen):
+    agent = always(spec, "restraint +")
     moves, state = agent.predict(seen[0])
     assert moves.shape == (40,)
     assert state is None
@@ -21,7 +21,7 @@ def test_an_agent_answers_like_a_model_of_sb3_and_draws_by_what_is_seen_and_its_
     one, state = agent.predict(seen[0][3], None, np.array([True]), deterministic=False)
     assert (one.shape, int(one), state) == ((), 2, None)
     assert agent.probabilities(seen[0][:0]).shape == (0, 5)
-    agent = random_moves(setting, seed=4)
+    agent = random_moves(spec, seed=4)
     everything = np.concatenate(seen)
     moves, _ = agent.predict(everything)
     assert len(set(moves.tolist())) == 4  # the paper's rules offer no "stay"
@@ -68,29 +68,29 @@ def test_draws_follow_the_chances_and_rounding_never_draws_what_is_impossible():
         assert (np.array(chances)[draw(np.tile(chances, (5000, 1)), rows, 3)] > 0.0).all()
 
 
-def test_agents_and_drivers_travel_to_other_processes(setting, seen):
-    agent = pickle.loads(pickle.dumps(random_moves(setting, seed=7)))
-    np.testing.assert_array_equal(agent.predict(seen[1])[0], random_moves(setting, seed=7).predict(seen[1])[0])
-    assert agent.content_hash == random_moves(setting, seed=7).content_hash
+def test_agents_and_drivers_travel_to_other_processes(spec, seen):
+    agent = pickle.loads(pickle.dumps(random_moves(spec, seed=7)))
+    np.testing.assert_array_equal(agent.predict(seen[1])[0], random_moves(spec, seed=7).predict(seen[1])[0])
+    assert agent.content_hash == random_moves(spec, seed=7).content_hash
     driver = pickle.loads(pickle.dumps(make("lane-switcher")))
     assert driver.planner is get_planner("lane-switcher")
     assert [policy.name for policy in driver.policies] == [f"lane-switcher:{i}" for i in range(20)]
     assert driver.content_hash == make("lane-switcher").content_hash
 
 
-def test_digests_tell_what_somebody_does_and_nothing_is_kept_of_whom_they_can_not(setting, network):
-    first = always(setting, "restraint +")
-    assert first.content_hash == always(setting, "restraint+", name="other name").content_hash
-    others = [always(setting, "restraint -"), random_moves(setting), random_moves(setting, seed=1)]
-    others.append(build("cfr-argmax", setting, network=network))
-    others.append(build("cfr-regret-matching", setting, network=network))
+def test_digests_tell_what_somebody_does_and_nothing_is_kept_of_whom_they_can_not(spec, network):
+    first = always(spec, "restraint +")
+    assert first.content_hash == always(spec, "restraint+", name="other name").content_hash
+    others = [always(spec, "restraint -"), random_moves(spec), random_moves(spec, seed=1)]
+    others.append(build("cfr-argmax", spec, network=network))
+    others.append(build("cfr-regret-matching", spec, network=network))
     layers = network.layers
     changed = replace(network, layers=replace(layers, biases=(layers.biases[0], layers.biases[1] + 1.0)))
-    others.append(build("cfr-argmax", setting, network=changed))
+    others.append(build("cfr-argmax", spec, network=changed))
     assert len({first.content_hash, *(agent.content_hash for agent in others)}) == 7
     assert [competitor_hash(agent) for agent in others] == [agent.content_hash for agent in others]
     assert competitor_hash(make("lattice:pace=0.3")) != competitor_hash(make("lattice:pace=0.4"))
-    function = Agent("function", lambda seen: np.full((len(seen), 5), 0.2), setting)
+    function = Agent("function", lambda seen: np.full((len(seen), 5), 0.2), spec)
     for unknown in (Model(), as_competitor(Model(), "named"), function):
         refused("of that name", competitor_hash, as_competitor(unknown))
     known = Model()
@@ -98,13 +98,13 @@ def test_digests_tell_what_somebody_does_and_nothing_is_kept_of_whom_they_can_no
     assert competitor_hash(as_competitor(known, "x")) == competitor_hash(as_competitor(known, "y"))
 
 
-def test_bad_agents_drivers_and_observations_are_refused(setting):
+def test_bad_agents_drivers_and_observations_are_refused(spec):
     assert as_competitor(Model()).name == "Model"
     assert as_competitor(Model(), "mine").name == "mine"
     driver = as_competitor(get_planner("lattice").policy(), "L")
     assert isinstance(driver, Driver)
     assert (driver.name, len(driver.policies)) == ("L", 1)
-    agent = random_moves(setting)
+    agent = random_moves(spec)
     assert as_competitor(agent) is as_competitor(agent, "random-moves") is agent
     assert isinstance(as_competitor(agent, "other"), Agent)
     renamed = as_competitor(driver, "M")
@@ -115,9 +115,9 @@ def test_bad_agents_drivers_and_observations_are_refused(setting):
     assert (named.predict(np.zeros((2, 5)))[0].tolist(), as_competitor(named, "four").name) == ([3, 3], "four")
     for wrong in ("never-switch", 3, Model):
         refused("can't race", as_competitor, wrong)
-    refused("an agent's name is ''", random_moves, setting, name="")
-    refused("seed of agent 'random-moves' is -1", random_moves, setting, seed=-1)
-    refused("'jump' is no move", always, setting, "jump")
+    refused("an agent's name is ''", random_moves, spec, name="")
+    refused("seed of agent 'random-moves' is -1", random_moves, spec, seed=-1)
+    refused("'jump' is no move", always, spec, "jump")
     refused("'d' has no policy", Driver, "d", ())
     lattice, pursuit = get_planner("lattice").policy(), get_planner("pure-pursuit").policy()
     refused("one planner", Driver, "d", (lattice, pursuit))
@@ -127,10 +127,10 @@ def test_bad_agents_drivers_and_observations_are_refused(setting):
         (np.zeros((2, 3, 31)), r"shape \(2, 3, 31\)"),
         (np.full(31, np.nan), "holds NaN or infinity"),
     ]:
-        refused(message, random_moves(setting).predict, observation)
+        refused(message, random_moves(spec).predict, observation)
 
 
-def test_observations_are_read_as_the_game_writes_them_and_tell_what_was_earlier(game, seen, setting):
+def test_observations_are_read_as_the_game_writes_them_and_tell_what_was_earlier(game, seen, spec):
     names = [element.name for element in game.observation_elements]
     for step, rows in enumerate(seen):
         running = rows[:, names.index(f"seen_{step}")] == 1.0  # games that crashed stay behind
@@ -148,4 +148,4 @@ def test_observations_are_read_as_the_game_writes_them_and_tell_what_was_earlier
         np.testing.assert_array_equal(observing.earlier(last, 2, step)[long_enough], rows[long_enough])
     state = game.reset(games=10, seed=3)
     rows = game.observation(state)[:, 1]
-    np.testing.assert_array_equal(setting.archive.nearest(observing.own(rows, 2)), state.policy[:, 1])
+    np.testing.assert_array_equal(spec.archive.nearest(observing.own(rows, 2)), state.policy[:, 1])

@@ -5,7 +5,7 @@ import pytest
 from repository import load_tool
 
 from pcs_racing_agents import make, names
-from pcs_racing_agents.agents import describe, make_setting
+from pcs_racing_agents.agents import describe, make_game_spec
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.describe import Measured, facts_of, measurements, option_meanings
 from pcs_racing_agents.agents.zoo import SHIPPED, entries, options
@@ -45,17 +45,17 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
         monkeypatch.setattr(module, "measured_file", lambda: tmp_path / "measured.csv")
     measurements.cache_clear()
     try:
-        setting = make_setting("default", "paper")
+        spec = make_game_spec("default", "paper")
         digest = competitor_hash(make("never-switch"))
         unmeasured = ["Strength and cost: not measured as it is.", f"Hash: {digest[:16]}."]
-        assert facts_of("never-switch", setting) == unmeasured
+        assert facts_of("never-switch", spec) == unmeasured
         one = Measured(
             *("default", "paper", "never-switch", digest, "Tarnfjord, Saltmere", 300.0, 0.5, -12.0, -40.0, 20.0, 0.02),
             *(46.0, 0.53, {"random-moves": 0.625}),
         )
         zoo_page.write_measurements([one, one._replace(agent="lane-switcher", many_us=np.nan, against={})])
         assert measurements()["default", "paper", "never-switch"] == one
-        assert facts_of("never-switch", setting)[0].startswith("Strength: score 0.500, rating -12 [-40, +20], on ")
+        assert facts_of("never-switch", spec)[0].startswith("Strength: score 0.500, rating -12 [-40, +20], on ")
         assert describe.measured("default", "paper", "never-switch", "0" * 64) is None
         assert np.isnan(measurements()["default", "paper", "lane-switcher"].many_us)
         page = zoo_page.zoo_page()
@@ -67,7 +67,7 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
 
 def test_the_command_tells_the_same(printed):
     out = printed("agents", "cfr-argmax")
-    for line in facts_of("cfr-argmax", make_setting("default", "paper")):
+    for line in facts_of("cfr-argmax", make_game_spec("default", "paper")):
         assert f"- {line}\n" in out
     assert "With archive default in the paper race:" in out
     out = printed("agents", "cfr-argmax", "--archive", "contest", "--race", "contest")

@@ -7,9 +7,9 @@ from refusal import refused
 from pcs_racing_agents.agents.blind import best_fixed, best_lead_plan, best_schedule, never_switch, path_moves
 
 
-def test_a_schedule_follows_the_steps_and_never_switching_is_staying(setting, game, seen):
+def test_a_schedule_follows_the_steps_and_never_switching_is_staying(spec, game, seen):
     plan = ["restraint +", "stay", "aggressiveness-", "restraint +"]
-    agent = best_schedule(setting, moves=plan)
+    agent = best_schedule(spec, moves=plan)
     state = game.reset(games=3, seed=5)
     for expected in (2, 4, 1, 2):
         moves, _ = agent.predict(game.observation(state)[:, 0])
@@ -17,18 +17,18 @@ def test_a_schedule_follows_the_steps_and_never_switching_is_staying(setting, ga
         state = game.step(state, np.full((3, 2), 4))
     assert (agent.predict(game.observation(state)[:, 0])[0] == 2).all()  # after the last step, too
     assert agent.facts["plan"] == "restraint +, stay, aggressiveness -, restraint +"
-    refused("has 4 moves", best_schedule, setting, moves=plan[:3])
-    refused("and a fit", best_schedule, setting, moves=plan, fit="somewhere.yaml")
-    chances = never_switch(setting).probabilities(seen[2])
+    refused("has 4 moves", best_schedule, spec, moves=plan[:3])
+    refused("and a fit", best_schedule, spec, moves=plan, fit="somewhere.yaml")
+    chances = never_switch(spec).probabilities(seen[2])
     np.testing.assert_array_equal(chances, np.tile([0, 0, 0, 0, 1], (40, 1)))
 
 
 @pytest.mark.parametrize("target", [0, 5, 11])
-def test_a_walk_arrives_and_stays(setting, game, target):
+def test_a_walk_arrives_and_stays(spec, game, target):
     """Every policy of the archive, by the rules of the game itself."""
-    agent = best_fixed(setting, target=target)
-    table, place = setting.table, setting.archive.normalised
-    policy = np.arange(len(setting.archive))
+    agent = best_fixed(spec, target=target)
+    table, place = spec.table, spec.archive.normalised
+    policy = np.arange(len(spec.archive))
     for _ in range(20):
         seen = np.zeros((len(policy), 31), np.float32)
         seen[:, :2] = place[policy]
@@ -43,10 +43,10 @@ def test_a_walk_arrives_and_stays(setting, game, target):
     assert int(agent.predict(seen)[0][0]) == 4  # stay
 
 
-def test_a_lead_plan_looks_at_who_leads_and_at_nothing_else(setting, game, seen):
+def test_a_lead_plan_looks_at_who_leads_and_at_nothing_else(spec, game, seen):
     """Every decision is that of the walk to one of its two policies, by the lead of the last step that is over."""
-    plan = best_lead_plan(setting, targets={"behind": 10, "ahead": 1})
-    walks = [best_fixed(setting, target=target) for target in (10, 1)]
+    plan = best_lead_plan(spec, targets={"behind": 10, "ahead": 1})
+    walks = [best_fixed(spec, target=target) for target in (10, 1)]
     for made, observation in enumerate(seen):
         leads = observation[:, 6 * made + 4] >= 0.0
         assert 0 < leads.sum() < len(leads)
@@ -57,9 +57,9 @@ def test_a_lead_plan_looks_at_who_leads_and_at_nothing_else(setting, game, seen)
             hidden[:, 6 * step + 2 : 6 * step + 4] = 0.5  # the opponent's coordinates
             hidden[:, 6 * step + 4] = np.sign(hidden[:, 6 * step + 4])
         np.testing.assert_array_equal(plan.predict(hidden)[0], expected)
-    one, other = setting.archive.normalised[1]
+    one, other = spec.archive.normalised[1]
     assert plan.facts["ahead"] == f"policy 1 (aggressiveness {one:.2f}, restraint {other:.2f})"
-    assert best_fixed(setting, target=1).facts["target"] == plan.facts["ahead"]
+    assert best_fixed(spec, target=1).facts["target"] == plan.facts["ahead"]
 
 
 def _reachable(table) -> list[list[int]]:
@@ -102,8 +102,8 @@ def test_paths_are_shortest(world):
             assert away[first[start]] == away.min()
 
 
-def test_targets_and_lead_plans_that_do_not_exist_are_refused(setting):
+def test_targets_and_lead_plans_that_do_not_exist_are_refused(spec):
     for target in (-1, 12, "7", True):
-        refused("archive 'toy', 0 to 11", best_fixed, setting, target=target)
+        refused("archive 'toy', 0 to 11", best_fixed, spec, target=target)
     for targets in [{"behind": 1}, {"behind": 1, "level": 2}, 3, {"behind": 1, "ahead": 12}]:
-        refused(r"behind, ahead|index", best_lead_plan, setting, targets=targets)
+        refused(r"behind, ahead|index", best_lead_plan, spec, targets=targets)

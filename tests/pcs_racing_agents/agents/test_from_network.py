@@ -9,77 +9,77 @@ from refusal import refused
 from zoo_games import untrained
 
 from pcs_racing import InputError, UnknownNameError
-from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.blind import random_moves
 from pcs_racing_agents.agents.from_network import DECISIONS, adaptive, from_network, get_decision
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.fingerprint import fingerprint
 
 
-def test_the_papers_agent_makes_the_move_of_highest_regret_and_matching_draws_in_proportion(setting, network, seen):
-    agent = build("cfr-argmax", setting, network=network)
+def test_the_papers_agent_makes_the_move_of_highest_regret_and_matching_draws_in_proportion(spec, network, seen):
+    agent = build("cfr-argmax", spec, network=network)
     rows = np.concatenate(seen)
     np.testing.assert_array_equal(agent.predict(rows)[0], network.choose(rows))
-    clipped = build("cfr-argmax", setting, network=replace(network, clipped=True))
+    clipped = build("cfr-argmax", spec, network=replace(network, clipped=True))
     np.testing.assert_array_equal(clipped.predict(rows)[0], network.choose(rows))
     assert agent.facts["source"] == "the paper's GT agent, Equations 8 and 9"
     assert agent.facts["weights sha256"] == fingerprint(network.layers)
     facts = {"setting_a": 1, "test_b": 2, "validation_c": 3, "training_d": 4, "games": 5, "loss": 0.25}
-    agent = build("cfr-argmax", setting, network=replace(network, training=facts))
+    agent = build("cfr-argmax", spec, network=replace(network, training=facts))
     about = {key: agent.facts[key] for key in ("network", "trained on", "decision")}
     assert list(about.values()) == ["untrained-regret: regret, preset paper", "games 5, loss 0.25", "argmax"]
-    agent = build("cfr-regret-matching", setting, network=network)
+    agent = build("cfr-regret-matching", spec, network=network)
     values = np.maximum(network.unclipped(seen[1]), 0.0).astype(float)
     some = values.sum(axis=1) > 0.0
     expected = values[some] / values[some].sum(axis=1, keepdims=True)
     np.testing.assert_allclose(agent.probabilities(seen[1])[some], expected)
 
 
-def test_a_network_may_not_know_stay_which_is_worth_nothing_to_it(setting, seen):
-    short = untrained(setting, stay=False)
-    agent = build("cfr-argmax", setting, network=short)
+def test_a_network_may_not_know_stay_which_is_worth_nothing_to_it(spec, seen):
+    short = untrained(spec, stay=False)
+    agent = build("cfr-argmax", spec, network=short)
     assert (agent.probabilities(seen[0])[:, 4] == 0.0).all()
     np.testing.assert_array_equal(agent.predict(seen[0])[0], short.choose(seen[0]))
-    short = untrained(setting, "gain", stay=False)
-    agent = adaptive(setting, network=short, open_loop="never-switch", margin=0.0)
+    short = untrained(spec, "gain", stay=False)
+    agent = adaptive(spec, network=short, open_loop="never-switch", margin=0.0)
     values = short.unclipped(seen[0])
     expected = np.where(values.max(axis=1) > 0.0, values.argmax(axis=1), 4)
     np.testing.assert_array_equal(agent.predict(seen[0])[0], expected)
 
 
-def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more_and_keeps_a_random_one(setting, seen):
-    network = untrained(setting, "gain")
+def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more_and_keeps_a_random_one(spec, seen):
+    network = untrained(spec, "gain")
     rows = np.concatenate(seen)
     values = network.unclipped(rows)
-    habit = build("always-restraint-", setting)
+    habit = build("always-restraint-", spec)
     gain = values.max(axis=1) - values[:, 3]
     leaves = {}
     for margin in (0.0, float(np.median(gain)), 1e9):
-        agent = adaptive(setting, network=network, open_loop=habit, margin=margin)
+        agent = adaptive(spec, network=network, open_loop=habit, margin=margin)
         expected = np.where(gain > margin, values.argmax(axis=1), 3)
         np.testing.assert_array_equal(agent.predict(rows)[0], expected)
         leaves[margin] = np.mean(expected != 3)
     assert sorted(leaves.values(), reverse=True) == list(leaves.values())
     assert list(leaves.values())[-1] == 0.0
-    trained = adaptive(setting, network=replace(network, training={"margin": 1e9}), open_loop="never-switch")
+    trained = adaptive(spec, network=replace(network, training={"margin": 1e9}), open_loop="never-switch")
     assert (trained.predict(rows)[0] == 4).all()
     assert trained.facts["keeps to"] == "never-switch"
-    refused("margin of agent 'adaptive' is -1", adaptive, setting, network=network, open_loop=habit, margin=-1)
-    agent = adaptive(setting, network=network, open_loop=random_moves(setting), margin=1e9)
+    refused("margin of agent 'adaptive' is -1", adaptive, spec, network=network, open_loop=habit, margin=-1)
+    agent = adaptive(spec, network=network, open_loop=random_moves(spec), margin=1e9)
     np.testing.assert_allclose(agent.probabilities(seen[0]), [[0.25, 0.25, 0.25, 0.25, 0.0]] * 40)
 
 
-def test_a_network_of_another_game_is_refused(setting, network, archive):
-    longer = make_setting(archive, replace(setting.config, moves=5))
+def test_a_network_of_another_game_is_refused(spec, network, archive):
+    longer = make_game_spec(archive, replace(spec.config, moves=5))
     with pytest.raises(InputError, match=r"agent 'cfr-argmax': network 'untrained-regret' sees 31 .* the game has 37"):
         build("cfr-argmax", longer, network=network)
-    wider = make_setting(archive, replace(setting.config, epsilon=0.7))
+    wider = make_game_spec(archive, replace(spec.config, epsilon=0.7))
     refused(r"epsilon 0\.5", build, "nash", wider, network=network)
     fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
-    refused("archive 'toy'", build, "nash", make_setting(fewer, setting.config), network=network)
-    refused(r"network, .*'toy-paper-nash'", build, "nash", setting, error=UnknownNameError)
+    refused("archive 'toy'", build, "nash", make_game_spec(fewer, spec.config), network=network)
+    refused(r"network, .*'toy-paper-nash'", build, "nash", spec, error=UnknownNameError)
     with pytest.raises(UnknownNameError, match="decision 'best' is unknown"):
-        from_network(setting, name="mine", kind="regret", decision="best", network=network)
+        from_network(spec, name="mine", kind="regret", decision="best", network=network)
 
 
 @given(arrays(np.float32, (5, 4), elements=st.floats(-100.0, 100.0, width=32)))

@@ -53,24 +53,24 @@ class Summed(torch.nn.Module):
 
 
 @pytest.fixture(scope="module")
-def models(oval, setting):
+def models(oval, spec):
     """Untrained models with ReLUs and with SB3's default, tanh."""
     PPO = pytest.importorskip("stable_baselines3").PPO
 
-    env = gym.make("pcs_racing/Duel-v1", track=oval, archive=setting.archive, step_seconds=0.8, stay=True)
+    env = gym.make("pcs_racing/Duel-v1", track=oval, archive=spec.archive, step_seconds=0.8, stay=True)
     relu = {"activation_fn": torch.nn.ReLU, "net_arch": [24, 16]}
     return [PPO("MlpPolicy", env, seed=0, policy_kwargs=kwargs, device="cpu") for kwargs in (relu, None)]
 
 
-def test_a_model_decides_alike_as_our_own_network(models, game, setting, seen):
+def test_a_model_decides_alike_as_our_own_network(models, game, spec, seen):
     model, rows = models[0], np.concatenate(seen)
     network = network_from_sb3(model, game_identity(game), training={"steps": 0})
     assert (network.hidden, network.target, network.clipped) == ((24, 16), "ppo", False)
     assert (network.name, network.training) == ("ppo", {"steps": 0})
     assert (network.mean.tolist(), network.scale.tolist()) == ([0.0] * 31, [1.0] * 31)
-    agent = build("ppo", setting, network=network)
+    agent = build("ppo", spec, network=network)
     np.testing.assert_array_equal(agent.predict(rows)[0], model.predict(rows, deterministic=True)[0])
     with torch.no_grad():
         chances = model.policy.get_distribution(torch.as_tensor(rows)).distribution.probs.numpy()
-    drawn = build("ppo", setting, network=network, decision="softmax")
+    drawn = build("ppo", spec, network=network, decision="softmax")
     np.testing.assert_allclose(drawn.probabilities(rows), chances, atol=1e-5)

@@ -11,6 +11,7 @@ from pcs_racing import load_race_config, load_track, parse_policy, run_races
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.duel import DuelEnv
 from pcs_racing_agents.agents import as_competitor, make
+from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.sb3_files import (
     _read_scale,
     actor_of,
@@ -19,7 +20,6 @@ from pcs_racing_agents.agents.sb3_files import (
     plain_model,
     save_model,
 )
-from pcs_racing_agents.agents.setting import make_setting
 from pcs_racing_agents.agents.zoo import load_entrant
 
 sb3, torch, gym = (pytest.importorskip(name) for name in ("stable_baselines3", "torch", "gymnasium"))
@@ -232,7 +232,7 @@ def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more)
     answer = np.clip(kept.model.predict(ROWS)[0], -1.0, 1.0)
     np.testing.assert_allclose(answer, model.predict(ROWS, deterministic=True)[0], atol=1e-5)
     assert (kept.hold, kept.options.beams, kept.options.vehicle[0].mu) == (20, 5, 0.9)
-    assert load_entrant(file, make_setting("default", "paper")).planner.drive.hold == 20
+    assert load_entrant(file, make_game_spec("default", "paper")).planner.drive.hold == 20
     assert make(file).planner.drive.content_hash == named.planner.drive.content_hash
     ends = [run_races(track, one, parse_policy(RIVAL), config, seed=2) for one in (load_model(file), *named.policies)]
     np.testing.assert_array_equal(ends[0].state.cars, ends[1].state.cars)

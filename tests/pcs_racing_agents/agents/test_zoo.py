@@ -17,7 +17,7 @@ from pcs_racing_agents.agents import (
     Driver,
     describe,
     make,
-    make_setting,
+    make_game_spec,
     names,
     parse_agent,
     register_agent,
@@ -25,34 +25,34 @@ from pcs_racing_agents.agents import (
 )
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.blind import always, random_moves
-from pcs_racing_agents.agents.setting import training_text
+from pcs_racing_agents.agents.game_spec import training_text
 from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, load_entrant, options
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.tournament.games import game_between
 
 
-def learned(name: str, setting) -> dict:
+def learned(name: str, spec) -> dict:
     """What an agent of the zoo must be given if nothing is shipped for its game."""
     given = {
         "best-schedule": {"moves": ["stay"] * 4},
         "best-fixed": {"target": 3},
         "best-lead-plan": {"targets": {"behind": 3, "ahead": 5}},
-        "adaptive": {"network": untrained(setting, "gain"), "open_loop": "never-switch"},
+        "adaptive": {"network": untrained(spec, "gain"), "open_loop": "never-switch"},
     }
     if name in SHIPPED and entries()[name].needs == "network" and name != "adaptive":
-        return {"network": untrained(setting)}
+        return {"network": untrained(spec)}
     if name in SHIPPED and entries()[name].needs == "networks":
-        networks = tuple(untrained(setting, "advantage", seed) for seed in (1, 2))
+        networks = tuple(untrained(spec, "advantage", seed) for seed in (1, 2))
         return {"networks": NetworkSet("untrained", networks, np.ones(2), "regret-matching")}
     return given.get(name, {})
 
 
-def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
-    listed = names(setting.archive, setting.config)
+def test_everything_in_the_zoo_can_be_made_and_asked(spec, seen):
+    listed = names(spec.archive, spec.config)
     assert len(listed) == len(set(listed)) >= 20
     assert {"always-aggressiveness+", "always-restraint-"} <= set(listed)
     for name in listed:
-        created = build(name, setting, seed=3, **learned(name, setting))
+        created = build(name, spec, seed=3, **learned(name, spec))
         assert created.name == name
         if name in SHIPPED:
             assert signature(entries()[name].build).parameters["seed"].default == 0
@@ -71,56 +71,56 @@ def test_everything_in_the_zoo_can_be_made_and_asked(setting, seen):
             assert created.facts["source"] == entries()[name].source
 
 
-def test_an_entrant_has_its_own_name_or_the_one_that_is_given(setting, tmp_path):
+def test_an_entrant_has_its_own_name_or_the_one_that_is_given(spec, tmp_path):
     layers = random_layers(len(INPUTS), 6, 2, seed=1)
     folder = save_driver(tmp_path / "place", layers, name="mine", hold=4, training={})
     for text, own, more in [
         (str(folder), "mine", {"drive": True}), ("ppo-drive", "ppo-drive", {"drive": True}),
         ("never-switch", "never-switch", {}), ("lattice:pace=0.5", "lattice:pace=0.5", {}),
     ]:  # fmt: skip
-        assert load_entrant(text, setting, **more).name == own
-        assert load_entrant(text, setting, **more, name="other").name == "other"
-    refused("no file of weights", load_entrant, "a:b", setting, weights=tmp_path / "none.npz")
+        assert load_entrant(text, spec, **more).name == own
+        assert load_entrant(text, spec, **more, name="other").name == "other"
+    refused("no file of weights", load_entrant, "a:b", spec, weights=tmp_path / "none.npz")
 
 
 def test_the_archive_of_a_setting_has_the_axes_of_the_game(archive):
-    one = make_setting(archive, replace(CONFIG, characteristics=("restraint",)))
+    one = make_game_spec(archive, replace(CONFIG, characteristics=("restraint",)))
     assert (one.archive.characteristics, one.moves) == (("restraint",), ("restraint +", "restraint -", "stay"))
-    same = make_setting(archive, replace(CONFIG, characteristics=archive.characteristics))
+    same = make_game_spec(archive, replace(CONFIG, characteristics=archive.characteristics))
     assert same.archive is archive
-    assert [make_setting(archive, replace(CONFIG, stay=stay)).offered for stay in (False, True)] == [4, 5]
+    assert [make_game_spec(archive, replace(CONFIG, stay=stay)).offered for stay in (False, True)] == [4, 5]
     assert (one.move("restraint-"), one.race, len(one.elements)) == (1, "paper", 5 * 4 + 1)
 
 
-def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_another(game, setting, oval):
+def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_another(game, spec, oval):
     agent = pcs_racing_agents.make("random-moves", race="contest", seed=1)
     assert isinstance(agent, Agent)
-    assert agent.setting.race == "contest"
-    assert agent.setting.offered == 5  # the contest offers "stay" to everybody
+    assert agent.spec.race == "contest"
+    assert agent.spec.offered == 5  # the contest offers "stay" to everybody
     assert "never-switch" in pcs_racing_agents.names()
     assert len(make("lane-switcher").policies) == 20
-    assert len(make("random-policy").policies) == len(agent.setting.archive.explored_parameters)
+    assert len(make("random-policy").policies) == len(agent.spec.archive.explored_parameters)
     assert len(make("random-policy", first=80).policies) == 80
     refused("first is 0; it must be a whole number from 1 to", make, "random-policy", first=0)
     with pytest.raises(AttributeError, match="has no attribute 'mak'"):
         pcs_racing_agents.mak  # noqa: B018
     other = make("never-switch")
     refused(r"agent 'never-switch' was made for archive 'default' \(.*\)", game_between, game, other, other)
-    agent, wider = random_moves(setting), make_game(oval, setting.archive, setting.config, epsilon=0.7)
+    agent, wider = random_moves(spec), make_game(oval, spec.archive, spec.config, epsilon=0.7)
     refused(r"epsilon 0\.5; .*0\.7", game_between, wider, agent, agent)
 
 
-def test_agents_as_text_and_bad_names_and_options(setting):
-    assert parse_agent("best-fixed:target=3", setting).name == "best-fixed:target=3"
-    assert parse_agent("always-restraint +", setting).name == "always-restraint+"
-    assert len(parse_agent("lane-switcher", setting).policies) == 20
-    (only,) = parse_agent("lane-switcher:4", setting).policies
+def test_agents_as_text_and_bad_names_and_options(spec):
+    assert parse_agent("best-fixed:target=3", spec).name == "best-fixed:target=3"
+    assert parse_agent("always-restraint +", spec).name == "always-restraint+"
+    assert len(parse_agent("lane-switcher", spec).policies) == 20
+    (only,) = parse_agent("lane-switcher:4", spec).policies
     assert only.name == "lane-switcher:4"
-    setting = make_setting("contest", "contest")
-    adaptive = parse_agent("adaptive:network=contest-contest-gain,open_loop=never-switch,margin=0.5", setting)
+    spec = make_game_spec("contest", "contest")
+    adaptive = parse_agent("adaptive:network=contest-contest-gain,open_loop=never-switch,margin=0.5", spec)
     assert (adaptive.facts["keeps to"], adaptive.facts["margin"]) == ("never-switch", "0.5")
     for text in ("best-fixed:3", "best-fixed:target=3,target=4", "best-fixed:name=x", "best-fixed:target=[1"):
-        refused("agent 'best-fixed", parse_agent, text, setting)
+        refused("agent 'best-fixed", parse_agent, text, spec)
     for name, given, message in [
         ("cfr-armax", {}, "did you mean 'cfr-argmax'?"),
         ("always-jump", {}, "'jump' is no move"),
@@ -133,80 +133,82 @@ def test_agents_as_text_and_bad_names_and_options(setting):
         ("never-switch", {"x": 2}, "has no option 'x'; it has none"),
         ("lattice:pace=7", {}, "must lie in"),
     ]:
-        refused(message, build, name, setting, **given)
+        refused(message, build, name, spec, **given)
     refused("unknown archive 'nowhere'", make, "never-switch", archive="nowhere", error=UnknownNameError)
 
 
-def third_party(setting, *, name="x", seed=0, bold=False):
+def third_party(spec, *, name="x", seed=0, bold=False):
     """Make the first move for ever."""
-    return always(setting, setting.moves[0], name=name, seed=seed) if bold else Model()
+    return always(spec, spec.moves[0], name=name, seed=seed) if bold else Model()
 
 
-def test_agents_of_other_people(setting, monkeypatch):
+def test_agents_of_other_people(spec, monkeypatch):
     monkeypatch.setattr(zoo, "_registered", {})
     register_agent("first-move", third_party)
     register_agent("first-move", third_party)  # again changes nothing
     assert entries()["first-move"].summary == "Make the first move for ever."
-    assert "first-move" in names(setting.archive, setting.config)
+    assert "first-move" in names(spec.archive, spec.config)
     assert options("first-move") == {"bold": False}
-    assert build("first-move", setting).name == "first-move"
-    assert isinstance(build("first-move", setting, bold=True), Agent)
-    register_agent("any-options", lambda setting, **given: third_party(setting, **given))
-    assert isinstance(build("any-options", setting, bold=True), Agent)
+    assert build("first-move", spec).name == "first-move"
+    assert isinstance(build("first-move", spec, bold=True), Agent)
+    register_agent("any-options", lambda spec, **given: third_party(spec, **given))
+    assert isinstance(build("any-options", spec, bold=True), Agent)
     refused("agent 'first-move' already", register_agent, "first-move", random_moves)
     for name in ("", "a b", "nash", "always-x", "a:b"):
         refused("agent", register_agent, name, third_party)
 
     monkeypatch.setattr(zoo, "_declared", lambda: {"far": f"{__name__}:third_party", "broken": "no.such:thing"})
-    assert {"far", "broken"} <= set(names(setting.archive, setting.config))
-    assert build("far", setting, bold=True).name == "far"
-    refused(r"agent 'broken' can't be loaded from no\.such:thing", build, "broken", setting)
+    assert {"far", "broken"} <= set(names(spec.archive, spec.config))
+    assert build("far", spec, bold=True).name == "far"
+    refused(r"agent 'broken' can't be loaded from no\.such:thing", build, "broken", spec)
 
 
-def test_a_shipped_agent_is_a_file_and_a_line(setting, monkeypatch, tmp_path):
+def test_a_shipped_agent_is_a_file_and_a_line(spec, monkeypatch, tmp_path):
     """With its line in SHIPPED it is listed, made, asked and described, by the command as well."""
     (tmp_path / "bold_agent.py").write_text(
         "from pcs_racing_agents.agents.blind import always\n"
         "from pcs_racing_agents.agents.zoo import Entry\n"
-        "def bold(setting, *, name='bold', seed=0, move='aggressiveness +'):\n"
-        "    return always(setting, move, name=name, seed=seed)\n"
+        "def bold(spec, *, name='bold', seed=0, move='aggressiveness +'):\n"
+        "    return always(spec, move, name=name, seed=seed)\n"
         "BOLD = Entry(bold, 'races ever more aggressively', 'a test')\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(SHIPPED, "bold", "bold_agent:BOLD")
-    assert "bold" in names(setting.archive, setting.config)
+    assert "bold" in names(spec.archive, spec.config)
     assert options("bold") == {"move": "aggressiveness +"}
-    created = build("bold", setting)
+    created = build("bold", spec)
     assert (created.name, created.facts["does"]) == ("bold", "races ever more aggressively")
-    assert created.setting.moves[created.predict(np.zeros((1, len(setting.elements))))[0][0]] == "aggressiveness +"
+    assert created.spec.moves[created.predict(np.zeros((1, len(spec.elements))))[0][0]] == "aggressiveness +"
     text = describe.describe("bold", entries()["bold"])
     assert "Races ever more aggressively." in text
     assert "- Option `move`, by default `aggressiveness +`." in text
 
 
-def test_an_agent_is_described_with_its_options_and_as_it_was_measured(setting, monkeypatch):
+def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, monkeypatch):
     assert describe.describe("nash", entries()["nash"]).splitlines() == [
         "Draws its moves from an approximate equilibrium strategy.", "", "- Source: backward induction, sampled.",
         "- Needs the network `ARCHIVE-RACE-nash`, or `network=FOLDER`.",
         "- Option `decision`, by default `sample`. The rule: `argmax`, `regret-matching`, `sample` or `softmax`.",
         "- Option `network`, by default `None`. Another network: the name of a shipped one or its folder.",
     ]  # fmt: skip
-    digest = competitor_hash(build("never-switch", setting))
+    digest = competitor_hash(build("never-switch", spec))
     one = describe.Measured(
         *("toy", "paper", "never-switch", digest, "Tarnfjord, Saltmere", 300.0, 0.5, -12.0, -40.0, 20.0, 0.02),
         *(46.0, 0.53, {"random-moves": 0.625, "nash": 0.25}),
     )
     monkeypatch.setattr(describe, "measurements", lambda: {("toy", "paper", "never-switch"): one})
-    assert describe.facts_of("never-switch", setting) == [
+    assert describe.facts_of("never-switch", spec) == [
         "Strength: score 0.500, rating -12 [-40, +20], on Tarnfjord, Saltmere in 300 races (0.625 against random-"
         "moves, 0.250 against nash); own crashes 2.0%.",
         "Cost: 46 us for one observation, 0.53 us for each of 1,000 at once.", f"Hash: {digest[:16]}.",
     ]  # fmt: skip
-    changed = competitor_hash(build("random-moves", setting))
+    changed = competitor_hash(build("random-moves", spec))
     unmeasured = ["Strength and cost: not measured as it is.", f"Hash: {changed[:16]}."]
-    assert describe.facts_of("random-moves", setting) == unmeasured
-    assert describe.facts_of("nash", setting) == describe.NOT_SHIPPED
-    assert describe.facts_of("response", make_setting("contest", "contest"))[0].startswith("Network: contest-contest-")
+    assert describe.facts_of("random-moves", spec) == unmeasured
+    assert describe.facts_of("nash", spec) == describe.NOT_SHIPPED
+    assert describe.facts_of("response", make_game_spec("contest", "contest"))[0].startswith(
+        "Network: contest-contest-"
+    )
     assert describe.measured("toy", "paper", "never-switch", "0" * 64) is None
     plan, decision = "46 us for a plan with 0.1 s of simulation", "46 us for a decision"
     for name, words in {"lane-switcher": plan, "nash": decision, "x": decision}.items():

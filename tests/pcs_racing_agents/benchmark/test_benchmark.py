@@ -97,19 +97,19 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
     """A module is found in the working directory, too."""
     (tmp_path / "brought.py").write_text(
         "from pcs_racing.game.competitor import SameMove\n"
-        "def agent(setting, weights=None):\n"
+        "def agent(spec, weights=None):\n"
         "    return SameMove('mine' if weights is None else weights.name, 1)\n"
     )
     (tmp_path / "net.pt").write_bytes(b"")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", sys.path[:])
-    assert load_entrant("never-switch", protocol.setting).name == "never-switch"
-    assert load_entrant("brought:agent", protocol.setting).name == "brought:agent"
-    assert load_entrant("brought:agent", protocol.setting, weights=tmp_path / "net.pt", name="x").name == "x"
-    assert load_entrant("lattice:pace=0.4", protocol.setting).name == "lattice:pace=0.4"
-    assert load_entrant("ppo-drive", protocol.setting, drive=True).planner.name == "ppo-drive"
+    assert load_entrant("never-switch", protocol.spec).name == "never-switch"
+    assert load_entrant("brought:agent", protocol.spec).name == "brought:agent"
+    assert load_entrant("brought:agent", protocol.spec, weights=tmp_path / "net.pt", name="x").name == "x"
+    assert load_entrant("lattice:pace=0.4", protocol.spec).name == "lattice:pace=0.4"
+    assert load_entrant("ppo-drive", protocol.spec, drive=True).planner.name == "ppo-drive"
     for text in ("brought:nothing", "nobody", "gone.zip"):
-        refused(text, load_entrant, text, protocol.setting)
+        refused(text, load_entrant, text, protocol.spec)
 
 
 # Cards

@@ -21,12 +21,12 @@ from PIL import Image
 from refusal import refused
 
 from pcs_racing import list_tracks, load_race_config, load_track, parse_policy, read_replay, record_race
-from pcs_racing.base.settings import Names, Settings
+from pcs_racing.base.settings import Settings
 from pcs_racing.planners import registry
 from pcs_racing.race.calibration import calibrate
 from pcs_racing.track.maps import find_shipped
 from pcs_racing.track.track import calibration_values
-from pcs_racing_agents.agents import make_setting, parse_agent
+from pcs_racing_agents.agents import make_game_spec, parse_agent
 from pcs_racing_agents.agents.own_code import parse_driver
 from pcs_racing_agents.base.progress import duration_text
 from pcs_racing_agents.cli import synthesize
@@ -323,7 +323,7 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
 
     @dataclass(frozen=True)
     class Tea(Settings):
-        herbs: Annotated[Names, "What is in it."] = ("mint",)
+        herbs: Annotated[OptionalNames, "What is in it."] = ("mint",)
         sugar: Annotated[int, Interval(ge=0, le=9), "Pieces of sugar."] = 0
 
     @command("wave", "pcs-racing wave Ada")
@@ -419,25 +419,25 @@ class First:
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         return 0 * observation[:, 0].astype(int), state
 
-def last(setting):
-    return type("Last", (First,), {"name": setting.archive.name})()
+def last(spec):
+    return type("Last", (First,), {"name": spec.archive.name})()
 """
 
 
 def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monkeypatch):
-    """A driver's class, an agent's class and a function of the setting, of a file and of a module beside it."""
+    """A driver's class, an agent's class and a function of the game spec, of a file and of a module beside it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(registry, "_planners", dict(registry._planners))
     (tmp_path / "own_racers.py").write_text(OWN)
-    setting = make_setting("default", "paper")
+    spec = make_game_spec("default", "paper")
     for place in ("own_racers.py", "own_racers"):
         assert parse_driver(f"{place}:Straight").name == f"{place}:Straight"
         for name in ("Straight", "First", "last"):
-            assert parse_agent(f"{place}:{name}", setting, code=True).name == f"{place}:{name}"
-        assert parse_agent(f"{place}:last", setting, code=True).model.name == "default"
+            assert parse_agent(f"{place}:{name}", spec, code=True).name == f"{place}:{name}"
+        assert parse_agent(f"{place}:last", spec, code=True).model.name == "default"
         nobody = "no driver and no agent: .* has no class and no function 'Nobody'"
-        refused(nobody, parse_agent, f"{place}:Nobody", setting, code=True)
+        refused(nobody, parse_agent, f"{place}:Nobody", spec, code=True)
         refused("here it must be a driver, not an agent", parse_driver, f"{place}:First")
 
 

@@ -8,7 +8,7 @@ from tree_sampler import TreeSampler
 from zoo_games import untrained
 
 from pcs_racing import load_race_config, make_game
-from pcs_racing_agents.agents import Agent, make_setting
+from pcs_racing_agents.agents import Agent, make_game_spec
 from pcs_racing_agents.agents.from_network import regret_matching
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning import self_play
@@ -71,36 +71,34 @@ def race(oval, archive):
 
 def test_the_weights_are_those_of_linear_cfr_and_other_games_are_refused(race, oval, archive, tmp_path):
     offered = make_game(oval, archive, race.config, stay=True, threads=1)
-    networks = learned([RaceSampler(offered, make_setting(archive, offered.config))], SHORT, tmp_path / "one")
+    networks = learned([RaceSampler(offered, make_game_spec(archive, offered.config))], SHORT, tmp_path / "one")
     assert networks.identity.moves[-1] == "stay"
     assert (networks.decision, len(networks.networks)) == ("regret-matching", 2)
     longer = make_game(race.track, archive, race.config, moves=3)
-    samplers = [RaceSampler(one, make_setting(archive, one.config)) for one in (race, longer)]
+    samplers = [RaceSampler(one, make_game_spec(archive, one.config)) for one in (race, longer)]
     with open_job(tmp_path / "x", "self-play", {}) as job:
         refused("game 1", learn_self_play, samplers, SHORT, job)
         refused("at least one", learn_self_play, [], SHORT, job)
 
 
-def test_exploration_leaves_moves_a_chance_and_random_play_has_no_advantages(
-    race, archive, game, setting, network, seen
-):
-    sampler = RaceSampler(race, make_setting(archive, race.config))
+def test_exploration_leaves_moves_a_chance_and_random_play_has_no_advantages(race, archive, game, spec, network, seen):
+    sampler = RaceSampler(race, make_game_spec(archive, race.config))
     keys = np.arange(1, 9, dtype=np.uint64)
     rows = sampler.traverse(None, 0.1, 1, keys)
     np.testing.assert_allclose(rows["advantages"].sum(axis=1), 0.0, atol=1e-12)
     parts = [sampler.traverse(None, 0.1, 1, keys[k : k + 4]) for k in (0, 4)]
     np.testing.assert_array_equal(rows["advantages"], np.concatenate([part["advantages"] for part in parts]))
-    trained, sampler = untrained(setting, "advantage"), RaceSampler(game, setting, "utility")
+    trained, sampler = untrained(spec, "advantage"), RaceSampler(game, spec, "utility")
     rows = sampler.traverse(trained, 0.2, 1, keys)
     chances = self_play.ExploringStrategy(trained, 0.2, 5)(rows["observations"])
     np.testing.assert_allclose((chances * rows["advantages"]).sum(axis=1), 0.0, atol=1e-12)
     assert np.abs(rows["advantages"]).max() > 0.0
-    first, second = (Agent("x", self_play.ExploringStrategy(trained, 0.2, 5), setting, seed) for seed in (0, 1))
-    before = random_player(game, setting, 2)
+    first, second = (Agent("x", self_play.ExploringStrategy(trained, 0.2, 5), spec, seed) for seed in (0, 1))
+    before = random_player(game, spec, 2)
     by_hand = branch_games(game_between(game, first, second), second, keys, 1, [before], first, "utility", 5)
     np.testing.assert_array_equal(rows["observations"], by_hand.observations)
     np.testing.assert_allclose(rows["advantages"], by_hand.outcomes - (chances * by_hand.outcomes).sum(axis=1)[:, None])
-    chances = self_play.ExploringStrategy(network, 0.1, len(setting.moves))(seen[0])
+    chances = self_play.ExploringStrategy(network, 0.1, len(spec.moves))(seen[0])
     assert chances.min() >= 0.1 / len(network.moves) - 1e-12
     np.testing.assert_allclose(chances.sum(axis=1), 1.0)
     expected = 0.9 * regret_matching(network.unclipped(seen[0])) + 0.1 / len(network.moves)

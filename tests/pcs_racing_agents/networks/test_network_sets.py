@@ -11,8 +11,8 @@ from pcs_racing_agents.networks import NetworkSet, list_networks, load_network_s
 
 
 @pytest.fixture
-def known(setting) -> NetworkSet:
-    networks = tuple(untrained(setting, "advantage", seed) for seed in (1, 2))
+def known(spec) -> NetworkSet:
+    networks = tuple(untrained(spec, "advantage", seed) for seed in (1, 2))
     return NetworkSet("two", networks, np.array([3.0, 1.0]), "argmax", {"rounds": 2})
 
 
@@ -30,12 +30,12 @@ def test_a_set_comes_back_as_it_was_and_others_are_refused(known, tmp_path):
     refused("'nowhere'", load_network_set, "nowhere", error=UnknownNameError)
 
 
-def test_sets_that_can_not_be_and_files_that_are_none_are_refused(known, setting, tmp_path):
+def test_sets_that_can_not_be_and_files_that_are_none_are_refused(known, spec, tmp_path):
     save_network_set(known, tmp_path / "set")
-    one = NetworkSet("one", (untrained(setting, "advantage", 5),), np.ones(1), "argmax")
+    one = NetworkSet("one", (untrained(spec, "advantage", 5),), np.ones(1), "argmax")
     assert len(load_network_set(save_network_set(one, tmp_path / "set")).networks) == 1
     folder = save_network_set(known, tmp_path / "set")
-    save_network(untrained(setting, "advantage", 9), folder / "01")
+    save_network(untrained(spec, "advantage", 9), folder / "01")
     refused("01", load_network_set, folder)
     for change, value in [
         ({"weights": [1.0]}, "1 weights for 2"),

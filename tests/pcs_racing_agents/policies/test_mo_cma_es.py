@@ -14,7 +14,7 @@ pytest.importorskip("moocore")
 REFERENCE = -0.1
 
 
-def setting(**changes):
+def search_spec(**changes):
     values = {
         "dimension": 4, "population": 10, "seed": np.random.SeedSequence(3), "elite_ratio": 0.3, "loss": "uhvi",
         "mean": "generation", "start": np.full(4, 0.5), "step_size": 0.1, "reference": REFERENCE,
@@ -61,7 +61,7 @@ def test_the_literal_loss_infeasible_points_and_an_empty_archive():
 @pytest.mark.parametrize(("ratio", "population", "kept"), [(0.3, 10, 3), (0.05, 10, 1), (1.0, 8, 8), (0.35, 10, 4)])
 def test_the_best_of_a_generation_join_the_archive(ratio, population, kept):
     """Feasible ones by their loss, then infeasible ones by how much they violate."""
-    search = MOCMAES(setting(elite_ratio=ratio, population=population))
+    search = MOCMAES(search_spec(elite_ratio=ratio, population=population))
     rng = np.random.default_rng(0)
     points = search.ask()
     assert points.shape == (population, 4)
@@ -77,12 +77,12 @@ def test_the_best_of_a_generation_join_the_archive(ratio, population, kept):
 
 
 def test_the_first_generation_has_the_stated_mean_or_is_a_sample():
-    search = MOCMAES(setting(dimension=20, population=400, start=np.full(20, 0.4), step_size=0.05))
+    search = MOCMAES(search_spec(dimension=20, population=400, start=np.full(20, 0.4), step_size=0.05))
     assert search.step_size == pytest.approx(0.05, rel=1e-3)  # pycma makes the axes a bit unequal
     points = search.ask()
     np.testing.assert_allclose(points.mean(axis=0), 0.4, atol=0.012)
     np.testing.assert_allclose(points.std(axis=0), 0.05, rtol=0.2)
-    search = MOCMAES(setting(start=None, population=50, step_size=0.04))
+    search = MOCMAES(search_spec(start=None, population=50, step_size=0.04))
     assert np.isnan(search.step_size)
     points = search.ask()
     np.testing.assert_array_equal(np.sort((50 * points).astype(int), axis=0), np.tile(np.arange(50)[:, None], 4))
@@ -96,7 +96,7 @@ def test_the_first_generation_has_the_stated_mean_or_is_a_sample():
 
 def test_of_two_equally_good_generations_the_mean_of_the_archive_may_be_asked_for():
     for mean in ("generation", "archive"):
-        search = MOCMAES(setting(mean=mean, step_size=0.01))
+        search = MOCMAES(search_spec(mean=mean, step_size=0.01))
         archive = ParetoArchive.empty(4).joined(np.full((1, 4), 0.9), np.array([[2.0, 2.0]]), np.array([-1.0]))
         points = search.ask()
         search.tell(points, np.zeros((10, 2)), np.full(10, -1.0), archive)
@@ -119,7 +119,7 @@ def test_it_starts_again_at_a_point_of_the_front_the_likelier_the_more_it_adds()
     nothing = np.full((10, 2), -1.0)
     starts = []
     for seed in range(12):
-        search = MOCMAES(setting(seed=np.random.SeedSequence(seed), step_size=0.02))
+        search = MOCMAES(search_spec(seed=np.random.SeedSequence(seed), step_size=0.02))
         k, _ = stalled(search, archive, nothing, np.full(10, -1.0), 12)
         assert k == 10
         assert search.step_size == pytest.approx(0.01, rel=1e-3)
@@ -128,14 +128,14 @@ def test_it_starts_again_at_a_point_of_the_front_the_likelier_the_more_it_adds()
     archive = ParetoArchive.empty(4).joined(parameters, np.array([[0.0, 1.0], [1.0, 0.95]]), np.full(2, -1.0))
     starts = []
     for seed in range(12):
-        search = MOCMAES(setting(seed=np.random.SeedSequence(seed), step_size=0.02))
+        search = MOCMAES(search_spec(seed=np.random.SeedSequence(seed), step_size=0.02))
         stalled(search, archive, nothing, np.full(10, -1.0), 12)
         starts.append(search.ask().mean() > 0.5)
     assert np.mean(starts) > 0.8
 
 
 def test_a_search_that_gains_or_finds_nothing_feasible_does_not_start_again():
-    search, archive = MOCMAES(setting()), archive_of(FRONT)
+    search, archive = MOCMAES(search_spec()), archive_of(FRONT)
     nothing = np.full((10, 2), -1.0)
     for k in range(18):
         objectives = nothing.copy()
@@ -145,7 +145,7 @@ def test_a_search_that_gains_or_finds_nothing_feasible_does_not_start_again():
         assert search.restarts == 0
     search.tell(search.ask(), nothing, np.full(10, -1.0), archive)
     assert search.restarts == 1
-    search = MOCMAES(setting())
+    search = MOCMAES(search_spec())
     k, archive = stalled(search, ParetoArchive.empty(4), np.zeros((10, 2)), np.ones(10), 15)
     assert k is None
     assert len(archive.front) == 0
@@ -154,7 +154,7 @@ def test_a_search_that_gains_or_finds_nothing_feasible_does_not_start_again():
 def test_a_search_that_has_collapsed_starts_again_anywhere_if_nothing_is_feasible():
     starts = []
     for seed in range(6):
-        search = MOCMAES(setting(step_size=0.5e-4, seed=np.random.SeedSequence(seed)))
+        search = MOCMAES(search_spec(step_size=0.5e-4, seed=np.random.SeedSequence(seed)))
         search.tell(search.ask(), np.zeros((10, 2)), np.ones(10), ParetoArchive.empty(4))
         assert (search.restarts, search.step_size) == (1, pytest.approx(0.5e-4, rel=0.3))
         starts.append(search.ask().mean(axis=0))

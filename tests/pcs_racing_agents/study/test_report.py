@@ -14,7 +14,7 @@ from toy_races import of, toy_races, toy_table
 from toy_report import NASTY, toy_report
 
 from pcs_racing import make_game, read_replay
-from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.study import report, reporting
 from pcs_racing_agents.study import report_inputs as inputs
@@ -34,8 +34,8 @@ from pcs_racing_agents.tournament.round_robin import RoundRobin
 def raced(oval, archive):
     """A pairing of an agent, its races, and those of the agent that never switches."""
     game = make_game(oval, archive, "contest", step_seconds=0.8)
-    setting = make_setting(archive, game.config)
-    agent, base, rival = (build(name, setting) for name in ("random-moves", "never-switch", "lane-switcher"))
+    spec = make_game_spec(archive, game.config)
+    agent, base, rival = (build(name, spec) for name in ("random-moves", "never-switch", "lane-switcher"))
     pairings = [cross_pairing(game, arm, rival, egos=4, opponents=4, lines=2, seed=3) for arm in (agent, base)]
     return pairings[0], *play_pairings(pairings)
 

@@ -170,11 +170,11 @@ def test_each_stage_works_on_the_studys_games_with_seeds_of_its_own(tmp_path, mo
     for stage in (preparing.learn_responses, preparing.train_ppo_baseline):
         with pytest.raises(KeyboardInterrupt):
             stage(study)
-    (games, pool, setting, settings, _), named = asked["response"]
+    (games, pool, spec, settings, _), named = asked["response"]
     names = [game.track.name for game in games] + [competitor.name for competitor in pool]
     own = load_response_settings("quick")
-    assert (names, setting, named["name"], settings) == (
-        [*circuits, "never-switch", "random-moves"], study.setting, "quick",
+    assert (names, spec, named["name"], settings) == (
+        [*circuits, "never-switch", "random-moves"], study.spec, "quick",
         replace(own, seed=config.seed + 3_000_000 + own.seed),
     )  # fmt: skip
     (settings, folder), named = asked["ppo"]
@@ -203,8 +203,8 @@ def test_open_loop_agents_are_fitted_on_training_races_with_targets_spread_over_
     assert [(own is training, given) for own, given in fitted] == [(True, targets), (True, "none"), (True, targets)]
     assert len(set(targets or ())) == (3 if number == 3 else 0)
     names = [one.name for one in (*training.tracks, *training.opponents)]
-    assert (names, training.races, training.seed, training.setting) == (
-        ["Pipkin", "lane-switcher"], 2, 2_000_003, study.setting,
+    assert (names, training.races, training.seed, training.spec) == (
+        ["Pipkin", "lane-switcher"], 2, 2_000_003, study.spec,
     )  # fmt: skip
 
 

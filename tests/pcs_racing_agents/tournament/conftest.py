@@ -3,7 +3,7 @@ import pytest
 
 from pcs_racing import RaceGame, Starts, draw_starts, load_race_config, load_track, make_game, parse_policy
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament import Pairing, Tournament, play_tournament
 
@@ -21,9 +21,9 @@ def contest(oval, archive) -> RaceGame:
 
 @pytest.fixture(scope="session")
 def zoo(contest) -> dict:
-    setting = make_setting(contest.archive, contest.config)
+    spec = make_game_spec(contest.archive, contest.config)
     names = ("random-moves", "never-switch", "random-policy", "pure-pursuit", "lane-switcher")
-    return {name: build(name, setting) for name in names}
+    return {name: build(name, spec) for name in names}
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import pytest
 from refusal import refused
 
 from pcs_racing import CONTEST, load_track, parse_policy
-from pcs_racing_agents.agents import Driver, make_setting
+from pcs_racing_agents.agents import Driver, make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.tournament import fitting as fits
@@ -18,7 +18,7 @@ from pcs_racing_agents.tournament.play import game_rules
 @pytest.fixture(scope="module")
 def short(archive):
     """Games of two moves, so that every plan can be tried."""
-    return make_setting(archive, game_rules(CONTEST, moves=2, step_seconds=1.0))
+    return make_game_spec(archive, game_rules(CONTEST, moves=2, step_seconds=1.0))
 
 
 @pytest.fixture(scope="module")
@@ -122,11 +122,11 @@ def test_a_search_climbs_to_the_best_neighbour_and_takes_the_first_of_equals(see
 
 def test_a_candidate_scores_its_own_wins(oval, archive):
     """Known answers: in the paper's race pace wins, so the slowest candidate beats a slower car and no faster one."""
-    setting = make_setting(archive, game_rules("paper", moves=2, step_seconds=4.0))
-    slowest = build("best-fixed", setting, target=0)
+    spec = make_game_spec(archive, game_rules("paper", moves=2, step_seconds=4.0))
+    slowest = build("best-fixed", spec, target=0)
     scores = [
         fits.evaluate(
-            fits.TrainingRaces((oval,), (Driver("other", (parse_policy(f"lattice:pace={pace}"),)),), setting, races=6),
+            fits.TrainingRaces((oval,), (Driver("other", (parse_policy(f"lattice:pace={pace}"),)),), spec, races=6),
             [slowest],
         )
         for pace in (0.0, 1.0)
@@ -138,7 +138,7 @@ def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(training, oval, s
     refused("one track", fits.TrainingRaces, (oval,), (), short)
     refused("psro needs", fits.fit_psro, training, [build("never-switch", short)])
     names = ("always-aggressiveness+", "always-restraint+", "never-switch", "random-moves")
-    longer = make_setting(short.archive, game_rules(CONTEST, moves=3, step_seconds=8.0))
+    longer = make_game_spec(short.archive, game_rules(CONTEST, moves=3, step_seconds=8.0))
     members = [build(name, longer) for name in names]
     training = fits.TrainingRaces((load_track("Pipkin"),), (members[0],), longer, races=10)
     meta = fits.fit_psro(training, members)

@@ -10,7 +10,7 @@ from same_move import Model
 
 from pcs_racing import InputError, RaceGame
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.blind import always, best_fixed, never_switch, random_moves
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament import play_games, record_game
@@ -87,8 +87,8 @@ def test_what_comes_of_a_game_depends_on_the_game_alone(contest, zoo, games_of, 
 def test_stay_is_a_move_for_everybody_and_a_model_remembers_its_own_game(game, zoo, games_of):
     """Also where the rules do not offer it; who does not know it is not changed by that."""
     bare = replace(game, config=replace(game.config, stay=False))
-    setting = make_setting(game.archive, bare.config)
-    races = played(replace(games_of(never_switch(setting), always(setting, "restraint -")), game=bare))
+    spec = make_game_spec(game.archive, bare.config)
+    races = played(replace(games_of(never_switch(spec), always(spec, "restraint -")), game=bare))
     assert set(races.moves.codes[:, 0].ravel().tolist()) <= {4, -1}
     assert (np.sort(races.path, axis=2)[:, 0, -1] == races.path[:, 0, 0]).all()
     for car, cars in enumerate([(Counter(), zoo["random-moves"]), (zoo["random-moves"], Counter())]):
@@ -122,8 +122,8 @@ class Leader:
 
 @pytest.fixture(scope="module")
 def egos(contest, zoo) -> list:
-    setting = make_setting(contest.archive, contest.config)
-    others = [always(setting, "aggressiveness +"), random_moves(setting, seed=9), best_fixed(setting, target=3)]
+    spec = make_game_spec(contest.archive, contest.config)
+    others = [always(spec, "aggressiveness +"), random_moves(spec, seed=9), best_fixed(spec, target=3)]
     return [zoo["never-switch"], zoo["random-moves"], *others, Leader(), Counter()]
 
 
@@ -163,7 +163,7 @@ def test_the_same_is_driven_once_and_two_moves_to_one_policy_are_one_drive(conte
     # From the edge of the archive some moves lead nowhere, as to stay does.
     targets = contest.next_policy(np.zeros(5, int), np.arange(5))
     (nowhere, *_) = [move for move in range(4) if targets[move] == targets[contest.competitor_moves.index("stay")]]
-    other = always(make_setting(contest.archive, contest.config), contest.move_names[nowhere])
+    other = always(make_game_spec(contest.archive, contest.config), contest.move_names[nowhere])
     pairing = replace(games_of(zoo["never-switch"], zoo["never-switch"]), variants=np.zeros((GAMES, 2), int))
     driven.clear()
     stays, moves = pairing.race([zoo["never-switch"], other])
@@ -215,7 +215,7 @@ def test_what_does_not_fit_is_refused_before_the_first_race(zoo, games_of, monke
 
 def test_impossible_egos_and_moves_are_refused(contest, zoo, games_of, starts):
     pairing = games_of(zoo["never-switch"], zoo["never-switch"])
-    other = build("never-switch", make_setting("default", "paper"))
+    other = build("never-switch", make_game_spec("default", "paper"))
     for egos, value in [
         ([], "nobody"),
         ([zoo["random-moves"], zoo["pure-pursuit"]], "a driver only alone"),

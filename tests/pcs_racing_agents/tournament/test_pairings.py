@@ -5,7 +5,7 @@ from refusal import refused
 
 from pcs_racing import make_game
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
@@ -38,7 +38,7 @@ def test_a_crossed_pairing_crosses_everything_and_short_circuits_share_places(co
     np.testing.assert_array_equal(paper.noise, race_seeds(0, len(paper)))
     # Tarnfjord has 27 places to start side by side, and a pairing draws from 40 lines; a place is one cluster.
     game = make_game("Tarnfjord", archive, "paper")
-    policies = build("never-switch", make_setting(archive, game.config))
+    policies = build("never-switch", make_game_spec(archive, game.config))
     pairing = cross_pairing(game, policies, policies, egos=4, opponents=4, lines=5)
     assert len(np.unique(pairing.starts.s)) < 40
 
@@ -53,7 +53,7 @@ def test_arms_pair_up_race_by_race(contest, zoo):
         arms = play_pairings(pairings)
         np.testing.assert_array_equal(arms[0].path[:, :, 0], arms[1].path[:, :, 0])
     same = play_pairing(cross_pairing(contest, zoo["never-switch"], zoo["never-switch"], **SIZE))
-    reseeded = build("never-switch", zoo["never-switch"].setting, seed=9)
+    reseeded = build("never-switch", zoo["never-switch"].spec, seed=9)
     again = play_pairing(cross_pairing(contest, reseeded, zoo["never-switch"], **SIZE))
     np.testing.assert_array_equal(same.score, again.score)
 

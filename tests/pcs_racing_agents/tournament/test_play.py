@@ -3,7 +3,7 @@ from refusal import refused
 from same_move import Model
 
 from pcs_racing import GameConfig, load_archive, load_race_config, parse_policy, save_archive
-from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
@@ -46,7 +46,7 @@ def test_agents_start_from_policies_that_are_fair_to_both_seats(mixed, archive):
 
 
 def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, tournament):
-    setting = make_setting(archive, mixed.plan.setting.config)
+    spec = make_game_spec(archive, mixed.plan.spec.config)
     for row in mixed.races:
         for variant, path, moves in (
             (row.ego_variant, row.ego_path, row.ego_moves),
@@ -56,7 +56,7 @@ def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, 
             if path:
                 assert path[0] == variant
             for policy, move, there in zip(path, moves, path[1:], strict=False):
-                assert setting.table[policy, setting.move(move)] == there
+                assert spec.table[policy, spec.move(move)] == there
         assert (row.crash != "none") == (row.duration < 6.0) == (row.fault != "none")
     for played in (tournament, mixed):
         for row in list(played.races)[3:30:9]:

@@ -68,10 +68,10 @@ class Watch:
             self.forms.add(type(value).__name__)
 
 
-def test_a_move_passes_fourteen_files_on_its_way_to_a_row_and_none_twice(oval, setting, tmp_path):
-    agent, rival = build("cfr-argmax", setting, network=untrained(setting, seed=0)), build("never-switch", setting)
+def test_a_move_passes_fourteen_files_on_its_way_to_a_row_and_none_twice(oval, spec, tmp_path):
+    agent, rival = build("cfr-argmax", spec, network=untrained(spec, seed=0)), build("never-switch", spec)
     rules = load_race_config("paper", duration=4.0)
-    plan = plan_tournament(oval, [agent, rival], rules, archive=setting.archive, races_per_pair=RACES)
+    plan = plan_tournament(oval, [agent, rival], rules, archive=spec.archive, races_per_pair=RACES)
     play_plan(plan)  # a compiler that is watched takes minutes
     watch = Watch()
     with open_job(tmp_path / "job", "tournament", tournament_settings(plan)) as job:
@@ -81,7 +81,7 @@ def test_a_move_passes_fourteen_files_on_its_way_to_a_row_and_none_twice(oval, s
         finally:
             sys.setprofile(None)
     rows = list(csv.DictReader(written.read_text(encoding="utf-8").splitlines()))
-    assert [row["ego_moves"].split("; ")[0] for row in rows] == [setting.moves[move] for move in watch.moves]
+    assert [row["ego_moves"].split("; ")[0] for row in rows] == [spec.moves[move] for move in watch.moves]
     assert len(set(watch.moves.tolist())) > 1
     assert list(watch.roads) == list(ENDS)
     for road in watch.roads.values():

@@ -6,7 +6,7 @@ from PIL import Image
 from refusal import refused
 
 from pcs_racing import load_race_config, parse_policy
-from pcs_racing_agents.agents import Driver, make_setting
+from pcs_racing_agents.agents import Driver, make_game_spec
 from pcs_racing_agents.tournament import RaceRow, Tournament, game_rules
 from pcs_racing_agents.tournament import table as tables
 from pcs_racing_agents.tournament.play import TournamentPlan
@@ -32,7 +32,7 @@ def race(ego: str, opponent: str, **result: object) -> RaceRow:
 
 def played(*rows: RaceRow, config=CONTEST) -> Tournament:
     drivers = tuple(Driver(name, (parse_policy("lattice"),)) for name in "ab")
-    plan = TournamentPlan(drivers, (), make_setting("default", game_rules(config)), (), 2, 0)
+    plan = TournamentPlan(drivers, (), make_game_spec("default", game_rules(config)), (), 2, 0)
     return Tournament(plan, race_table(rows))
 
 

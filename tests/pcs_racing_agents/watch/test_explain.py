@@ -14,7 +14,7 @@ from pcs_racing.base.packing import join_segments
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.moves import move_names, move_table
 from pcs_racing.race.replay import ReplayEvent
-from pcs_racing_agents.agents import make_setting
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.style import CARS, picture_bytes, save_picture
 from pcs_racing_agents.watch.explain import DefaultStrategy, Unit, explain_game, value_unit
@@ -29,12 +29,12 @@ def contest(oval, archive):
 
 
 @pytest.fixture(scope="module")
-def setting(contest):
-    return make_setting(contest.archive, contest.config)
+def spec(contest):
+    return make_game_spec(contest.archive, contest.config)
 
 
-def network_of(setting, target="advantage", **training):
-    return replace(untrained(setting, target), training=training)
+def network_of(spec, target="advantage", **training):
+    return replace(untrained(spec, target), training=training)
 
 
 def explained(contest, ego, rival, **options):
@@ -44,13 +44,13 @@ def explained(contest, ego, rival, **options):
 
 
 @pytest.fixture(scope="module")
-def race(contest, setting):
+def race(contest, spec):
     """An agent with a network, of which two moves are alike, against one that draws."""
-    ego = build("cfr-argmax", setting, network=network_of(setting, worth="win"))
-    return explained(contest, ego, build("random-moves", setting))
+    ego = build("cfr-argmax", spec, network=network_of(spec, worth="win"))
+    return explained(contest, ego, build("random-moves", spec))
 
 
-def test_the_facts_are_those_of_the_game_and_moves_are_events_of_the_replay(contest, setting, race):
+def test_the_facts_are_those_of_the_game_and_moves_are_events_of_the_replay(contest, spec, race):
     """The game is played again, move by move."""
     start = draw_starts(contest.track, contest.setup.config, 8, 3).take([0])
     state = contest.reset(race_seeds(5, 8)[:1], policies=[[4, 6]], starts=start)
@@ -62,7 +62,7 @@ def test_the_facts_are_those_of_the_game_and_moves_are_events_of_the_replay(cont
         assert step.lead == pytest.approx(race.lead[round(step.time / race.replay.frame_dt)], abs=1e-3)
         assert step.move == np.argmax(step.values)
         assert step.probabilities[step.move] == 1.0
-        assert step.next_policy == setting.table[step.policy, step.move]
+        assert step.next_policy == spec.table[step.policy, step.move]
         state = contest.step(state, np.array([[step.move, step.opponent_move]]))
     assert contest.done(state).all()
     assert race.played.lead == state.race.lead
@@ -71,8 +71,8 @@ def test_the_facts_are_those_of_the_game_and_moves_are_events_of_the_replay(cont
     assert sorted(events) == sorted(made)
 
 
-def test_the_other_car_sees_the_other_side(contest, setting):
-    ego, rival = build("random-moves", setting, seed=3), build("random-moves", setting, seed=4)
+def test_the_other_car_sees_the_other_side(contest, spec):
+    ego, rival = build("random-moves", spec, seed=3), build("random-moves", spec, seed=4)
     first, second = (explained(contest, ego, rival, car=car) for car in (0, 1))
     for own, rival_step in zip(first.steps, second.steps, strict=True):
         assert own.lead == pytest.approx(-rival_step.lead, abs=1e-5)
@@ -139,7 +139,7 @@ def test_the_story_tells_every_step_and_a_race_that_ends_at_once(told):
         assert lead_words(lead) == words
 
 
-def test_a_move_is_compared_with_staying_and_counted_in_what_values_mean(race, setting):
+def test_a_move_is_compared_with_staying_and_counted_in_what_values_mean(race, spec):
     step = race.steps[0]._replace(move=0, values=np.array([0.3, 0.1, 0.22, -0.1, 0.2]))
     assert why(race, step) == "worth 0.100 of a win more than staying, 0.080 of a win more than restraint +"
     assert why(race, step._replace(move=4)) == "worth 0.100 of a win less than aggressiveness +"
@@ -161,17 +161,17 @@ def test_a_move_is_compared_with_staying_and_counted_in_what_values_mean(race, s
     ]:  # fmt: skip
         values = step.values[: 4 if change["move"] == 4 else 5]
         assert why(habit, step._replace(**change, values=values)).startswith(words)
-    assert value_unit(network_of(setting, worth="win"), "lead") == Unit(1.0, "of a win")
-    assert value_unit(network_of(setting), "win") == Unit(0.5, "of a win")
-    assert value_unit(network_of(setting, "static-q"), "lead") == Unit(1.0, "m of lead")
-    assert value_unit(network_of(setting, "regret"), "win") == Unit(1.0, "")
+    assert value_unit(network_of(spec, worth="win"), "lead") == Unit(1.0, "of a win")
+    assert value_unit(network_of(spec), "win") == Unit(0.5, "of a win")
+    assert value_unit(network_of(spec, "static-q"), "lead") == Unit(1.0, "m of lead")
+    assert value_unit(network_of(spec, "regret"), "win") == Unit(1.0, "")
 
 
-def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, setting):
-    network = network_of(setting, worth="win")
-    rival = build("never-switch", setting)
+def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, spec):
+    network = network_of(spec, worth="win")
+    rival = build("never-switch", spec)
     options = {"network": network, "open_loop": "never-switch"}
-    drivers = (build("adaptive", setting, **options, margin=margin) for margin in (0.0, 1000.0))
+    drivers = (build("adaptive", spec, **options, margin=margin) for margin in (0.0, 1000.0))
     bold, shy = (explained(contest, driver, rival) for driver in drivers)
     assert shy.default.name == "never-switch"
     assert "did: stay, kept policy" in story(shy)
@@ -187,17 +187,17 @@ def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, s
         assert f"worth {gain:.3f} of a win more than stay, what never-switch would do" in why(bold, step)
 
 
-def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, setting):
-    race = explained(contest, build("always-aggressiveness+", setting), build("lane-switcher", setting))
+def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, spec):
+    race = explained(contest, build("always-aggressiveness+", spec), build("lane-switcher", spec))
     assert "makes open-loop moves" in story(race)
     assert "why:" not in story(race)
-    race = explained(contest, build("lane-switcher", setting), build("random-moves", setting), car=1)
+    race = explained(contest, build("lane-switcher", spec), build("random-moves", spec), car=1)
     assert re.search(r"drawn with a chance of 2[05]%", story(race))
-    cars = build("never-switch", setting), build("lane-switcher", setting)
+    cars = build("never-switch", spec), build("lane-switcher", spec)
     refused("'lane-switcher' in car 1 makes no moves.*; try the other car", explained, contest, *cars, car=1)
     refused("car 0 makes no moves.*; nor does the other car's", explained, contest, *cars[1:], *cars[1:])
-    refused("car is 2", explained, contest, build("never-switch", setting), build("never-switch", setting), car=2)
-    race = explained(contest, Model(), build("never-switch", setting))
+    refused("car is 2", explained, contest, build("never-switch", spec), build("never-switch", spec), car=2)
+    race = explained(contest, Model(), build("never-switch", spec))
     assert all(step.values is None and step.probabilities is None for step in race.steps)
     assert story(race).startswith("Model (car 0)")
     assert picture_bytes(explanation_picture(race)).startswith(b"<?xml")
@@ -283,11 +283,11 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
     assert len(explanation_picture(replace(told, steps=bare)).axes) == 3
 
 
-def test_a_move_that_the_network_does_not_know_is_marked_and_chances_stand_in_for_values(race, contest, setting):
+def test_a_move_that_the_network_does_not_know_is_marked_and_chances_stand_in_for_values(race, contest, spec):
     steps = [step._replace(values=step.values[: step.move]) for step in race.steps]
     panels = explanation_picture(replace(race, steps=steps)).axes[2:-1]
     assert [[text.get_text() for text in axes.texts] for axes in panels[: len(steps)]] == [["made"]] * len(steps)
-    race = explained(contest, build("random-moves", setting), build("never-switch", setting))
+    race = explained(contest, build("random-moves", spec), build("never-switch", spec))
     panels = [axes for axes in explanation_picture(race).axes[2:-1] if axes.get_visible()]
     assert sum(patch.get_width() for patch in panels[0].patches) == pytest.approx(1.0)
 

@@ -10,7 +10,7 @@ from refusal import refused
 from pcs_racing import load_game_config, make_game
 from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.drivers import planner_driver
-from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.tables import interval_text
@@ -34,25 +34,25 @@ def test_networks_of_other_seeds_and_members_begin_with_other_seeds():
 
 
 @pytest.fixture(scope="module")
-def setting(archive):
-    return make_setting(archive, load_game_config("paper", moves=2, step_seconds=2.5))
+def spec(archive):
+    return make_game_spec(archive, load_game_config("paper", moves=2, step_seconds=2.5))
 
 
 @pytest.fixture(scope="module")
-def games(oval, setting):
-    return [make_game(oval, setting.archive, setting.config, stay=True, threads=1)]
+def games(oval, spec):
+    return [make_game(oval, spec.archive, spec.config, stay=True, threads=1)]
 
 
-def reply_to(agent, games, setting, folder, executor=None, races=1000):
+def reply_to(agent, games, spec, folder, executor=None, races=1000):
     with open_job(folder, "best reply", {"agent": agent.name}) as job:
-        return best_reply(games, agent, setting, SMALL, job, races=races, executor=executor)
+        return best_reply(games, agent, spec, SMALL, job, races=races, executor=executor)
 
 
 @pytest.fixture(scope="module")
-def slow(games, setting, tmp_path_factory):
+def slow(games, spec, tmp_path_factory):
     pytest.importorskip("torch", reason="torch is not installed")
     folder = tmp_path_factory.mktemp("replies") / "slow"
-    return folder, reply_to(always(setting, "aggressiveness -"), games, setting, folder)
+    return folder, reply_to(always(spec, "aggressiveness -"), games, spec, folder)
 
 
 def test_an_agent_that_slows_down_loses_to_its_reply_and_an_even_score_is_no_loss(slow, games):
@@ -68,12 +68,12 @@ def test_an_agent_that_slows_down_loses_to_its_reply_and_an_even_score_is_no_los
     refused("no races", excess_estimate, even.take([]))
 
 
-def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(slow, games, setting, monkeypatch):
+def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(slow, games, spec, monkeypatch):
     folder, first = slow
     for file in sorted((folder / "chunks").glob("*.npz"))[::2]:
         file.unlink()
     with make_executor("threads", 2) as executor:
-        again = reply_to(always(setting, "aggressiveness -"), games, setting, folder, executor)
+        again = reply_to(always(spec, "aggressiveness -"), games, spec, folder, executor)
     assert again.loss == first.loss
     for own, others in zip(first.network.layers.weights, again.network.layers.weights, strict=True):
         np.testing.assert_array_equal(own, others)
@@ -83,15 +83,15 @@ def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(sl
         raise AssertionError("trained again")
 
     monkeypatch.setattr(kept_networks, "train_network", never)
-    assert reply_to(always(setting, "aggressiveness -"), games, setting, folder).loss == first.loss
+    assert reply_to(always(spec, "aggressiveness -"), games, spec, folder).loss == first.loss
 
 
-def test_a_driver_with_one_policy_can_be_replied_to_in_enough_races(games, setting, tmp_path):
+def test_a_driver_with_one_policy_can_be_replied_to_in_enough_races(games, spec, tmp_path):
     pytest.importorskip("torch", reason="torch is not installed")
-    reply = reply_to(planner_driver(setting, name="pure-pursuit"), games, setting, tmp_path / "driver", races=40)
+    reply = reply_to(planner_driver(spec, name="pure-pursuit"), games, spec, tmp_path / "driver", races=40)
     assert set(reply.races.variants[:, 1]) == {0}
     assert len(reply.loss.clusters) == 2  # start policies of the reply, and start lines
-    refused("races is 39", reply_to, never_switch(setting), games, setting, tmp_path / "few", races=39)
+    refused("races is 39", reply_to, never_switch(spec), games, spec, tmp_path / "few", races=39)
     assert not (tmp_path / "few" / "chunks").exists()
 
 

@@ -8,7 +8,7 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.drivers import planner_driver
-from pcs_racing_agents.agents.setting import make_setting
+from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning.responses import ResponseSettings, branch_games, learn_response, learner, merge_networks
 from pcs_racing_agents.learning.responses.branches import block_rows, game_blocks, outcome
@@ -17,21 +17,21 @@ from pcs_racing_agents.tournament.games import game_between
 
 
 @pytest.fixture(scope="module")
-def setting():
-    return make_setting("default", load_game_config("paper", moves=2, step_seconds=2.0))
+def spec():
+    return make_game_spec("default", load_game_config("paper", moves=2, step_seconds=2.0))
 
 
 @pytest.fixture(scope="module")
-def game(setting):
-    return make_game("Tarnfjord", setting.archive, setting.config)
+def game(spec):
+    return make_game("Tarnfjord", spec.archive, spec.config)
 
 
-def test_a_branch_is_what_comes_of_playing_its_moves(game, setting):
+def test_a_branch_is_what_comes_of_playing_its_moves(game, spec):
     keys = race_seeds(3, 4)
-    stay = never_switch(setting)
-    result = branch_games(game, random_moves(setting, seed=1), keys, 1, [stay], stay, payoff="utility")
+    stay = never_switch(spec)
+    result = branch_games(game, random_moves(spec, seed=1), keys, 1, [stay], stay, payoff="utility")
     # The same by hand: stay, then the move, against the same opponent.
-    rival = random_moves(setting, seed=1)
+    rival = random_moves(spec, seed=1)
     for move in range(len(game.move_names)):
         state = game.reset(keys)
         for own_move in (len(game.move_names) - 1, move):
@@ -40,7 +40,7 @@ def test_a_branch_is_what_comes_of_playing_its_moves(game, setting):
         np.testing.assert_array_equal(result.outcomes[:, move], game.reward(state)[result.game, 0])
 
 
-def test_moves_that_lead_to_the_same_policy_are_driven_once(game, setting):
+def test_moves_that_lead_to_the_same_policy_are_driven_once(game, spec):
     asked = []
 
     class Stays:
@@ -48,9 +48,9 @@ def test_moves_that_lead_to_the_same_policy_are_driven_once(game, setting):
 
         def predict(self, observation, state=None, episode_start=None, deterministic=True):
             asked.append(len(observation))
-            return np.full(len(observation), len(setting.moves) - 1), None
+            return np.full(len(observation), len(spec.moves) - 1), None
 
-    keys, stay = race_seeds(3, 60), never_switch(setting)
+    keys, stay = race_seeds(3, 60), never_switch(spec)
     result = branch_games(game, stay, keys, 0, [stay], Stays(), payoff="utility")
     after = game.next_policy(game.reset(keys).policy[:, :1], np.arange(len(game.move_names)))[result.game]
     assert asked[0] <= sum(len(np.unique(policies)) for policies in after) < after.size
@@ -59,17 +59,17 @@ def test_moves_that_lead_to_the_same_policy_are_driven_once(game, setting):
             assert len(np.unique(outcomes[policies == policy])) == 1
 
 
-def test_branches_do_not_depend_on_the_batch_and_a_driver_may_be_the_opponent(game, setting):
+def test_branches_do_not_depend_on_the_batch_and_a_driver_may_be_the_opponent(game, spec):
     keys = race_seeds(5, 6)
-    rest = ([random_moves(setting), never_switch(setting)], always(setting, "restraint +"))
-    rival = random_moves(setting, seed=2)
+    rest = ([random_moves(spec), never_switch(spec)], always(spec, "restraint +"))
+    rival = random_moves(spec, seed=2)
     whole = branch_games(game, rival, keys, 1, *rest)
     parts = [branch_games(game, rival, keys[k : k + 2], 1, *rest) for k in (0, 2, 4)]
     np.testing.assert_array_equal(whole.outcomes, np.concatenate([piece.outcomes for piece in parts]))
     np.testing.assert_array_equal(whole.observations, np.concatenate([piece.observations for piece in parts]))
-    rival = planner_driver(setting, name="lane-switcher")
-    game = game_between(game, never_switch(setting), rival)
-    result = branch_games(game, rival, race_seeds(0, 3), 0, [never_switch(setting)], never_switch(setting))
+    rival = planner_driver(spec, name="lane-switcher")
+    game = game_between(game, never_switch(spec), rival)
+    result = branch_games(game, rival, race_seeds(0, 3), 0, [never_switch(spec)], never_switch(spec))
     assert np.isin(result.outcomes, (0.0, 0.5, 1.0)).all()
     # By hand: each key chooses the driver's policy.
     chosen = [rival.policies[int(key) % 20] for key in race_seeds(0, 3)]
@@ -120,10 +120,10 @@ def test_a_response_is_learned_backwards_with_the_network_of_the_steps_behind(le
 
     monkeypatch.setattr(learner, "branch_games", branch)
     monkeypatch.setattr(learner, "train_kept", train)
-    games, pool, setting = lesson
+    games, pool, spec = lesson
     settings = ResponseSettings(starts=10, rounds=2, members=3, seed=5, worth="utility", epochs=7, patience=4)
     with open_job(tmp_path / "job", "response", {}) as job:
-        network = learn_response(games, pool, setting, settings, job, shares=[2, 1], name="mine", part="a-")
+        network = learn_response(games, pool, spec, settings, job, shares=[2, 1], name="mine", part="a-")
     names, both = [opponent.name for opponent in pool], (["random-moves"], ["random-moves", "mine"])
     expected = []
     for k, (round_, step) in enumerate([(0, 1), (0, 0), (1, 1), (1, 0)]):
@@ -158,15 +158,15 @@ def test_a_win_is_1_a_tie_a_half_and_a_crash_that_pays_neither_car_0(game):
     np.testing.assert_array_equal(outcome(game, state, "utility"), game.reward(state)[:, 0])
 
 
-def test_impossible_requests_are_refused(game, setting, tmp_path):
-    stay = never_switch(setting)
+def test_impossible_requests_are_refused(game, spec, tmp_path):
+    stay = never_switch(spec)
     refused("step is 2", branch_games, game, stay, race_seeds(0, 1), 2, [stay], stay)
     refused("payoff is 'glory'", outcome, game, game.reset(games=1), "glory")
-    other = make_game("Tarnfjord", setting.archive, load_game_config(setting.config, moves=3))
+    other = make_game("Tarnfjord", spec.archive, load_game_config(spec.config, moves=3))
     with open_job(tmp_path / "c", "response", {}) as job:
-        refused("one of each", learn_response, [game], [], setting, ResponseSettings(), job)
+        refused("one of each", learn_response, [game], [], spec, ResponseSettings(), job)
         with pytest.raises(InputError, match="games of 2 moves"):
-            learn_response([game, other], [never_switch(setting)], setting, ResponseSettings(), job)
+            learn_response([game, other], [never_switch(spec)], spec, ResponseSettings(), job)
 
 
 def network(seed: int, hidden: tuple[int, ...] = (5, 4), clipped: bool = False) -> RegretNetwork:

@@ -20,7 +20,7 @@ from pcs_racing.race.config import RaceConfig
 
 
 @dataclass(frozen=True, eq=False)
-class Setting:
+class GameSpec:
     """An archive and the rules of a game; no circuit."""
 
     archive: PolicyArchive  #: Seen along the game's axes.
@@ -62,7 +62,7 @@ class Setting:
 
     def check_fits(self, game: RaceGame, agent: str) -> None:
         """Check that a game is played with this archive, the same moves and the same observations."""
-        check_same_game(self.identity, make_setting(game.archive, game.config).identity, f"agent {agent!r}")
+        check_same_game(self.identity, make_game_spec(game.archive, game.config).identity, f"agent {agent!r}")
 
 
 def training_text(facts: Mapping[str, Any]) -> str:
@@ -70,10 +70,10 @@ def training_text(facts: Mapping[str, Any]) -> str:
     return ", ".join(f"{key} {value}" for key, value in facts.items()) or "not said"
 
 
-def make_setting(
+def make_game_spec(
     archive: PolicyArchive | str | Path = "default", race: GameConfig | RaceConfig | str | Path = "paper"
-) -> Setting:
-    """Return the setting of a game from names.
+) -> GameSpec:
+    """Return the game spec from names.
 
     Parameters
     ----------
@@ -87,4 +87,4 @@ def make_setting(
     if config.characteristics is not None and config.characteristics != policies.characteristics:
         policies = policies.project(config.characteristics)
     count = len(move_names(policies, config.epsilon, bool(config.stay)))
-    return Setting(policies, replace(config, stay=True), count)
+    return GameSpec(policies, replace(config, stay=True), count)
