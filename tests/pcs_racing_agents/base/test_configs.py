@@ -1,8 +1,12 @@
 """The configurations that come with the package, by kind and name."""
 
+import yaml
 from refusal import refused
+from repository import load_tool
 
+from pcs_racing.base.settings import options_of
 from pcs_racing_agents.base.configurations import load_config, shipped_configs
+from pcs_racing_agents.learning.ppo.settings import LEVELS
 from pcs_racing_agents.policies.config import ArchiveConfig
 
 
@@ -11,6 +15,22 @@ def test_names_are_sorted_and_without_their_kind():
     assert names == sorted(names)
     assert {"contest", "paper", "quick"} < set(names)
     assert shipped_configs("nothing") == {}
+
+
+def test_every_kind_has_a_schema_and_every_shipped_file_obeys_its_own():
+    """``python dev/tools/write_schemas.py`` writes the schemas again."""
+    tool = load_tool("write_schemas")
+    assert {file.stem: file.read_text(encoding="utf-8") for file in tool.FOLDER.glob("*.json")} == tool.schemas()
+    files = {kind: shipped_configs(kind).values() for kind in tool.schemas()}
+    for kind, file in [(kind, file) for kind, of_kind in files.items() for file in of_kind]:
+        text = file.read_text(encoding="utf-8")
+        assert text.startswith(f"# yaml-language-server: $schema=../schemas/{kind}.json\n"), file
+        values = yaml.safe_load(text)
+        cls = type(LEVELS[values["level"]]) if kind == "ppo" else tool.KINDS[kind]
+        options = options_of(cls)
+        assert set(values) <= set(tool.schema_of(cls)["properties"])
+        for name, value in values.items():
+            options[name].checked(name, value)
 
 
 def test_a_configuration_is_found_by_name_and_its_fields_may_be_changed():

@@ -1,0 +1,68 @@
+"""Write the JSON schema of each kind of configuration, from which editors complete and check YAML files.
+
+python dev/tools/write_schemas.py
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pcs_racing_agents
+from pcs_racing.base.settings import DIFFERENT, Settings, options_of
+from pcs_racing.race.config import PRESETS, RaceConfig
+from pcs_racing_agents.benchmark.protocol import ProtocolConfig
+from pcs_racing_agents.learning.ppo.settings import LEVELS
+from pcs_racing_agents.learning.psro import PSROSettings
+from pcs_racing_agents.learning.responses.learner import ResponseSettings
+from pcs_racing_agents.learning.self_play import SelfPlaySettings
+from pcs_racing_agents.networks.settings import TrainSettings
+from pcs_racing_agents.policies.config import ArchiveConfig
+from pcs_racing_agents.study.study import StudyConfig
+
+FOLDER = Path(pcs_racing_agents.__file__).parent / "data" / "schemas"
+KINDS: dict[str, type[Settings]] = {
+    "archive": ArchiveConfig,
+    "protocol": ProtocolConfig,
+    "psro": PSROSettings,
+    "race": RaceConfig,
+    "response": ResponseSettings,
+    "self-play": SelfPlaySettings,
+    "study": StudyConfig,
+    "train": TrainSettings,
+}
+
+
+def schema_of(cls: type[Settings], **more: Any) -> dict[str, Any]:
+    """Return the schema of a file of settings; ``more`` are keys beside the options."""
+    properties = {}
+    for name, option in options_of(cls).items():
+        schema = option.adapter.json_schema()
+        schema.pop("multipleOf", None)  # editors would refuse 0.3, which is no multiple of 0.1 in floating point
+        if DIFFERENT in option.notes:
+            schema["uniqueItems"] = True
+        if option.default is None:
+            schema = {"anyOf": [schema, {"type": "null"}]}
+        default = dict(option.default) if isinstance(option.default, Mapping) else option.default
+        properties[name] = {**schema, "description": option.meaning, "default": default}
+    return {"type": "object", "additionalProperties": False, "properties": {**properties, **more}}
+
+
+def schemas() -> dict[str, str]:
+    """Return the text of each schema by its kind."""
+    made = {kind: schema_of(cls) for kind, cls in KINDS.items()}
+    preset = {"enum": list(PRESETS), "description": "Rules that give the defaults.", "default": "paper"}
+    made["race"]["properties"]["preset"] = preset
+    made["ppo"] = {"anyOf": [{**schema_of(type(level)), "required": ["level"]} for level in LEVELS.values()]}
+    first = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return {kind: json.dumps({**first, "title": kind, **schema}, indent=1) + "\n" for kind, schema in made.items()}
+
+
+def main() -> None:
+    FOLDER.mkdir(exist_ok=True)
+    for kind, text in schemas().items():
+        (FOLDER / f"{kind}.json").write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
