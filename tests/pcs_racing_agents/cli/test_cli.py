@@ -21,7 +21,7 @@ from PIL import Image
 from refusal import refused
 
 from pcs_racing import list_tracks, load_race_config, load_track, parse_policy, read_replay, record_race
-from pcs_racing.base.settings import Settings
+from pcs_racing.base.settings import OptionalNames, Settings
 from pcs_racing.planners import registry
 from pcs_racing.race.calibration import calibrate
 from pcs_racing.track.maps import find_shipped
