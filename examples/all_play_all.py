@@ -1,7 +1,7 @@
 """All against all between agents of the zoo: table, payoff matrix, ratings, and the equilibrium of choosing an agent.
 
     python examples/all_play_all.py
-    python examples/all_play_all.py --track Saltmere --race paper --races 200 --agents never-switch random-moves
+    python examples/all_play_all.py --track Saltmere --rules paper --races 200 --agents never-switch random-moves
 
 Every pair drives the same races from both seats of the grid. Stop it and start it again: it goes on where it was.
 """
@@ -41,7 +41,7 @@ AGENTS = [
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default="Tarnfjord", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--race", default="contest", help="rules of the race: paper, contest or a YAML file")
+    parser.add_argument("--rules", default="contest", help="rules of the race: paper, contest or a YAML file")
     parser.add_argument("--archive", default="default", help="archive that the agents move in")
     parser.add_argument("--agents", nargs="+", default=AGENTS, help="names, or name:option=value,...")
     parser.add_argument("--races", type=int, default=60, help="races of each pair, even")
@@ -53,7 +53,7 @@ def main() -> None:
     plan = plan_tournament(
         load_track(arguments.track),
         arguments.agents,
-        arguments.race,
+        arguments.rules,
         archive=arguments.archive,
         races_per_pair=arguments.races,
         seed=arguments.seed,

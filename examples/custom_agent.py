@@ -57,12 +57,12 @@ class Stubborn:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default="Tarnfjord", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--race", default="contest", help="rules of the race: paper, contest or a YAML file")
+    parser.add_argument("--rules", default="contest", help="rules of the race: paper, contest or a YAML file")
     parser.add_argument("--races", type=int, default=60, help="races of each pair, even")
     parser.add_argument("--seed", type=int, default=0, help="root of start lines, start policies and noise")
     arguments = parser.parse_args()
 
-    rules = game_rules(arguments.race)
+    rules = game_rules(arguments.rules)
     mine = catch_up(make_game_spec("default", rules))
 
     # 3. Under a name it can be asked for like the others; a distribution declares it in the entry points

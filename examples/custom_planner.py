@@ -65,7 +65,7 @@ CAUTIOUS = Planner("cautious", PARAMETERS, plan=plan)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default="Larkmoor", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--race", default="contest", help="rules of the race: paper, contest or a YAML file")
+    parser.add_argument("--rules", default="contest", help="rules of the race: paper, contest or a YAML file")
     parser.add_argument("--pace", type=float, default=0.6, help="pace of both planners, from 0 to 1")
     parser.add_argument("--races", type=int, default=40, help="races for each row of the table")
     parser.add_argument("--seed", type=int, default=0, help="root of the start lines and the noise")
@@ -73,7 +73,7 @@ def main() -> None:
 
     register_planner(CAUTIOUS)
     track = load_track(arguments.track)
-    config = load_race_config(arguments.race)
+    config = load_race_config(arguments.rules)
     opponent = get_planner("lattice").policy({"pace": arguments.pace})
     print(
         f"{track.name}, {config.name}: {arguments.races} races against the lattice planner at pace {arguments.pace:g}"

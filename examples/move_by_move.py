@@ -24,7 +24,7 @@ from pcs_racing_agents.watch.explain import mark_moves
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default="Tarnfjord", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--race", default="paper", help="rules of the race: paper, contest or a YAML file")
+    parser.add_argument("--rules", default="paper", help="rules of the race: paper, contest or a YAML file")
     parser.add_argument("--archive", default="default", help="archive that the agents move in")
     parser.add_argument("--ego", default="cfr-argmax", help="agent in car 0")
     parser.add_argument("--opponent", default="never-switch", help="agent in car 1")
@@ -33,9 +33,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/move_by_move"), help="folder for the page")
     arguments = parser.parse_args()
 
-    game = make_game(arguments.track, arguments.archive, arguments.race, stay=True)
+    game = make_game(arguments.track, arguments.archive, arguments.rules, stay=True)
     names = (arguments.ego, arguments.opponent)
-    cars = [make(name, archive=arguments.archive, race=arguments.race, seed=arguments.seed) for name in names]
+    cars = [make(name, archive=arguments.archive, race=arguments.rules, seed=arguments.seed) for name in names]
     axes = len(game.archive.characteristics)
 
     # 1. A race drawn by the seed; both cars drive their first policies for a step and only watch.

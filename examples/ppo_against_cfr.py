@@ -1,7 +1,7 @@
 """PPO against the agent of counterfactual regret: train it, save it, race it.
 
     python examples/ppo_against_cfr.py
-    python examples/ppo_against_cfr.py --steps 200000 --race contest --archive contest --opponent response
+    python examples/ppo_against_cfr.py --steps 200000 --rules contest --archive contest --opponent response
 
 PPO learns the game of moves against a mixture of opponents with Stable-Baselines3. What it has learned is saved as
 plain numbers, read again without torch, and raced against the opponent and others: every start policy against every
@@ -35,7 +35,7 @@ except ModuleNotFoundError as error:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default="Tarnfjord", help="circuit to learn and to race on")
-    parser.add_argument("--race", default="paper", help="rules of the race: paper or contest")
+    parser.add_argument("--rules", default="paper", help="rules of the race: paper or contest")
     parser.add_argument("--archive", default="default", help="archive that both move in")
     parser.add_argument("--steps", type=int, default=20_000, help="moves to learn from")
     parser.add_argument("--opponent", default="cfr-argmax", help="agent of the zoo to race against")
@@ -47,7 +47,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     # 0. Who races; a name that is unknown is told before anything is trained.
-    world = {"archive": arguments.archive, "race": arguments.race}
+    world = {"archive": arguments.archive, "race": arguments.rules}
     options = {"network": arguments.opponent_network} if arguments.opponent_network else {}
     try:
         opponent = make(arguments.opponent, **world, **options)
@@ -57,14 +57,14 @@ def main() -> None:
     # 1. Train, against opponents that PPO is to beat. The folder keeps curves and weights.
     settings = DuelSettings(
         archive=arguments.archive,
-        race=arguments.race,
+        race=arguments.rules,
         tracks=(arguments.track,),
         opponents={"never-switch": 2, "random-moves": 1},
         steps=arguments.steps,
         seeds=(arguments.seed,),
         envs=min(192, max(8, arguments.steps // 64)),
         entropy=0.01,
-        reward_scale=0.1 if arguments.race == "paper" else 1.0,
+        reward_scale=0.1 if arguments.rules == "paper" else 1.0,
         evaluate_every=max(1, arguments.steps // 5),
         evaluation_races=60,
     )
@@ -75,10 +75,10 @@ def main() -> None:
     ppo = make("ppo", network=trained.folder, **world)
 
     # 3. Race. All cells against an opponent have the same races, so their differences are not those of luck.
-    game = make_game(load_track(arguments.track), arguments.archive, arguments.race)
+    game = make_game(load_track(arguments.track), arguments.archive, arguments.rules)
     never_switch = make("never-switch", **world)
     draws = {"egos": arguments.egos, "opponents": arguments.variants, "lines": 3, "seed": arguments.seed + 1}
-    print(f"\n{game.track.name}, rules {arguments.race}: score (a win 1, a tie a half), difference at 95 %")
+    print(f"\n{game.track.name}, rules {arguments.rules}: score (a win 1, a tie a half), difference at 95 %")
     print(f"{'against':>24} {'races':>6} {'never-switch':>13} {'ppo':>7} {'difference':>11} {'interval':>18}")
     for other in (opponent, never_switch, make("random-moves", **world)):
         pairings = [cross_pairing(game, ego, other, **draws) for ego in (never_switch, ppo)]

@@ -89,7 +89,7 @@ def main() -> None:
     parser.add_argument("--driver", default="lattice", help="the expert, in car 0")
     parser.add_argument("--opponent", default="lattice:pace=0.6", help="driver or agent in car 1; 'none': alone")
     parser.add_argument("--track", default="Brackwater", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--race", default="paper", help="rules of the race: paper, contest or a YAML file")
+    parser.add_argument("--rules", default="paper", help="rules of the race: paper, contest or a YAML file")
     parser.add_argument("--races", type=int, default=10, help="number of races")
     parser.add_argument("--duration", type=float, default=40.0, help="length of a race in s")
     parser.add_argument("--beams", type=int, default=0, help="beams of the lidar in the observations")
@@ -99,7 +99,7 @@ def main() -> None:
         parser.error(f"there is a dataset {given.name} already; give another --name")
 
     opponent = None if given.opponent == "none" else given.opponent
-    options = {"track": given.track, "race": given.race, "duration": given.duration, "beams": given.beams}
+    options = {"track": given.track, "race": given.rules, "duration": given.duration, "beams": given.beams}
     record(given.name, given.driver, opponent, given.races, given.seed, **options)
     dataset = minari.load_dataset(given.name)
     returns = [float(episode.rewards.sum()) for episode in dataset.iterate_episodes()]

@@ -25,13 +25,13 @@ parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.R
 parser.add_argument("--steps", type=int, default=60_000, help="moves to learn from, both cars' counted")
 parser.add_argument("--track", default="Brackwater", help="name of a shipped circuit or a map folder")
 parser.add_argument("--archive", default="contest", help="archive of policies that both cars drive with")
-parser.add_argument("--race", default="contest", help="rules of the race: paper, contest or a YAML file")
+parser.add_argument("--rules", default="contest", help="rules of the race: paper, contest or a YAML file")
 parser.add_argument("--games", type=int, default=500, help="games against each opponent afterwards")
 parser.add_argument("--seed", type=int, default=0, help="root of everything random")
 arguments = parser.parse_args()
 
 torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
-game = {"track": arguments.track, "archive": arguments.archive, "race": arguments.race}
+game = {"track": arguments.track, "archive": arguments.archive, "race": arguments.rules}
 envs = make_sb3_vec_env("self-play", 64, **game)
 model = PPO(
     "MlpPolicy",

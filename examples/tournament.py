@@ -1,7 +1,7 @@
 """A head-to-head tournament between policies of one planner, told apart by their weights.
 
     python examples/tournament.py
-    python examples/tournament.py --track Brackwater --race paper --races 100
+    python examples/tournament.py --track Brackwater --rules paper --races 100
 
 It prints the table and the payoff matrix, and writes the results and a replay of the liveliest race.
 """

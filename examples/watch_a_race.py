@@ -19,7 +19,7 @@ def main() -> None:
     parser.add_argument("--track", default="Tarnfjord", help="name of a shipped circuit or a map folder")
     parser.add_argument("--ego", default="lattice:pace=0.7,overtaking=0.5", help="driver of car 0")
     parser.add_argument("--opponent", default="lattice:pace=0.4", help="driver of car 1")
-    parser.add_argument("--race", default="contest", help="rules of the race: paper, contest or a YAML file")
+    parser.add_argument("--rules", default="contest", help="rules of the race: paper, contest or a YAML file")
     parser.add_argument("--duration", type=float, default=40.0, help="length of the race in s")
     parser.add_argument("--seed", type=int, default=0, help="root of the start and the noise")
     parser.add_argument("--out", type=Path, default=Path("out/race"), help="folder for the page and the GIF")
@@ -27,7 +27,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     track = load_track(arguments.track)
-    config = load_race_config(arguments.race, duration=arguments.duration)
+    config = load_race_config(arguments.rules, duration=arguments.duration)
     ego, opponent = parse_policy(arguments.ego), parse_policy(arguments.opponent)
     replay = record_race(track, ego, opponent, config, seed=arguments.seed)
     for event in replay.events:

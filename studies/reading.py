@@ -83,7 +83,7 @@ def read(game: Any, agent: Any, raced: dict[str, Any], variants: Labels, seed: i
     return int(known.sum()), f"{bits[0]:.4f}", *shares, difference, f"{further.mean():.3f}"
 
 
-@command("reading", "python -m studies reading --race contest --archive contest --out out/reading")
+@command("reading", "python -m studies reading --rules contest --archive contest --out out/reading")
 def run(
     *,
     agents: Annotated[Sequence[str], Option("agents whose moves are read", "AGENT")] = ("cfr-argmax", "response"),

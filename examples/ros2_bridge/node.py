@@ -28,7 +28,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--track", default="Brackwater", help="name of a shipped circuit or a map folder")
     parser.add_argument("--opponent", default="lattice", help='driver or agent of the second car; "topic": /opp_drive')
-    parser.add_argument("--race", default="paper", help="rules of the race: paper, contest or a YAML file")
+    parser.add_argument("--rules", default="paper", help="rules of the race: paper, contest or a YAML file")
     parser.add_argument("--seed", type=int, default=0, help="root of the starts and the noise")
     arguments = parser.parse_args()
 
@@ -39,7 +39,7 @@ def main() -> None:
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
     opponent = None if arguments.opponent == "topic" else arguments.opponent
-    bridge = Bridge(arguments.track, opponent, arguments.race, arguments.seed)
+    bridge = Bridge(arguments.track, opponent, arguments.rules, arguments.seed)
     rclpy.init()
     node = Node("pcs_racing")
     publishers: dict[str, object] = {}

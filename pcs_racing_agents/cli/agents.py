@@ -8,7 +8,7 @@ from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import ArchiveName, Race, archive_for
+from pcs_racing_agents.cli.options import ArchiveName, RulesName, archive_for
 
 _CONSTANT = "makes the same move again and again"
 
@@ -17,20 +17,20 @@ _CONSTANT = "makes the same move again and again"
     "agents",
     "pcs-racing agents",
     "pcs-racing agents best-fixed",
-    "pcs-racing agents response --race contest",
+    "pcs-racing agents response --rules contest",
 )
 def run(
     agent: Annotated[str | None, Option("name of the agent to describe (default: list all)")] = None,
     *,
     archive: ArchiveName = None,
-    race: Race = "paper",
+    rules: RulesName = "paper",
 ) -> None:
-    """List all agents and drivers, or describe one of them: options, training, strength, cost, hash."""
+    """List all agents, or describe one of them: options, training, strength, cost, hash."""
     from pcs_racing_agents.agents.describe import describe, facts_of
     from pcs_racing_agents.agents.game_spec import make_game_spec
     from pcs_racing_agents.agents.zoo import entries, names
 
-    config = load_game_config(race)
+    config = load_game_config(rules)
     spec = make_game_spec(archive_for(archive, config.race), config)
     available, listed = entries(), names(spec.archive, spec.config)
     if agent is None:

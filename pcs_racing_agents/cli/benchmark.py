@@ -53,7 +53,7 @@ def run(
     name: Annotated[str | None, Option("name on the card (default: that of the agent)")] = None,
     protocol: Annotated[str, Option("protocol: its name or a YAML file")] = "bench_v2",
     full: Annotated[bool, Option("also train a best reply to the agent and measure the loss to it (minutes)")] = False,
-    out: Annotated[Path, Option("folder of the card; a run that was stopped there goes on", "DIR")],
+    out: Annotated[Path, Option("folder of the card; an interrupted run resumes here", "DIR")],
     workers: Workers,
 ) -> None:
     """Race an agent by the fixed protocol of the benchmark, and write its score card."""

@@ -24,6 +24,7 @@ from inspect import Parameter, getdoc, signature
 from types import ModuleType, NoneType, UnionType
 from typing import Annotated, Any, NoReturn, get_args, get_origin, get_type_hints
 
+from pcs_racing.base.checks import did_you_mean
 from pcs_racing.base.errors import choices
 from pcs_racing.base.settings import Settings, option_words, options_of
 
@@ -56,7 +57,7 @@ class SettingOptions:
                 type=kind,
                 nargs="+" if several else None,
                 metavar={int: "N", float: "X"}.get(kind, name.upper()),
-                help=option_words(options[name]).replace("%", "%%"),
+                help=_phrase(option_words(options[name])),
             )
 
     def values(self, parsed: Namespace) -> dict[str, Any]:
@@ -81,6 +82,9 @@ class Parser(ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """End the process with status 2."""
         found = re.match(r"(.*): invalid choice: '(.*)' \(choose from (.*)\)$", message)
+        unknown = re.match(r"unrecognized arguments: (--[^\s=]+)", message)
+        if unknown and (near := did_you_mean(unknown[1], _options(self))):
+            message = f"option {unknown[1]} is unknown{near}"
         if found:
             where, word, known = found.groups()
             message = f"{where} is {word!r}; {choices(word, known.replace(chr(39), '').split(', '))}"
@@ -105,7 +109,7 @@ def add_commands(parsers: "Parsers[ArgumentParser]", module: ModuleType) -> None
         group, _, name = made.name.rpartition(" ")
         parser = groups[group].add_parser(
             name,
-            help=f"{made.summary[0].lower()}{made.summary[1:].rstrip('.')}".replace("%", "%%"),
+            help=_phrase(made.summary),
             description=made.summary,
             epilog="\n  ".join(["examples:" if len(made.examples) > 1 else "example:", *made.examples]),
             formatter_class=RawDescriptionHelpFormatter,
@@ -122,15 +126,16 @@ def _run(function: Callable[..., None], parsed: Namespace) -> None:
     function(**parameter_values(function, parsed))
 
 
-def add_parameters(parser: ArgumentParser, target: Callable[..., Any]) -> None:
-    """Add the parameters of a function, or the fields of a dataclass, to a parser."""
+def add_parameters(parser: ArgumentParser, target: Callable[..., Any], title: str | None = None) -> None:
+    """Add the parameters of a function, or the fields of a dataclass as a group of options, to a parser."""
+    group = parser.add_argument_group(title) if title else parser
     for parameter, kind, declared in _parameters(target):
         if isinstance(declared, SettingOptions):
             declared.add(parser)
         elif declared is None:
-            add_parameters(parser, kind)
+            add_parameters(parser, kind, _phrase(str(getdoc(kind)).partition("\n")[0]))
         else:
-            parser.add_argument(*_name(parameter), **_reading(parameter, kind, declared))
+            group.add_argument(*_name(parameter), **_reading(parameter, kind, declared))
 
 
 def parameter_values(target: Callable[..., Any], parsed: Namespace) -> dict[str, Any]:
@@ -157,6 +162,20 @@ def _parameters(target: Callable[..., Any]) -> Iterator[tuple[Parameter, Any, Op
         else:
             assert is_dataclass(hint), f"parameter {name} is not declared"
             yield parameter, hint, None
+
+
+def _phrase(sentence: str) -> str:
+    """Return a sentence as argparse shows a help text: a small letter first, and no full stop."""
+    return f"{sentence[0].lower()}{sentence[1:].rstrip('.')}".replace("%", "%%")
+
+
+def _options(parser: ArgumentParser) -> Iterator[str]:
+    """All options of a parser and of its commands."""
+    yield from parser._option_string_actions
+    for action in parser._actions:
+        if isinstance(action, Parsers):
+            for each in action.choices.values():
+                yield from _options(each)
 
 
 def _name(parameter: Parameter) -> tuple[str, ...]:

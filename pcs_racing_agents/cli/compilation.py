@@ -22,7 +22,7 @@ PLANNERS = ("lattice", "lane-switcher:3", "pure-pursuit", "gap-follower")
 
 @command("compile", "pcs-racing compile")
 def run() -> None:
-    """Compile the kernels now, so that nothing waits for them later (they are cached on disk)."""
+    """Compile the kernels now (they are cached on disk)."""
     begin = time.monotonic()
     compile_kernels()
     print(f"compiled in {time.monotonic() - begin:.0f} s; what was in the cache took no time")

@@ -65,7 +65,7 @@ class _Planned:
     "pcs-racing explain out/mine --situations cfr-argmax --out out/cfr",
 )
 def run(
-    results: Annotated[Path | None, Option("folder of a tournament or a study", "RACE")] = None,
+    results: Annotated[Path | None, Option("folder of a tournament or a study", "RESULTS")] = None,
     *,
     index: Annotated[
         int | None, Option("the race: its line in the results, or its number with --agents (default: 0)", "K")

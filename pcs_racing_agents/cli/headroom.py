@@ -73,15 +73,13 @@ def pool_settings(pool: "PolicyPool") -> dict[str, Any]:
 
 @command(
     "headroom",
-    "pcs-racing headroom --race contest --out out/headroom",
-    "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --race contest --out out/mine",
+    "pcs-racing headroom --rules contest --out out/headroom",
+    "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --rules contest --out out/mine",
 )
 def run(
     *,
     options: PoolOptions,
-    out: Annotated[
-        Path, Option("folder for headroom.csv and payoffs.csv; a run that was stopped there goes on", "DIR")
-    ],
+    out: Annotated[Path, Option("folder for headroom.csv and payoffs.csv; an interrupted run resumes here", "DIR")],
     workers: Workers,
 ) -> None:
     """Race all pairs of an archive's policies, and print the value of knowing the opponent."""

@@ -66,7 +66,7 @@ class Games:
 
 @command(
     "learn",
-    "pcs-racing learn self-play --track Brackwater --race contest --out out/self-play",
+    "pcs-racing learn self-play --track Brackwater --rules contest --out out/self-play",
     "pcs-racing learn psro --track Pipkin Saltmere --pool never-switch lane-switcher --out out/psro",
 )
 def run(
@@ -139,8 +139,8 @@ def run_identity(games: "list[RaceGame]", spec: "GameSpec", competitors: "list[C
 
 @command(
     "best-reply",
-    "pcs-racing best-reply response --track Pipkin --race contest --out out/reply",
-    "pcs-racing best-reply lane-switcher --track Pipkin Saltmere --race contest --starts 512 --out out/quick",
+    "pcs-racing best-reply response --track Pipkin --rules contest --out out/reply",
+    "pcs-racing best-reply lane-switcher --track Pipkin Saltmere --rules contest --starts 512 --out out/quick",
 )
 def run_best_reply(
     agent: Annotated[str, Option(f"agent or driver: {AGENT_HELP}")],
@@ -154,13 +154,13 @@ def run_best_reply(
     out: Annotated[
         Path,
         Option(
-            "folder for best_reply.csv, results.csv and the opponent's network; a run that was stopped there goes on",
+            "folder for best_reply.csv, results.csv and the opponent's network; an interrupted run resumes here",
             "DIR",
         ),
     ],
     workers: Workers,
 ) -> None:
-    """Train an opponent against one agent alone, and print what the agent loses to it in fresh races."""
+    """Train an opponent against one agent alone, and print the agent's loss."""
     from pcs_racing_agents.agents.agent import competitor_hash
     from pcs_racing_agents.learning.responses.best_reply import FEWEST, best_reply, reply_text, write_replies
     from pcs_racing_agents.learning.responses.learner import load_response_settings
@@ -245,6 +245,6 @@ def run_ppo(
         save_picture(curves_picture(panels, x_label=x_label, title=title), out / "curve.png")
     steps = ", ".join(f"{curve.steps[-1]} with seed {curve.seed}" for curve in trained.curves)
     print(
-        f"{steps}: {trained.seconds:.0f} s of training; kept is seed {trained.seed} after {trained.steps} "
+        f"{steps}: {trained.seconds:.0f} s of training; best: seed {trained.seed}, {trained.steps} "
         f"{trained.task.unit}\n\n{score_table(trained.scores, opponents)}\n\npolicy: {trained.folder}"
     )

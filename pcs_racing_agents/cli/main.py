@@ -25,30 +25,51 @@ from pcs_racing_agents.cli.options import Terminated
 FAILED = 2
 
 FILES = {
-    "race": "race",
-    "tournament": "tournament",
-    "track": "track",
-    "agents": "agents",
-    "policies": "agents",
-    "synthesize": "synthesize",
-    "headroom": "headroom",
-    "benchmark": "benchmark",
-    "leaderboard": "benchmark",
-    "overtaking": "benchmark",
-    "tree": "trees",
-    "solve": "trees",
-    "export": "trees",
-    "train": "train",
-    "learn": "learn",
-    "best-reply": "learn",
-    "ppo": "learn",
-    "study": "study",
-    "explain": "explain",
-    "view": "view",
-    "play": "view",
-    "compile": "compilation",
+    "race": ("race", "simulate one race between two or more policies"),
+    "tournament": (
+        "tournament",
+        "race every pair of agents and policies, and print a table",
+    ),
+    "track": ("track", "list, show, import, generate and calibrate circuits"),
+    "agents": (
+        "agents",
+        "list all agents, or describe one of them: options, training, strength, cost, hash",
+    ),
+    "policies": ("agents", "list planners with the bounds and meanings of their parameters"),
+    "synthesize": (
+        "synthesize",
+        "search for an archive of policies that drive differently",
+    ),
+    "headroom": ("headroom", "race all pairs of an archive's policies, and print the value of knowing the opponent"),
+    "benchmark": ("benchmark", "race an agent by the fixed protocol of the benchmark, and write its score card"),
+    "leaderboard": ("benchmark", "rank score cards of one protocol, and write the page that shows them"),
+    "overtaking": ("benchmark", "race the scenarios of the End2Race overtaking protocol, 600 a circuit"),
+    "tree": ("trees", "build game trees: simulate all moves of both players, for pairs of starting policies"),
+    "solve": (
+        "trees",
+        "solve game trees exactly and by regret minimisation",
+    ),
+    "export": ("trees", "write a game tree as a file that OpenSpiel and Gambit load"),
+    "train": (
+        "train",
+        "train a network that predicts counterfactual regrets from observations",
+    ),
+    "learn": ("learn", "train an agent in branched races: a response to opponents, PSRO, or CFR in self-play"),
+    "best-reply": (
+        "learn",
+        "train an opponent against one agent alone, and print the agent's loss",
+    ),
+    "ppo": ("learn", "train a baseline by PPO at the strategy or control level, or resume such a training"),
+    "study": ("study", "run a complete study: archive, game trees, networks, agents, races and report"),
+    "explain": ("explain", "explain the moves of an agent in a race: its observations, its moves and their effect"),
+    "view": ("view", "write a page that lists the races of a tournament or a study and plays them"),
+    "play": ("view", "make the moves of one car yourself, or steer it, on a local page, against an agent"),
+    "compile": (
+        "compilation",
+        "compile the kernels now (they are cached on disk)",
+    ),
 }
-"""The file of each command in this folder, in the order of the help. Only what a call needs is imported."""
+"""File in this folder and summary of each command, in the order of the help: only what a call needs is imported."""
 
 NAMING = {
     "race": {"--ego": "planner", "--opponent": "planner"},
@@ -88,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             check_names(words)
     except InputError as error:
         return _fail(error)
-    return run_parsed(_parser(words[0] if words else None).parse_args(words))
+    return run_parsed(_parser(words[0] if words else None, brief=True).parse_args(words))
 
 
 def run_parsed(parsed: argparse.Namespace) -> int:
@@ -120,7 +141,7 @@ def run_parsed(parsed: argparse.Namespace) -> int:
 
         if not is_lost(error):
             raise
-        return _fail(InputError(f"a worker died or the cluster is gone ({error}); mend that and start the same again"))
+        return _fail(InputError(f"a worker failed or the cluster is unreachable ({error}); rerun to resume"))
     return 0
 
 
@@ -146,8 +167,8 @@ def _fail(error: Exception) -> int:
     return FAILED
 
 
-def _parser(command: str | None = None) -> argparse.ArgumentParser:
-    """Return the parser of one command, or of all where there is no such command (for help and errors)."""
+def _parser(command: str | None = None, *, brief: bool = False) -> argparse.ArgumentParser:
+    """Return the parser of one command or, if there is no such command, of all; a brief one only lists them."""
     parser = Parser(
         prog="pcs-racing",
         description="Simulate head-to-head races of two cars; search, train and compare policies and agents for them.",
@@ -156,9 +177,13 @@ def _parser(command: str | None = None) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
     commands: Any = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    if brief and command not in FILES:
+        for name, (_, summary) in FILES.items():
+            commands.add_parser(name, help=summary)
+        return parser
     # Each file imports what its commands need for their options, which for all of them takes longer than a race.
     wanted = [FILES[command]] if command in FILES else FILES.values()
-    for file in dict.fromkeys(wanted):
+    for file in dict.fromkeys(file for file, _ in wanted):
         add_commands(commands, import_module(f"pcs_racing_agents.cli.{file}"))
     return parser
 
@@ -178,18 +203,18 @@ def check_command(word: str, commands: Sequence[str]) -> None:
 
 def check_names(words: Sequence[str]) -> None:
     """Refuse names of planners, agents, circuits and rules that nobody knows; of paths and code nothing is asked."""
-    kinds = {**NAMING.get(words[0], {}), "--track": "track", "--race": "race"}
+    kinds = {**NAMING.get(words[0], {}), "--track": "track", "--rules": "rules"}
     option = ""
     for word in words[1:]:
         if word.startswith("--"):
             option, _, word = word.partition("=")
         kind = kinds.get(option)
         name, colon, rest = split_name(word)
-        if not word or kind is None or os.path.exists(word) or os.sep in word or (kind == "race" and "." in word):
+        if not word or kind is None or os.path.exists(word) or os.sep in word or (kind == "rules" and "." in word):
             continue
         if kind == "track":
             find_shipped(word)
-        elif kind == "race":
+        elif kind == "rules":
             load_race_config(word)
         # A place with a colon may be code of one's own: module:function.
         elif not (name.endswith((".py", ".zip")) or (colon and rest.isidentifier()) or name.startswith("always-")):

@@ -24,10 +24,8 @@ RACED_CODE = f"code of your own that raced in the folder, by the names that the 
 
 Circuit = Annotated[str, Option(TRACK_HELP, "T")]
 Circuits = Annotated[Sequence[str], Option(TRACK_HELP, "T")]
-ArchiveName = Annotated[
-    str | None, Option("archive whose policies the agents drive: its name or folder (default: that of the rules)", "A")
-]
-Race = Annotated[str, Option(f"rules of the race: {', '.join(PRESETS)} or a YAML file")]
+ArchiveName = Annotated[str | None, Option("policy archive: a name or a folder (default: the one for --rules)", "A")]
+RulesName = Annotated[str, Option(f"rules of the race: {', '.join(PRESETS)} or a YAML file")]
 NoOpen = Annotated[bool, Option("do not open the page in a browser")]
 
 
@@ -37,27 +35,26 @@ class Terminated(KeyboardInterrupt):
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
-    """The rules of a race, and the seed of its random draws."""
+    """Race rules."""
 
-    race: Race = "paper"
+    rules: RulesName = "paper"
     duration: Annotated[float | None, Option("duration of a race in s (default: that of the preset, 40)", "S")] = None
     seed: Annotated[int, Option("seed of the starts and of the noise")] = 0
 
     def config(self) -> RaceConfig:
         """Return the race configuration that the options ask for."""
         changes = {} if self.duration is None else {"duration": self.duration}
-        return load_race_config(self.race, **changes)
+        return load_race_config(self.rules, **changes)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Workers:
-    """Where the tasks of a long command run."""
+    """Parallel work."""
 
     executor: Annotated[
         str,
         Option(
-            "serial: one task after the other; threads: threads of this process; processes: processes of this machine; "
-            "dask: workers of a dask cluster (--scheduler), else processes",
+            "serial (one task after the other), threads, processes, or dask (with --scheduler; else processes)",
             choices=("serial", "threads", "processes", "dask"),
         ),
     ] = "threads"

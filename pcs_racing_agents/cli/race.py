@@ -36,7 +36,7 @@ OPPONENT = "lattice:pace=0.6"
     "pcs-racing race",
     "pcs-racing race --replay race.html",
     "pcs-racing race --track Tarnfjord --ego lattice:pace=0.6 --opponent lattice --seed 3 --replay race.html",
-    'pcs-racing race --track "my maps/Spielberg" --ego lattice --opponent lattice --race contest',
+    'pcs-racing race --track "my maps/Spielberg" --ego lattice --opponent lattice --rules contest',
 )
 def run(
     *,
@@ -44,12 +44,12 @@ def run(
     ego: Annotated[str, Option(f"policy of car 0: {POLICY_HELP}", "POLICY")] = EGO,
     opponent: Annotated[Sequence[str], Option("policy of car 1, or of car 1, 2 ... up to 7", "POLICY")] = (OPPONENT,),
     rules: Rules,
-    index: Annotated[int, Option(f"number of the race of this seed, 0 to {LAST_INDEX}")] = 0,
+    index: Annotated[int, Option(f"race index for this seed, 0 to {LAST_INDEX}")] = 0,
     replay: Annotated[
         Path | None, Option("file for a replay: a page that plays the race (.html), or data (.json)", "FILE")
     ] = None,
     video: Annotated[Path | None, Option("file for a video (.mp4, or .gif)", "FILE")] = None,
-    mcap: Annotated[Path | None, Option("file for the messages of ROS 2 that tell the race (.mcap)", "FILE")] = None,
+    mcap: Annotated[Path | None, Option("file for ROS 2 messages (.mcap)", "FILE")] = None,
 ) -> None:
     """Simulate one race between two or more policies."""
     config = rules.config()

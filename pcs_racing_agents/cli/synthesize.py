@@ -23,27 +23,27 @@ from pcs_racing_agents.policies.config import SHIPPED_TRACKS, ArchiveConfig, lis
 )
 def run(
     *,
-    out: Annotated[Path, Option("folder of the archive; a search that was stopped resumes in its folder", "DIR")],
+    out: Annotated[Path, Option("folder of the archive; an interrupted search resumes here", "DIR")],
     config: Annotated[
         str | None,
-        Option(f"settings: {', '.join(list_archive_configs())} or a YAML file; other options override them", "C"),
+        Option(f"configuration: {', '.join(list_archive_configs())} or a YAML file; other options override them", "C"),
     ] = None,
     track: Annotated[
         Sequence[str] | None,
         Option(f"{TRACK_HELP}; every policy races on all of them (default: {', '.join(SHIPPED_TRACKS)})", "T"),
     ] = None,
-    race: Annotated[str | None, Option("preset of the rules (default: that of the settings)")] = None,
+    rules: Annotated[str | None, Option("preset of the rules (default: that of the configuration)")] = None,
     changes: Annotated[
         dict[str, Any],
         SettingOptions(ArchiveConfig, "generations", "population", "method", "seed", "name"),
     ],
     workers: Workers,
 ) -> None:
-    """Search for an archive of policies that drive differently, by racing on one or more circuits."""
+    """Search for an archive of policies that drive differently."""
     if track is not None:
         changes["tracks"] = tuple(track)
-    if race is not None:
-        changes["preset"] = race
+    if rules is not None:
+        changes["preset"] = rules
     if config is None:
         changes.setdefault("name", out.resolve().name)
     settings = load_archive_config(config, **changes)

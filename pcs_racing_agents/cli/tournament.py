@@ -27,7 +27,7 @@ from pcs_racing_agents.cli.options import (
     "tournament",
     "pcs-racing tournament --agents cfr-argmax never-switch",
     "pcs-racing tournament --track Tarnfjord --agents never-switch random-moves lane-switcher --races 40",
-    "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --race contest --out out/mine",
+    "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --rules contest --out out/mine",
 )
 def run(
     *,
@@ -46,7 +46,7 @@ def run(
     ] = None,
     workers: Workers,
 ) -> None:
-    """Race every pair of agents, drivers and policies against each other, and print a table."""
+    """Race every pair of agents and policies, and print a table."""
     from pcs_racing_agents.tournament import (
         payoff_picture,
         plan_tournament,

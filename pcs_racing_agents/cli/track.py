@@ -16,7 +16,7 @@ from pcs_racing.track.maps import list_tracks, read_inside
 from pcs_racing.track.track import Calibration, Track, calibration_values
 from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Command, Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuit, Race, output_file
+from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuit, RulesName, output_file
 
 group = Command(
     "track",
@@ -94,16 +94,16 @@ def run_generate(
     print(f"{track.summary()}\nwritten: {out}")
 
 
-@command("track calibrate", "pcs-racing track calibrate maps/Sevenhills --race contest --write")
+@command("track calibrate", "pcs-racing track calibrate maps/Sevenhills --rules contest --write")
 def run_calibrate(
     track: Annotated[str | None, Option(f"{TRACK_HELP} (default: {DEFAULT_TRACK}, unless --write is given)")] = None,
     *,
-    race: Race = "paper",
+    rules: RulesName = "paper",
     seed: Annotated[int, Option("seed of the noise")] = 0,
     write: Annotated[bool, Option("store the result in the file NAME_track.yaml of the map folder")] = False,
 ) -> None:
     """Measure the speed range and the start positions of a circuit by simulation."""
-    config = load_race_config(race)
+    config = load_race_config(rules)
     if write and track is None:
         raise InputError("--write changes a map folder: say which, as in 'pcs-racing track calibrate FOLDER --write'")
     circuit = load_track(DEFAULT_TRACK if track is None else track)

@@ -34,7 +34,7 @@ def run(
     out: Annotated[Path, Option("folder for the network and its learning curves", "DIR")],
     workers: Workers,
 ) -> None:
-    """Train a network that predicts counterfactual regrets, or another value of each move, from observations."""
+    """Train a network that predicts counterfactual regrets from observations."""
     from pcs_racing_agents.base.curves import curves_picture, write_tensorboard
     from pcs_racing_agents.base.progress import show_progress
     from pcs_racing_agents.base.style import save_picture

@@ -12,7 +12,15 @@ from pcs_racing.game.make import make_game
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.base.tables import aligned, write_csv
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, ArchiveName, Circuit, Race, Workers, archive_for, output_file
+from pcs_racing_agents.cli.options import (
+    DEFAULT_TRACK,
+    ArchiveName,
+    Circuit,
+    RulesName,
+    Workers,
+    archive_for,
+    output_file,
+)
 from pcs_racing_agents.solvers.compare import METHODS, MethodRow, compare_methods
 from pcs_racing_agents.solvers.efg import write_efg
 from pcs_racing_agents.trees import StoredTrees, build_trees, load_trees
@@ -23,13 +31,13 @@ from pcs_racing_agents.trees.tree import TreeStatistics, check_size
     "tree",
     "pcs-racing tree --pairs 8 --out out/trees",
     "pcs-racing tree --track Tarnfjord --pairs 20 --out out/trees",
-    "pcs-racing tree --track Tarnfjord --race contest --moves 4 --pairs 10 --seeds 4 --out out/contest",
+    "pcs-racing tree --track Tarnfjord --rules contest --moves 4 --pairs 10 --seeds 4 --out out/contest",
 )
 def run(
     *,
     archive: ArchiveName = None,
     track: Circuit = DEFAULT_TRACK,
-    race: Race = "paper",
+    rules: RulesName = "paper",
     moves: Annotated[int | None, Option("number of moves of each player (default: that of the rules)", "M")] = None,
     step: Annotated[float | None, Option("mean time of a move in s (default: that of the rules)", "S")] = None,
     epsilon: Annotated[
@@ -42,15 +50,15 @@ def run(
     pairs: Annotated[int, Option("number of pairs of starting policies")] = 20,
     seeds: Annotated[int | None, Option("noise realisations per pair (default: 4 with noise, else 1)", "S")] = None,
     seed: Annotated[int, Option("seed of all random draws")] = 0,
-    out: Annotated[Path, Option("folder for the trees; a command that was stopped resumes in its folder", "DIR")],
+    out: Annotated[Path, Option("folder for the trees; an interrupted run resumes here", "DIR")],
     workers: Workers,
 ) -> None:
     """Build game trees: simulate all moves of both players, for pairs of starting policies."""
     lengths = None if epsilon is None else tuple(epsilon)
     options = {"moves": moves, "step_seconds": step, "epsilon": lengths, "utility": utility, "stay": stay}
     changes: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
-    rules = load_game_config(race, **changes)
-    game = make_game(track, archive_for(archive, rules.race), rules)
+    config = load_game_config(rules, **changes)
+    game = make_game(track, archive_for(archive, config.race), config)
     count = len(game.move_names)
     check_size(count, game.config.moves)
     print(f"{game.track.name}, archive {game.archive.name}, preset {game.config.race.name}, {count} moves", flush=True)
@@ -125,7 +133,7 @@ def run_solve(
     ] = (),
     out: Annotated[Path | None, Option("file for the table (.csv)", "FILE")] = None,
 ) -> None:
-    """Solve game trees exactly and by regret minimisation, and print value and exploitability of each solution."""
+    """Solve game trees exactly and by regret minimisation."""
     target = output_file(out, ".csv") if out else None
     stored = load_trees(trees)
     solved = []

@@ -192,7 +192,7 @@ def _kind_of_start(results: "ResultsFolder") -> str:
 @command(
     "play",
     "pcs-racing play",
-    "pcs-racing play --opponent response --race contest --track Pipkin",
+    "pcs-racing play --opponent response --rules contest --track Pipkin",
     "pcs-racing play --drive --opponent lattice:pace=0.4 --no-open",
 )
 def run_play(

@@ -25,8 +25,8 @@ from studies.headroom.report import (
 
 @command(
     "headroom",
-    "python -m studies headroom --archive contest --race contest --out out/headroom",
-    "python -m studies headroom --archive contest --race contest --lead-plans 6 --out out/plans",
+    "python -m studies headroom --archive contest --rules contest --out out/headroom",
+    "python -m studies headroom --archive contest --rules contest --lead-plans 6 --out out/plans",
 )
 def run(
     *,

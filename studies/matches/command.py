@@ -12,7 +12,7 @@ from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuits, Rules, Workers
 
 
-@command("match", "python -m studies match --race contest --track Pipkin Saltmere --unseen Tarnfjord --out out/match")
+@command("match", "python -m studies match --rules contest --track Pipkin Saltmere --unseen Tarnfjord --out out/match")
 def run(
     *,
     track: Circuits = (DEFAULT_TRACK,),

@@ -70,6 +70,6 @@ def test_the_command_tells_the_same(printed):
     for line in facts_of("cfr-argmax", make_game_spec("default", "paper")):
         assert f"- {line}\n" in out
     assert "With archive default in the paper race:" in out
-    out = printed("agents", "cfr-argmax", "--archive", "contest", "--race", "contest")
+    out = printed("agents", "cfr-argmax", "--archive", "contest", "--rules", "contest")
     assert "Network: contest-contest-regret" in out
     assert "- Not shipped for this game." in printed("agents", "ppo", "--archive", "contest")

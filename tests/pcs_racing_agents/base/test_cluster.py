@@ -254,7 +254,7 @@ def test_workers_lost_outside_of_jobs_are_told_in_a_line(monkeypatch, capsys, er
 
     monkeypatch.setattr("pcs_racing_agents.tournament.plan_tournament", fail)
     assert main(["tournament", "--track", "Pipkin", "--agents", "never-switch", "random-moves"]) == 2
-    told = f"pcs-racing: error: a worker died or the cluster is gone ({error}); mend that and start the same again\n"
+    told = f"pcs-racing: error: a worker failed or the cluster is unreachable ({error}); rerun to resume\n"
     assert capsys.readouterr().err == told
 
 

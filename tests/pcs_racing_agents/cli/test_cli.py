@@ -64,7 +64,7 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
     """Race 4 is the second of races 3 to 5."""
     rules = tmp_path / "rules.yaml"
     rules.write_text("preset: contest\nname: sprint\nduration: 3.0\nheats: 3\n")
-    words = ["race", "--track", "Pipkin", *PAIR, "--race", rules, "--index", 4, "--seed", 2]
+    words = ["race", "--track", "Pipkin", *PAIR, "--rules", rules, "--index", 4, "--seed", 2]
     out = printed(*words)
     track, config = load_track("Pipkin"), load_race_config(rules)
     cars = [parse_policy(text) for text in PAIR[1::2]]
@@ -118,7 +118,7 @@ def test_a_map_folder_with_a_space_in_its_name_and_rules_from_a_file(printed, co
         file.unlink()  # what is left are the picture and its ROS file
     rules = tmp_path / "rules.yaml"
     rules.write_text("preset: contest\nname: sprint\nduration: 2.0\n")
-    out = printed("race", "--track", copied, "--ego", "lattice", "--opponent", "lattice", "--race", rules)
+    out = printed("race", "--track", copied, "--ego", "lattice", "--opponent", "lattice", "--rules", rules)
     assert out.startswith("Pipkin, ")
     assert "preset sprint" in out
     assert "car 0: lattice (car 0), " in out
@@ -223,10 +223,10 @@ def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, printed, c
     before = yaml.safe_load(file.read_text())
     before.pop("calibration")
     file.write_text(yaml.safe_dump(before))
-    out = printed("track", "calibrate", copied, "--race", "contest")
+    out = printed("track", "calibrate", copied, "--rules", "contest")
     assert "Pipkin, contest: speed range" in out
     assert load_track(copied).calibration == {}  # nothing is kept unless asked for
-    run("track", "calibrate", copied, "--race", "contest", "--write")
+    run("track", "calibrate", copied, "--rules", "contest", "--write")
     own = load_track(copied).calibration["contest"]
     assert own == load_track("Pipkin").calibration["contest"]
     low, high = own.speed_range
@@ -278,7 +278,7 @@ def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, printed, c
         ([*DRIVE, "--scheduler", "tcp://x:1"], "a scheduler's address (tcp://x:1) goes with the executor dask"),
         ([*TREE, "--epsilon", "0"], "epsilon is (0.0,); it must be a number in (0, 10]"),
         ([*TREE, "--moves", "9"], "a tree of 9 moves with 4 choices for each player has"),
-        ([*TREE, "--race", "nope"], "race settings 'nope' are unknown"),
+        ([*TREE, "--rules", "nope"], "race settings 'nope' are unknown"),
     ],
 )
 def test_an_error_is_one_line(told, arguments, message, tmp_path, monkeypatch):
@@ -356,7 +356,7 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
     assert "100 % of the waves (default: 1)" in out
     assert "who else (default: Bo)" in out
     assert "whether it rains --wind X X from where " in out
-    assert "Pieces of sugar; from 0 to 9 (default: 0)." in out
+    assert "pieces of sugar; from 0 to 9 (default: 0)" in out
 
 
 def commands(parser: argparse.ArgumentParser, name: str = "pcs-racing"):
@@ -375,6 +375,8 @@ def test_each_command_is_found_in_its_file():
     assert [name.split()[1] for name in COMMANDS if name.count(" ") == 1] == list(FILES)
     for name in FILES:
         assert f"pcs-racing {name}" in dict(commands(_parser(name)))
+    told = _parser().format_help()
+    assert _parser(brief=True).format_help() == told  # without the import of any command
 
 
 def modules_after(code: str) -> set[str]:
@@ -385,12 +387,37 @@ def modules_after(code: str) -> set[str]:
 
 def test_a_race_begins_without_what_other_commands_need():
     """The rest of the agents takes longer to import than the race takes."""
+    assert "numba" not in modules_after("_parser(brief=True).format_help()")
     loaded = modules_after("_parser('race')")
     assert "pcs_racing_agents.cli.race" in loaded
     assert not {name for name in loaded if name.startswith(("pcs_racing_agents.study", "pcs_racing_agents.learning"))}
 
 
-UNKNOWN = "race --ego latice|tournament --agents a b|rcae|race --track Pipkn|race --race cup|play --opponent x"
+UNKNOWN = "race --ego latice|tournament --agents a b|rcae|race --track Pipkn|race --rules cup|play --opponent x"
+
+
+@pytest.mark.parametrize("words", UNKNOWN.split("|"))
+def test_an_unknown_name_is_told_before_compiled_code_is_imported(words):
+    assert "numba" not in modules_after(f"assert main({words.split()}) == 2")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("track lsit", "COMMAND is 'lsit'; did you mean 'list'? there are: list, show"),
+        ("race --trak Pipkin", "option --trak is unknown (did you mean '--track'?)"),
+    ],
+)
+def test_an_unknown_word_or_option_is_one_line_with_the_nearest(capsys, words, message):
+    with pytest.raises(SystemExit) as stop:
+        main(words.split())
+    assert stop.value.code == 2
+    err = capsys.readouterr().err
+    assert message in err
+    assert err.count("\n") == 1
+
+
+OWN = "race --ego latice|tournament --agents a b|rcae|race --track Pipkn|race --rules cup|play --opponent x"
 
 
 @pytest.mark.parametrize("words", UNKNOWN.split("|"))
@@ -462,8 +489,8 @@ def test_own_code_races_in_other_processes_and_commands_find_it_again(tmp_path, 
 
 @pytest.mark.parametrize(("race", "archive"), [("paper", "default"), ("contest", "contest"), ("roboracer", "contest")])
 def test_rules_bring_their_archive(run, race, archive):
-    assert f"With archive {archive} in the {race} race:" in run("agents", "random-moves", "--race", race)[1]
-    assert "With archive default in" in run("agents", "random-moves", "--race", race, "--archive", "default")[1]
+    assert f"With archive {archive} in the {race} race:" in run("agents", "random-moves", "--rules", race)[1]
+    assert "With archive default in" in run("agents", "random-moves", "--rules", race, "--archive", "default")[1]
 
 
 @pytest.mark.parametrize("name", COMMANDS)

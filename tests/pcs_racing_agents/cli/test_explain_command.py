@@ -55,7 +55,7 @@ def test_all_races_of_an_agent_are_summarised(tournament_folder, tmp_path, print
 
 def test_two_agents_race_as_in_a_tournament(saved_archive, printed, told):
     arguments = ["explain", "--agents", "random-moves", "never-switch", "--track", "Pipkin", "--duration", "6"]
-    arguments += ["--archive", saved_archive, "--races", 4, "--seed", 2, "--race", "contest"]
+    arguments += ["--archive", saved_archive, "--races", 4, "--seed", 2, "--rules", "contest"]
     text = printed(*arguments, "--index", 3)
     assert text.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
     assert printed(*arguments, "--situations", "random-moves").startswith("Pipkin, contest rules, 4 races\n")

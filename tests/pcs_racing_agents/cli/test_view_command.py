@@ -324,7 +324,7 @@ def test_answers_are_kept_but_not_for_ever():
     [
         (["view", "{folder}", "--serve"], "18 races"),
         (["play", "--opponent", "never-switch", "--track", "Pipkin"], "play"),
-        (["play", "--drive", "--opponent", "random-moves", "--track", "Pipkin", "--race", "contest"], "play"),
+        (["play", "--drive", "--opponent", "random-moves", "--track", "Pipkin", "--rules", "contest"], "play"),
     ],
 )
 def test_a_command_serves_until_it_is_ended(folder, arguments, what, capsys, monkeypatch):
