@@ -14,7 +14,7 @@ may be None. Defaults are not checked, so pydantic is only imported for other va
 
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, replace
 from functools import cached_property, lru_cache, reduce
 from inspect import cleandoc, get_annotations
@@ -146,7 +146,7 @@ class Option:
         limits = [note for note in self.notes if not isinstance(note, str)]
         within_them = (isinstance(note, Interval) and note.ge <= value <= note.le for note in limits)
         # A number within its limits, the usual case, needs no pydantic.
-        if type(value) is self.kind and limits and all(within_them):
+        if type(value) is self.kind and (limits or self.kind is bool) and all(within_them):
             return value
         plain = _plain(value)
         from pydantic import ValidationError
@@ -165,10 +165,10 @@ class Option:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value with numbers of Python, tuples and dicts in place of numbers of numpy, lists and mappings."""
+    """Return a value with numbers of Python, tuples and dicts in place of numbers of numpy, sequences and mappings."""
     if isinstance(value, np.generic):
         return value.item()
-    if isinstance(value, list | tuple):
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return tuple(map(_plain, value))
     return {key: _plain(one) for key, one in value.items()} if isinstance(value, Mapping) else value
 

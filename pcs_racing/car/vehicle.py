@@ -18,14 +18,13 @@ from operator import attrgetter
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from annotated_types import Interval
+from annotated_types import Interval, MultipleOf
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_number
 from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Checked, Settings, load_settings
+from pcs_racing.base.settings import Settings, load_settings
 
 # Columns of a vehicle state; X and Y share their numbers with a line of the track.
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
@@ -37,13 +36,6 @@ ControlMode = Literal["rates", "target"]
 
 COMMAND_PERIOD = 0.02  # s between two steering commands of a race
 MOST_DELAYED = 25  # commands
-
-
-def _steer_delay(name: str, value: Any) -> float:
-    delay = check_number(name, value, 0.0, MOST_DELAYED * COMMAND_PERIOD)
-    if abs(delay / COMMAND_PERIOD - round(delay / COMMAND_PERIOD)) > 1e-9:
-        raise InputError(f"{name} is {delay!r} s; it must be a multiple of {COMMAND_PERIOD:g} s")
-    return delay
 
 
 @dataclass(frozen=True)
@@ -92,7 +84,8 @@ class VehicleParams(Settings):
     length: Annotated[float, Interval(ge=0.001, le=100.0), "Length of that rectangle, m."] = 0.58
     steer_delay: Annotated[
         float,
-        Checked(_steer_delay, "from 0 to 0.5, a multiple of 0.02"),
+        Interval(ge=0.0, le=MOST_DELAYED * COMMAND_PERIOD),
+        MultipleOf(COMMAND_PERIOD),
         "Time by which steering commands are late, s.",
     ] = 0.0
     steer_noise: Annotated[

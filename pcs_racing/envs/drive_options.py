@@ -1,13 +1,12 @@
 """Arguments of the environments at the level of steering and speed, and the elements of their observations."""
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from annotated_types import Interval
+from annotated_types import Interval, Len
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_number
@@ -44,13 +43,6 @@ def _time_step(name: str, value: Any) -> float:
     if abs(step / DT - round(step / DT)) > 1e-9:
         raise InputError(f"{name} is {step!r} s; it must be a multiple of {DT:g} s")
     return step
-
-
-def _look_ahead(name: str, value: Any) -> tuple[float, ...]:
-    listed = isinstance(value, Sequence) and not isinstance(value, str)
-    if not listed or len(value) > 100:
-        raise InputError(f"{name} is {value!r}; it must list at most 100 distances in m")
-    return tuple(check_number(name, distance, 0.0, 1000.0) for distance in value)
 
 
 def _opponents(name: str, value: Any) -> tuple[Any, ...]:
@@ -124,8 +116,8 @@ class DriveOptions(EpisodeOptions):
         "Standard deviation of the ranges, m; a function of the race's key, the time and the beam.",
     ] = 0.0
     look_ahead: Annotated[
-        tuple[float, ...],
-        Checked(_look_ahead, "at most 100 distances from 0 to 1000"),
+        tuple[Annotated[float, Interval(ge=0.0, le=1000.0)], ...],
+        Len(0, 100),
         "Distances at which curvature, speed and widths of the race line are observed, m; () for none.",
     ] = (0.0, 1.0, 2.0, 4.0, 6.0, 9.0)
     own_state: Annotated[bool, "Whether the numbers about the own car are observed."] = True

@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 from annotated_types import Interval
 
-from pcs_racing.base.checks import is_number
-from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Checked, Names, OneOf, OptionalNames, Settings, Text
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.settings import Names, OneOf, OptionalNames, Settings, Text
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig, load_race_config
@@ -26,13 +25,6 @@ HEADROOM_SETTINGS = ("groups", "payoff_races", "judging_races", "judging_tracks"
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
 _SECONDS = Interval(ge=0.1, le=3600.0)
-
-
-def _numbers(name: str, value: Any) -> tuple[float, ...]:
-    """Return a list of numbers as a tuple."""
-    if not isinstance(value, list | tuple) or not all(map(is_number, value)):
-        raise InputError(f"{name} is {value!r}; it must be a list of numbers")
-    return tuple(value)
 
 
 @dataclass(frozen=True)
@@ -107,7 +99,6 @@ class ArchiveConfig(Settings):
     ] = 0.15
     min_coordinates: Annotated[
         tuple[float, ...] | None,
-        Checked(_numbers),
         "Smallest coordinate of a policy in the archive, one for each axis; None for no limit.",
     ] = None
     selection: Annotated[
