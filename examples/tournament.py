@@ -27,7 +27,7 @@ class Arguments:
 
     track: str = "Tarnfjord"
     """name of a shipped circuit or a map folder"""
-    race: str = "contest"
+    rules: str = "contest"
     """rules of the race: paper, contest or a YAML file"""
     races: int = 60
     """races of each pair, even: every start line is driven from both sides"""
@@ -53,7 +53,7 @@ def drivers() -> list[Policy]:
 def main() -> None:
     arguments = parse(Arguments)
     track = load_track(arguments.track)
-    config = load_race_config(arguments.race, duration=arguments.duration)
+    config = load_race_config(arguments.rules, duration=arguments.duration)
     tournament = play_tournament(
         track, drivers(), config, races_per_pair=arguments.races, seed=arguments.seed, progress=show_progress()
     )

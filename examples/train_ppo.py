@@ -39,7 +39,7 @@ class Arguments:
     """name of a shipped circuit or a map folder"""
     archive: str = "contest"
     """archive of policies that both cars drive with"""
-    race: str = "contest"
+    rules: str = "contest"
     """rules of the race: paper, contest or a YAML file"""
     opponent: str = "never-switch"
     """random-moves, never-switch, always-<move>, or a driver such as lane-switcher:3"""
@@ -75,7 +75,7 @@ def main() -> None:
     arguments = parse(Arguments)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     arguments.out.mkdir(parents=True, exist_ok=True)
-    game = {name: getattr(arguments, name) for name in ("track", "archive", "race", "opponent")}
+    game = {name: getattr(arguments, name) for name in ("track", "archive", "opponent")} | {"race": arguments.rules}
     envs = make_sb3_vec_env("duel", arguments.envs, **game)
     model = PPO(
         "MlpPolicy",
@@ -94,7 +94,7 @@ def main() -> None:
     model.learn(arguments.steps, callback=curve)
     model.save(arguments.out / "model.zip")
 
-    print(f"against {arguments.opponent} on {arguments.track}, rules {arguments.race}, {arguments.games} games each:")
+    print(f"against {arguments.opponent} on {arguments.track}, rules {arguments.rules}, {arguments.games} games each:")
     print(f"{'player':28} {'utility':>8} {'+-':>6} {'won':>6} {'crashed':>8}")
     constant = {f"always {name}": move for move, name in enumerate(envs.get_attr("game")[0].move_names)}
     rng = np.random.default_rng(arguments.seed)

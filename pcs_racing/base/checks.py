@@ -124,32 +124,25 @@ def did_you_mean(name: Any, known: Iterable[str]) -> str:
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
-def check_names(name: str, values: Any, minimum: int = 1, error: Error = InputError) -> tuple[str, ...]:
+def check_names(name: str, values: Any, error: Error = InputError) -> tuple[str, ...]:
     """Return a list of different texts, none empty, as a tuple."""
     listed = isinstance(values, list | tuple) and all(isinstance(value, str) and value for value in values)
-    if not listed or len(values) < minimum:
-        wanted = "names" if minimum < 2 else f"{minimum} names or more"
-        raise error(f"{name} is {values!r}; it must be a list of {wanted}")
+    if not listed or not values:
+        raise error(f"{name} is {values!r}; it must be a list of names")
     if len(set(values)) < len(values):
         raise error(f"{name} are {', '.join(values)}; name each once")
     return tuple(values)
 
 
 def check_wholes(
-    name: str,
-    values: Any,
-    minimum: int,
-    maximum: int,
-    count: tuple[int, int] | None = None,
-    error: Error = InputError,
+    name: str, values: Any, minimum: int, maximum: int, count: tuple[int, int], error: Error = InputError
 ) -> tuple[int, ...]:
-    """Return a list of whole numbers within a range as a tuple; ``count`` is how many there may be, from and to."""
-    low, high = count or (0, math.inf)
-    listed = isinstance(values, list | tuple)
-    listed = listed and all(is_whole(value) and minimum <= value <= maximum for value in values)
-    if not listed or not low <= len(values) <= high:
-        many = "" if count is None else f"{low} to {high} " if low else f"at most {high} "
-        raise error(f"{name} is {values!r}; it must be a list of {many}whole numbers{within(minimum, maximum)}")
+    """Return a list of whole numbers within a range as a tuple; ``count`` is the number of them, from and to."""
+    low, high = count
+    listed = isinstance(values, list | tuple) and low <= len(values) <= high
+    if not listed or not all(is_whole(value) and minimum <= value <= maximum for value in values):
+        many = f"{low} to {high}" if low else f"at most {high}"
+        raise error(f"{name} is {values!r}; it must be a list of {many} whole numbers{within(minimum, maximum)}")
     return tuple(int(value) for value in values)
 
 
