@@ -202,12 +202,13 @@ def _wanted(kind: Any, notes: Iterable[Any], largest: float = np.inf) -> tuple[s
     form = {tuple: "a list of", Mapping: "a mapping of names to"}.get(get_origin(kind))
     if form is None:
         return _NOUNS.get(kind, ""), limits
-    few = f" {by_type[Len].min_length} to {by_type[Len].max_length}" if Len in by_type else ""
+    few = by_type.get(Len)
+    count = f" {few.min_length} to {few.max_length}".replace(" 0 to", " at most") if few else ""
     inner, different = (
         _parts(get_args(kind)[form != "a list of"]),
         " different" if DIFFERENT in by_type.values() else "",
     )
-    return f"{form}{few}{different} {_PLURALS.get(inner[0], 'values')}", _wanted(*inner, largest)[1]
+    return f"{form}{count}{different} {_PLURALS.get(inner[0], 'values')}", _wanted(*inner, largest)[1]
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class Option:
     choices: Iterable[Any] | None = None
 
 
-class SettingOptions:
+class ConfigOptions:
     """A parameter that gets those settings of a class, by name, that the command line states."""
 
     def __init__(self, cls: type[Settings], *names: str) -> None:
@@ -130,7 +130,7 @@ def add_parameters(parser: ArgumentParser, target: Callable[..., Any], title: st
     """Add the parameters of a function, or the fields of a dataclass as a group of options, to a parser."""
     group = parser.add_argument_group(title) if title else parser
     for parameter, kind, declared in _parameters(target):
-        if isinstance(declared, SettingOptions):
+        if isinstance(declared, ConfigOptions):
             declared.add(parser)
         elif declared is None:
             add_parameters(parser, kind, _phrase(str(getdoc(kind)).partition("\n")[0]))
@@ -142,7 +142,7 @@ def parameter_values(target: Callable[..., Any], parsed: Namespace) -> dict[str,
     """Return the values that a command line states for what :func:`add_parameters` added."""
     values = {}
     for parameter, kind, declared in _parameters(target):
-        if isinstance(declared, SettingOptions):
+        if isinstance(declared, ConfigOptions):
             values[parameter.name] = declared.values(parsed)
         elif declared is None:
             values[parameter.name] = kind(**parameter_values(kind, parsed))
@@ -151,7 +151,7 @@ def parameter_values(target: Callable[..., Any], parsed: Namespace) -> dict[str,
     return values
 
 
-def _parameters(target: Callable[..., Any]) -> Iterator[tuple[Parameter, Any, Option | SettingOptions | None]]:
+def _parameters(target: Callable[..., Any]) -> Iterator[tuple[Parameter, Any, Option | ConfigOptions | None]]:
     """Parameters with their types and declarations; a dataclass of options has none."""
     hints = get_type_hints(target, include_extras=True)
     for name, parameter in signature(target).parameters.items():

@@ -14,7 +14,7 @@ from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
-from pcs_racing_agents.cli.commands import Option, SettingOptions, command
+from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
 from pcs_racing_agents.cli.options import AGENT_HELP, DEFAULT_TRACK, ArchiveName, Circuits, Rules, Workers, archive_for
 from pcs_racing_agents.learning.ppo.settings import PPOSettings
 
@@ -197,7 +197,7 @@ def run_best_reply(
 def run_ppo(
     *,
     config: Annotated[str, Option(f"settings: {', '.join(shipped_configs('ppo'))} or a YAML file", "NAME")],
-    changes: Annotated[dict[str, Any], SettingOptions(PPOSettings, "steps", "seeds")],
+    changes: Annotated[dict[str, Any], ConfigOptions(PPOSettings, "steps", "seeds")],
     name: Annotated[
         str | None, Option("name of the policy (default: the name under which the agent 'ppo' looks for it)")
     ] = None,

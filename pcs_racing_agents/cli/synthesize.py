@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pcs_racing.base.errors import require
 from pcs_racing_agents.base.progress import duration_text, show_line
-from pcs_racing_agents.cli.commands import Option, SettingOptions, command
+from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
 from pcs_racing_agents.cli.options import TRACK_HELP, Workers
 from pcs_racing_agents.policies.archive_run import make_archive
 from pcs_racing_agents.policies.archive_search import ArchiveCallback, ArchiveProgress
@@ -35,7 +35,7 @@ def run(
     rules: Annotated[str | None, Option("preset of the rules (default: that of the configuration)")] = None,
     changes: Annotated[
         dict[str, Any],
-        SettingOptions(ArchiveConfig, "generations", "population", "method", "seed", "name"),
+        ConfigOptions(ArchiveConfig, "generations", "population", "method", "seed", "name"),
     ],
     workers: Workers,
 ) -> None:

@@ -11,7 +11,7 @@ from pcs_racing.base.errors import InputError, require
 from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.base.folders import hold_folder
 from pcs_racing_agents.base.tables import write_csv
-from pcs_racing_agents.cli.commands import Option, SettingOptions, command
+from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
 from pcs_racing_agents.cli.options import Workers, output_folder
 from pcs_racing_agents.networks.settings import TrainSettings
 
@@ -27,7 +27,7 @@ def run(
     config: Annotated[
         str | None, Option(f"settings: {', '.join(shipped_configs('train'))} or a YAML file", "NAME")
     ] = None,
-    changes: Annotated[dict[str, Any], SettingOptions(TrainSettings, "target", "epochs", "hidden", "seed")],
+    changes: Annotated[dict[str, Any], ConfigOptions(TrainSettings, "target", "epochs", "hidden", "seed")],
     name: Annotated[str | None, Option("name of the network (default: that of the folder)")] = None,
     no_tensorboard: Annotated[bool, Option("do not write learning curves for TensorBoard")] = False,
     no_picture: Annotated[bool, Option("do not draw the learning curves")] = False,

@@ -30,7 +30,7 @@ from pcs_racing_agents.agents import make_game_spec, parse_agent
 from pcs_racing_agents.agents.own_code import parse_driver
 from pcs_racing_agents.base.progress import duration_text
 from pcs_racing_agents.cli import synthesize
-from pcs_racing_agents.cli.commands import Option, SettingOptions, add_commands, command
+from pcs_racing_agents.cli.commands import ConfigOptions, Option, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
 from pcs_racing_agents.cli.options import output_file, output_folder
 from pcs_racing_agents.policies.archive_search import ArchiveProgress
@@ -414,23 +414,6 @@ def test_an_unknown_word_or_option_is_one_line_with_the_nearest(capsys, words, m
     assert stop.value.code == 2
     err = capsys.readouterr().err
     assert message in err
-    assert err.count("\n") == 1
-
-
-OWN = "race --ego latice|tournament --agents a b|rcae|race --track Pipkn|race --rules cup|play --opponent x"
-
-
-@pytest.mark.parametrize("words", UNKNOWN.split("|"))
-def test_an_unknown_name_is_told_before_compiled_code_is_imported(words):
-    assert "numba" not in modules_after(f"assert main({words.split()}) == 2")
-
-
-def test_a_word_that_is_no_choice_is_one_line_with_the_nearest(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["track", "lsit"])
-    assert stop.value.code == 2
-    err = capsys.readouterr().err
-    assert "COMMAND is 'lsit'; did you mean 'list'? there are: list, show" in err
     assert err.count("\n") == 1
 
 
