@@ -18,11 +18,11 @@ from pcs_racing_agents.cli.race import EGO, OPPONENT
 def main() -> None:
     """Print a line for each such seed."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for option, default in (("track", DEFAULT_TRACK), ("ego", EGO), ("opponent", OPPONENT), ("race", "paper")):
+    for option, default in (("track", DEFAULT_TRACK), ("ego", EGO), ("opponent", OPPONENT), ("rules", "paper")):
         parser.add_argument(f"--{option}", default=default)
     parser.add_argument("--seeds", type=int, default=30, help="try seeds 0 to this number, less one")
     arguments = parser.parse_args()
-    track, config = load_track(arguments.track), load_race_config(arguments.race)
+    track, config = load_track(arguments.track), load_race_config(arguments.rules)
     ego, opponent = parse_policy(arguments.ego), parse_policy(arguments.opponent)
     crashes, found = 0, []
     for seed in range(arguments.seeds):

@@ -20,7 +20,7 @@ SMALL = {
     "pooled_studies": ("out/one out/two", "error: there is no out/one/table.csv, out/two/table.csv"),
     "ppo_baselines": ("--lines 0", ""),
     "race_speed": ("--track Pipkin --races 2", "ms"),
-    "racing_quality": ("--tracks Pipkin --race paper --policies 4 --opponents 2", "Pipkin"),
+    "racing_quality": ("--tracks Pipkin --rules paper --policies 4 --opponents 2", "Pipkin"),
     "record": ("--show", "race"),
     "sb3_speed": ("--steps 64", "steps a second of PPO"),
     "scan_speed": ("--track Pipkin", "us"),

@@ -1,7 +1,7 @@
 """Is the racing good? Random policies in the PCS, and how races between good ones go, for each preset and circuit.
 
     python dev/benchmarks/racing_quality.py                              # all shipped circuits, both presets
-    python dev/benchmarks/racing_quality.py --tracks Tarnfjord --race contest --picture docs/images/racing_quality.png
+    python dev/benchmarks/racing_quality.py --tracks Tarnfjord --rules contest --picture docs/images/racing_quality.png
 
 Every policy races the same opponents from the same starts. "Non-dominated" are the policies of the random sample that
 no other one beats in both aggressiveness and restraint.
@@ -129,7 +129,7 @@ def draw(studies: list[dict[str, object]], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tracks", nargs="+", default=None, help="names or folders (default: all shipped circuits)")
-    parser.add_argument("--race", nargs="+", default=["paper", "contest"])
+    parser.add_argument("--rules", nargs="+", default=["paper", "contest"])
     parser.add_argument("--policies", type=int, default=300)
     parser.add_argument("--opponents", type=int, default=20, help="races per policy, an even number plays both sides")
     parser.add_argument("--seed", type=int, default=0)
@@ -137,7 +137,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="end with one JSON line")
     arguments = parser.parse_args()
     studies = []
-    for preset in arguments.race:
+    for preset in arguments.rules:
         for name in arguments.tracks or list_tracks():
             item = study(
                 load_track(name), load_race_config(preset), arguments.policies, arguments.opponents, arguments.seed
