@@ -183,7 +183,7 @@ def _content(
 def _kind_of_start(results: "ResultsFolder") -> str:
     """Return the kind of start of the races, if the folder holds it; else the default."""
     if results.study is not None:
-        return results.study.config.game.race.start
+        return results.study.spec.config.race_rules.start
     game = results.settings.get("game")
     race = game.get("race") if isinstance(game, dict) else None
     return str(race.get("start", "side-by-side")) if isinstance(race, dict) else "side-by-side"

@@ -21,7 +21,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.agent import Competitor, competitor_hash
-from pcs_racing_agents.agents.game_spec import make_game_spec
+from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.folders import read_job
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, draw_schedule, schedule_pairing
@@ -31,11 +31,15 @@ MANIFEST = "job.yaml"
 
 
 class RacedStudy(Protocol):
-    """Archive, games and agents of a study (:class:`pcs_racing_agents.study.study.Study`)."""
+    """Archive, rules, games and agents of a study (:class:`pcs_racing_agents.study.study.Study`)."""
 
     @property
     def archive(self) -> PolicyArchive:
         """Archive of the agents' policies."""
+
+    @property
+    def spec(self) -> GameSpec:
+        """Archive and rules of the games."""
 
     def game(self, track: str) -> RaceGame:
         """Return the game on a circuit."""

@@ -334,7 +334,7 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
         loud: Annotated[bool | None, Option("how")] = None,
         others: Annotated[Sequence[str], Option("who else", choices=("Bo", "Cy"))] = ("Bo",),
         weather: Weather,
-        changes: Annotated[dict, SettingOptions(Tea, "herbs", "sugar")],
+        changes: Annotated[dict, ConfigOptions(Tea, "herbs", "sugar")],
     ) -> None:
         """Wave at somebody."""
         told.append((name, often, loud, tuple(others), weather, changes))
