@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import yaml
 from fuzz_inputs import Draw
-from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
 from PIL import Image
 
 from pcs_racing import RaceGame, load_game_config, load_race_config, load_track, parse_policy, read_replay
@@ -55,12 +54,13 @@ from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.benchmark.card import board_page, read_card, read_cards, write_card
 from pcs_racing_agents.learning.ppo.evaluation import EVALUATION_COLUMNS, read_evaluations
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+from pcs_racing_agents.learning.psro import load_psro_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.config import load_archive_config
-from pcs_racing_agents.study.report_inputs import read_curves, read_losses
+from pcs_racing_agents.study.report_inputs import read_curves
 from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.study.study import load_study_config
 from pcs_racing_agents.study.table import make_table
@@ -178,7 +178,6 @@ CONFIGS: dict[str, Read] = {
     "psro": load_psro_settings,
     "race": load_race_config,
     "response": load_response_settings,
-    "robust": load_robust_settings,
     "self-play": load_self_play_settings,
     "study": load_study_config,
     "train": load_train_settings,
@@ -186,7 +185,6 @@ CONFIGS: dict[str, Read] = {
 NOT_SHIPPED = {
     "psro": b"rounds: 3\nraces: 20\n",
     "race": b"preset: contest\nduration: 16.0\nspeed_range: [0.5, 0.9]\nstart: rolling\n",
-    "robust": b"pool_share: 0.5\nrounds: 2\n",
 }
 
 
@@ -365,10 +363,6 @@ for race, ending in enumerate(("0,0,1.5,ego,none,none,1,0,40.0", "1,0,-1.5,none,
     ego, other = 3 + race // 2, 4 + race // 2
     moves = f"{ego},{other},{ego}; 5,{other}; {other},restraint +,stay"
     RESULTS += f"never-switch,random-moves,Pipkin,{race},12.5,{ending},{moves}\n"
-LOSSES = (
-    "agent,track,loss,low,high,races,reply_won,agent_won,agent_own_crash\n"
-    "a,Pipkin,0.1,0,0.2,400,0.6,0.4,0.1\na,all,0.1,0,2,3,1,1,1\n"
-)
 CURVE = ",".join(EVALUATION_COLUMNS) + "\n0,100,paper,paper" + ",1" * (len(EVALUATION_COLUMNS) - 4) + "\n"
 
 
@@ -571,7 +565,6 @@ TARGETS: dict[str, Target] = {
         lambda: [(tournament_folder() / "job.yaml").read_bytes()],
         "yaml",
     ),
-    "losses to best replies": Target(as_file(read_losses, "losses.csv"), texts(LOSSES), "csv"),
     "loss table": Target(
         as_file(read_curves, "curve.csv"), texts("epoch,training_loss,validation_loss\n0,1.5,2\n1,1,2\n"), "csv"
     ),

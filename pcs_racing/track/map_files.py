@@ -16,7 +16,6 @@ from PIL import Image, UnidentifiedImageError
 
 from pcs_racing.base import files
 from pcs_racing.base.checks import check_number, check_whole, is_number
-from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.errors import MapError, say
 from pcs_racing.track.building.causes import at_cell
 
@@ -170,6 +169,8 @@ def turned(grid: Grid, ros: dict[str, Any]) -> tuple[Grid, tuple[float, float]]:
     quarters = ros["yaw"] / (0.5 * math.pi)
     if abs(quarters - round(quarters)) < 1e-5:
         quarters = round(quarters)
+    from pcs_racing.base.elementary import sine_cosine  # imports numba, which names of tracks do without
+
     sine, cosine = sine_cosine(0.5 * math.pi * (quarters % 4))
     if isinstance(quarters, int):  # without rounding errors
         sine, cosine = round(sine), round(cosine)

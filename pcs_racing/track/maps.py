@@ -124,7 +124,9 @@ def read_bytes(files: MapFiles) -> dict[str, bytes]:
     every = (files.yaml, files.centerline, files.raceline, files.info, files.waypoints)
     texts = [file for file in every if file is not None]
     limits = {".csv": MAX_LINE, ".json": MAX_LINE}
-    contents = {_label(files, file): read_inside(files.folder, file, limits.get(file.suffix, MAX_YAML)) for file in texts}
+    contents = {
+        _label(files, file): read_inside(files.folder, file, limits.get(file.suffix, MAX_YAML)) for file in texts
+    }
     picture = _picture(files, parse_ros_yaml(files.yaml, contents[files.yaml.name]))
     return contents | {_label(files, picture): read_inside(files.folder, picture, MAX_BYTES)}
 

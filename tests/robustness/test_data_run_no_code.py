@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import pytest
 import yaml
-from pcs_racing_agents.learning.robust import load_psro_settings, load_robust_settings
 from refusal import refused
 from repository import REPOSITORY
 
@@ -45,10 +44,10 @@ from pcs_racing_agents.agents.sb3_files import load_model
 from pcs_racing_agents.benchmark.card import Card, board_page, read_cards, write_card
 from pcs_racing_agents.benchmark.card_values import CardScore, Gain
 from pcs_racing_agents.benchmark.protocol import ProtocolConfig, load_protocol
-from pcs_racing_agents.benchmark.scoring import load_hidden
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.learning.ppo.drives import make_drive_task
 from pcs_racing_agents.learning.ppo.settings import LEVELS, load_ppo_settings
+from pcs_racing_agents.learning.psro import load_psro_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.settings import load_train_settings
@@ -75,14 +74,14 @@ WORDS = ("evil.py:main", "evil_module:main", "evil.py")
 PROTOCOL = {
     "race": "paper", "archive": "default", "seen": ("Pipkin",), "unseen": ("Pipkin",), "keeps": ("never-switch",),
     "switches": ("random-moves",), "planners": ("pure-pursuit",), "agents": ("random-moves",),
-    "blind": ("never-switch",), "hidden": "ab" * 32,
+    "blind": ("never-switch",),
 }  # fmt: skip
 STUDY = {
     "tracks": ("Pipkin",), "circuits": ("Pipkin",), "arms": ("never-switch", "lattice:pace=0.4"),
     "best": "never-switch",
-    "opponents": ("never-switch", "lattice:pace=0.4"), "rated": ("never-switch",), "replies": ("never-switch",),
+    "opponents": ("never-switch", "lattice:pace=0.4"), "rated": ("never-switch",),
     "further_arms": ("random-moves",), "further_opponents": ("random-moves",), "further_tracks": ("Pipkin",),
-    "responses": ("quick",), "robust": "default", "psro": "default", "self_play": "default", "ppo": "study-paper",
+    "responses": ("quick",), "ppo": "study-paper",
 }  # fmt: skip
 
 
@@ -173,13 +172,6 @@ def model(folder: Path) -> Path:
     return settings("model.yaml", {"see_opponent": "always", "vehicle": [plain_settings(F1TENTH)]})(folder)
 
 
-def hidden(file: Path) -> object:
-    from hashlib import sha256
-
-    protocol = load_protocol(ProtocolConfig(**{**PROTOCOL, "hidden": sha256(file.read_bytes()).hexdigest()}))
-    return load_hidden(protocol, file, file.parent / "circuits")
-
-
 def replay(folder: Path) -> Path:
     ego, opponent = parse_policy("lattice"), parse_policy("pure-pursuit")
     race = record_race(load_track("Pipkin"), ego, opponent, load_race_config("paper", duration=1.0), seed=1)
@@ -193,7 +185,6 @@ TREES = {
         "preset": "paper", "pairs": [[0, 1]], "encoding": ["step"], "move_names": ["a +", "a -"],
     },
 }  # fmt: skip
-HIDDEN = {"circuits": [2**33, 2**34], "styles": ["hull"], "seed": 2**50}
 NOTES = {"seconds": 1.0, "files": {"table/table.csv": "ab"}}
 
 
@@ -232,7 +223,6 @@ KINDS = {
         load_study_config, StudyConfig(**STUDY), lambda one: study_agents(Study(one, Path("none"), quiet=True))
     ),
     "protocol": config(load_protocol, ProtocolConfig(**PROTOCOL)),
-    "hidden part": Kind(settings("hidden.yaml", HIDDEN), hidden, "load_hidden"),
     "score card": Kind(card, lambda file: board_page(read_cards([file])), "read_card"),
     "archive": Kind(
         shipped("archives", "default/manifest.yaml"),
@@ -272,7 +262,6 @@ KINDS = {
         load_ppo_settings, {"level": "drive", **plain_settings(LEVELS["drive"])}, make_drive_task
     ),
     "response": config(load_response_settings),
-    "robust": config(load_robust_settings),
     "psro": config(load_psro_settings),
     "self-play": config(load_self_play_settings),
     "training": config(load_train_settings),

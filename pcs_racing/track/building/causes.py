@@ -2,8 +2,6 @@
 
 import numpy as np
 
-from pcs_racing.track.grid import way_out
-
 GAPS = (1, 2, 3, 5, 8, 12, 18, 27, 40)  # half widths of gaps to search for, in cells
 
 
@@ -19,6 +17,7 @@ def find_gap(grid: np.ndarray, region: np.ndarray, resolution: float, corner: np
     With its gaps closed by walls that grow, a leaking track becomes a ring, of at most a ``share`` of the free cells.
     """
     from scipy import ndimage
+    from pcs_racing.track.grid import way_out  # imports numba, which names of tracks do without
 
     from pcs_racing.track.building.centerline import fill_islands
 

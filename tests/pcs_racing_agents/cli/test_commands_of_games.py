@@ -52,10 +52,10 @@ def test_two_circuits_have_a_mean_and_a_pool_the_size_that_is_asked_for(tmp_path
     assert len(rows_of(tmp_path / "payoffs.csv")) == 2 * 6
     assert len(load_archive("default")) > 16 > (small := len(load_archive("contest")))
     names, pool = PoolOptions(
-        track=("Pipkin",), archive="default", rules=Rules(race="contest", seed=4), races=32
+        track=("Pipkin",), archive="default", rules=Rules(rules="contest", seed=4), races=32
     ).pool()
     assert (len(names), pool.races, pool.seed, pool.config.name) == (16, 32, 4, "contest")
-    assert len(PoolOptions(rules=Rules(race="contest")).pool()[0]) == small
+    assert len(PoolOptions(rules=Rules(rules="contest")).pool()[0]) == small
     stated = pool_settings(pool)
     assert (stated["races"], stated["folds"], stated["seed"], len(stated["policies"])) == (32, pool.folds, 4, 16)
 
