@@ -59,8 +59,8 @@ def test_the_shipped_ones_are_listed_and_lie_beside_the_package_or_in_it(album, 
     package = tmp_path / "package"
     package.mkdir()
     assert shipped_folder(package, "albums") == tmp_path / "albums"
-    (package / "shipped_albums").mkdir()
-    assert shipped_folder(package, "albums") == package / "shipped_albums"
+    (package / "data" / "albums").mkdir(parents=True)
+    assert shipped_folder(package, "albums") == package / "data" / "albums"
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,6 @@ def test_blocks_run_as_they_stand(code, tmp_path, monkeypatch):
 
 
 def test_named_scripts_exist():
-    scripts = set(re.findall(r"(?:examples|benchmarks)/\w+\.py", PAGE))
+    scripts = set(re.findall(r"(?:examples|dev/benchmarks)/\w+\.py", PAGE))
     assert "examples/cleanrl_loop.py" in scripts
     assert all((REPOSITORY / script).is_file() for script in scripts)

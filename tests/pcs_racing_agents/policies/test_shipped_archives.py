@@ -1,7 +1,11 @@
 """The archives that come with the package are what their configurations and manifests say."""
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
+from repository import REPOSITORY
 
 from pcs_racing import load_archive, load_track
 from pcs_racing.game.moves import duplicate_share
@@ -53,10 +57,19 @@ def test_the_default_archive_lies_along_the_front_and_that_of_the_contest_holds_
     assert float(archive.settings["headroom_low_elsewhere"]) > 0.0  # on circuits not used for the choice
 
 
-def test_it_is_measured_again_with_crashes_as_rare_as_they_should_be(name):
-    """Two of its policies drive a part of those races again; other processors may round otherwise."""
-    archive = load_archive(name)
-    _, _, final = stage_scenarios(load_archive_config(name))
+def test_it_is_measured_again_with_crashes_as_rare_as_they_should_be(name, tmp_path):
+    """Two of its policies drive a part of those races again; other processors may round otherwise.
+
+    ``default`` was measured at the speeds of Tarnfjord before calibration counted the crashes of
+    pairs of cars: it drives by the former calibration until the archive is made again.
+    """
+    archive, config = load_archive(name), load_archive_config(name)
+    if name == "default":
+        before = shutil.copytree(REPOSITORY / "maps" / "Tarnfjord", tmp_path / "Tarnfjord")
+        shutil.copy(Path(__file__).with_name("tarnfjord_before.yaml"), before / "Tarnfjord_track.yaml")
+        tracks = [str(before) if track == "Tarnfjord" else track for track in config.tracks]
+        config = load_archive_config(config, tracks=tuple(tracks))
+    _, _, final = stage_scenarios(config)
     chosen = [0, len(archive) - 1]
     found = summarise(race_policies((final, archive.complete(archive.parameters[chosen]))))
     assert (np.abs(found.coordinates - archive.coordinates[chosen]) <= archive.spread[chosen]).all()

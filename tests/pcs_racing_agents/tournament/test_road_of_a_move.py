@@ -18,7 +18,7 @@ from pcs_racing_agents.tournament.race_files import write_results
 
 RACES = 20
 PACKAGES = (REPOSITORY / "pcs_racing", REPOSITORY / "pcs_racing_agents")
-ENDS = {"predict": "agents/agent.py", "write_chunk": "jobs/chunks.py", "write_results": "results/race_files.py"}
+ENDS = {"predict": "agents/agent.py", "write_chunk": "base/chunks.py", "write_results": "tournament/race_files.py"}
 
 
 @cache
